@@ -1,0 +1,39 @@
+# Needs python3 (>= 3.11), make and a package index; everything else is installed into .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# One BLAS thread per worker process, so that parallel tests do not fight over the cores.
+TEST_ENV := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+WORKERS ?= 2
+
+.PHONY: setup demo test check bench docs clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+	touch $@
+
+demo: setup
+	$(BIN)/magmatch demo --out demo-output
+
+test: setup
+	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS) tests
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: setup
+	$(BIN)/python benchmarks/experiments/simulated_pairs.py
+	$(BIN)/python benchmarks/experiments/real_pairs.py
+
+docs: setup
+	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch
+
+clean:
+	rm -rf $(VENV) build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Register magnetic surveys: two maps of one place in, one SE(3) transform and its certainty out.
+
+Names are resolved on first use, so that importing the package costs nothing until work begins.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from magmatch.data.read import read_survey
+    from magmatch.data.survey import Survey
+    from magmatch.data.trajectory import Trajectory
+    from magmatch.features.extract import extract_features
+    from magmatch.features.features import Features
+    from magmatch.field.build import build_map
+    from magmatch.field.config import FieldConfig
+    from magmatch.field.map import FieldMap
+    from magmatch.grid import RegularGrid
+    from magmatch.registration.config import RegistrationConfig
+    from magmatch.registration.register import register
+    from magmatch.registration.result import RegistrationResult, Status
+    from magmatch.simulation.simulate import simulate
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Features": "features.features",
+    "FieldConfig": "field.config",
+    "FieldMap": "field.map",
+    "RegistrationConfig": "registration.config",
+    "RegistrationResult": "registration.result",
+    "RegularGrid": "grid",
+    "Status": "registration.result",
+    "Survey": "data.survey",
+    "Trajectory": "data.trajectory",
+    "build_map": "field.build",
+    "extract_features": "features.extract",
+    "read_survey": "data.read",
+    "register": "registration.register",
+    "simulate": "simulation.simulate",
+}
+
+__all__ = [
+    "Features",
+    "FieldConfig",
+    "FieldMap",
+    "RegistrationConfig",
+    "RegistrationResult",
+    "RegularGrid",
+    "Status",
+    "Survey",
+    "Trajectory",
+    "build_map",
+    "extract_features",
+    "read_survey",
+    "register",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        msg = f"module 'magmatch' has no attribute '{name}'"
+        raise AttributeError(msg)
+    return getattr(import_module(f"magmatch.{_HOMES[name]}"), name)

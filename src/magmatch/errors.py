@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Errors a caller can act on: each message says where, what was expected and what was found."""
+
+from pathlib import Path
+
+
+class MagmatchError(Exception):
+    """Base of all errors that magmatch raises on purpose; the command line shows it as one line, exit code 2."""
+
+
+class DataFormatError(MagmatchError, ValueError):
+    """A file does not hold what it should.
+
+    Parameters
+    ----------
+    path : path
+        The file at fault.
+    message : str
+        What was expected and what was found.
+    line : int, optional
+        Line of a text file, counted from 1.
+    column : str, optional
+        Name of the column or field.
+    """
+
+    def __init__(self, path: str | Path, message: str, *, line: int | None = None, column: str | None = None) -> None:
+        self.path, self.line, self.column = Path(path), line, column
+        place = str(path)
+        if line is not None:
+            place += f", line {line}"
+        if column is not None:
+            place += f", column '{column}'"
+        super().__init__(f"{place}: {message}")
+
+
+class SurveyError(MagmatchError, ValueError):
+    """A survey cannot be used: NaN, impossible magnitudes, too few samples, time running backward."""
+
+
+class ConfigurationError(MagmatchError, ValueError):
+    """A setting is out of its bounds or unknown."""
+
+
+class MissingExtraError(MagmatchError, ImportError):
+    """An optional dependency is not installed; names the extra that brings it.
+
+    Parameters
+    ----------
+    feature : str
+        What the caller wanted to do.
+    extra : str
+        The extra of this package that has what it needs.
+    """
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs the extra '{extra}': pip install 'magmatch[{extra}]'")

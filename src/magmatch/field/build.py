@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: samples in, field map out."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Prior
+from magmatch.field.map import FieldMap
+from magmatch.field.priors import PRIORS
+from magmatch.typing import Points, Vectors
+
+log = logging.getLogger(__name__)
+
+
+def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = None) -> FieldMap:
+    """Infer the magnetic field of a place from a survey.
+
+    Parameters
+    ----------
+    survey : Survey or sequence of Survey
+        Samples; several surveys must share one frame and are merged.
+    config : FieldConfig, optional
+        Prior and hyperparameters; what is left out is chosen from the data.
+
+    Returns
+    -------
+    FieldMap
+        Posterior of the field, in the survey's frame.
+
+    Raises
+    ------
+    SurveyError
+        If the survey holds NaN, impossible values or too few samples.
+    """
+    config = config or FieldConfig()
+    merged = survey if isinstance(survey, Survey) else survey[0].merged(*survey[1:])
+    T_map_model = merged.principal_frame()
+    samples = merged.transformed(T_map_model.inv())
+    prior = PRIORS[config.prior]
+    hyperparameters = _hyperparameters(prior, samples.positions, samples.field, config)
+    log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
+    model = prior.build(samples.positions, samples.field, hyperparameters)
+    posterior = model.infer(model.observe(samples.positions, samples.field))
+    return FieldMap(merged, posterior, T_map_model, config)
+
+
+def _hyperparameters(prior: Prior, points: Points, field: Vectors, config: FieldConfig) -> Hyperparameters:
+    """Numbers from the configuration where given, from the data otherwise."""
+    names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
+    given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
+    log.info("choosing hyperparameters")
+    return replace(prior.choose_hyperparameters(points, field), **given)

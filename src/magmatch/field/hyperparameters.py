@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The few numbers a prior needs, and how they are stated."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Hyperparameters:
+    """Numbers that shape a prior.
+
+    Attributes
+    ----------
+    lengthscale : float, m
+        Distance over which the field changes; also the size of what counts as one independent cell.
+    signal_sd : float, T
+        Prior standard deviation of one field component (the constant field aside).
+    noise_sd : float, T
+        Standard deviation of one measured component: sensor noise and what the model cannot follow.
+    spacing : float, m
+        Distance of the basis nodes (inducing points, spline knots).
+    stiffness : float
+        Weight of the soft law ``div B = 0`` relative to the prior's own scale; 0 where the prior has none.
+    """
+
+    lengthscale: float
+    signal_sd: float
+    noise_sd: float
+    spacing: float
+    stiffness: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, for saving."""
+        return asdict(self)

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The seam that every prior fills: a linear basis with a Gaussian prior, ``B(x) = Phi(x) w``, ``w ~ N(0, P0^-1)``.
+
+Data enter additively in information form, ``P = P0 + sum Phi^T W Phi / s^2``, ``eta = sum Phi^T W b / s^2``, so
+batch, recursive and merged inference agree whatever the order. Everything here lives in the model's own frame
+(the survey's principal axes); `FieldMap` does the turning.
+"""
+
+from typing import Any, Protocol, Self, TypeVar
+
+import numpy as np
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.values import FieldValues
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+
+Axes = tuple[Scalars, Scalars, Scalars]
+
+
+class Information(Protocol):
+    """What data say about the weights; adds and subtracts like log-likelihoods."""
+
+    def __add__(self, other: Self, /) -> Self:
+        """Information of both data sets."""
+        ...
+
+    def __sub__(self, other: Self, /) -> Self:
+        """Take off information that was counted twice."""
+        ...
+
+
+Data = TypeVar("Data", bound=Information)
+
+
+class LinearModel(Protocol[Data]):
+    """One prior with fixed hyperparameters over one region."""
+
+    hyperparameters: Hyperparameters
+
+    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> Data:
+        """Information in samples; ``weights`` (default 1) scale each sample's inverse noise variance."""
+        ...
+
+    def infer(self, information: Data) -> "Posterior":
+        """Posterior of the weights given information (one factorisation)."""
+        ...
+
+
+class Posterior(Protocol):
+    """A fitted field, in the model's frame."""
+
+    hyperparameters: Hyperparameters
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+        """Field (order 0), gradient (1) and second derivatives (2); the posterior mean unless weights are given."""
+        ...
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Evaluate on the grid spanned by three axes (C order), through separability."""
+        ...
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Marginal posterior covariance at each point, returning to the prior far from data.
+
+        Order 0: (n, 3, 3) of the field, T^2. Order 1: (n, 12, 12) of field, then gradient row-major.
+        """
+        ...
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+        """Posterior samples of the weights, (n_draws, n_weights), for `evaluate`."""
+        ...
+
+    def knows(self, points: Points) -> Mask:
+        """Where the model has basis functions informed by data; elsewhere it falls back to the prior."""
+        ...
+
+
+class Prior(Protocol):
+    """A family of models; one file in ``field/priors`` each."""
+
+    name: str
+
+    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
+        """Numbers that fit the data; deterministic."""
+        ...
+
+    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> LinearModel[Any]:
+        """Lay the basis over the region of the points."""
+        ...

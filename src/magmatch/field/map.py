@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The noun of this room: a field map, the posterior of the field over the region a survey covers."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Posterior
+from magmatch.field.values import FieldValues
+from magmatch.geometry import rotate_tensors, transform_points
+from magmatch.grid import RegularGrid
+from magmatch.typing import Mask, Points, Scalars, Tensors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GriddedField:
+    """A map evaluated on a regular grid; arrays are in the grid's C order, components in the map frame.
+
+    Attributes
+    ----------
+    grid : RegularGrid
+    values : FieldValues
+        Field and derivatives at ``grid.points()``.
+    variance : (n,) array, T^2
+        Mean posterior variance of the three components, returning to the prior away from data; NaN where it
+        was not asked for.
+    is_known : (n,) bool array
+        Where the map has data nearby.
+    """
+
+    grid: RegularGrid
+    values: FieldValues
+    variance: Scalars
+    is_known: Mask
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FieldMap:
+    """The magnetic field of a place, inferred from a survey, with its uncertainty.
+
+    Attributes
+    ----------
+    survey : Survey
+        The samples the map was made from, map frame.
+    posterior : Posterior
+        The fitted model, in its own frame (principal axes of the survey).
+    T_map_model : RigidTransform
+        Takes model coordinates to map coordinates.
+    config : FieldConfig
+        How the map was made.
+    """
+
+    survey: Survey
+    posterior: Posterior
+    T_map_model: RigidTransform
+    config: FieldConfig
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Lengthscale, signal and noise of the prior."""
+        return self.posterior.hyperparameters
+
+    def evaluate(self, points: Points, order: int = 0) -> FieldValues:
+        """Posterior mean of the field and its derivatives.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m, map frame
+            Where to evaluate.
+        order : int
+            0: field; 1: and gradient; 2: and second derivatives.
+
+        Returns
+        -------
+        FieldValues
+            Components in the map frame.
+        """
+        return self.posterior.evaluate(self._to_model(points), order).rotated(self.T_map_model)
+
+    def covariance(self, points: Points) -> Tensors:
+        """Posterior covariance of the noise-free field at each point: (n, 3, 3), T^2, map frame.
+
+        Returns to the prior's variance where the map knows nothing.
+        """
+        return rotate_tensors(self.posterior.covariance(self._to_model(points)), self.T_map_model)
+
+    def knows(self, points: Points) -> Mask:
+        """Whether the map has data near each point (map frame): (n,) bool."""
+        return self.posterior.knows(self._to_model(points))
+
+    def draw(self, points: Points, n_draws: int, order: int, rng: np.random.Generator) -> list[FieldValues]:
+        """Samples of the posterior at points, for the spread of any quantity derived from it.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m, map frame
+            Where to evaluate.
+        n_draws : int
+            How many samples.
+        order : int
+            As in `evaluate`.
+        rng : numpy Generator
+            Source of randomness.
+
+        Returns
+        -------
+        list of FieldValues
+            One entry per sample, components in the map frame.
+        """
+        weights = self.posterior.draw_weights(n_draws, rng)
+        p_model = self._to_model(points)
+        return [self.posterior.evaluate(p_model, order, w).rotated(self.T_map_model) for w in weights]
+
+    def on_grid(self, grid: RegularGrid, order: int = 2, *, with_variance: bool = True) -> GriddedField:
+        """Field, derivatives and variance on a regular grid.
+
+        Parameters
+        ----------
+        grid : RegularGrid
+            Where to evaluate; fastest when its axes are parallel to the model's (see `grid_over`).
+        order : int
+            Highest derivative.
+        with_variance : bool
+            False leaves the variance NaN and saves its cost.
+
+        Returns
+        -------
+        GriddedField
+        """
+        T_model_grid = self.T_map_model.inv() * grid.T_map_grid
+        p_model = transform_points(grid.local_points(), T_model_grid)
+        if T_model_grid.rotation.magnitude() < 1e-12:
+            x0, y0, z0 = T_model_grid.translation
+            x, y, z = grid.axes
+            values = self.posterior.evaluate_on_grid((x + x0, y + y0, z + z0), order)
+        else:
+            values = self.posterior.evaluate(p_model, order)
+        variance = np.full(grid.n_points, np.nan)
+        if with_variance:
+            variance = np.trace(self.posterior.covariance(p_model), axis1=1, axis2=2) / 3
+        return GriddedField(grid, values.rotated(self.T_map_model), variance, self.posterior.knows(p_model))
+
+    def grid_over(self, spacing: float, margin: float = 0.0) -> RegularGrid:
+        """Lay a grid over the samples with axes parallel to the model's, so that it turns with the survey.
+
+        Parameters
+        ----------
+        spacing : float, m
+            Distance of neighbouring points.
+        margin : float, m
+            How far it reaches beyond the samples' box.
+
+        Returns
+        -------
+        RegularGrid
+        """
+        return RegularGrid.over(self.survey.positions, spacing, margin, self.T_map_model)
+
+    def transformed(self, T_new_map: RigidTransform) -> "FieldMap":
+        """Return the same map in another frame; its grids and model are carried along.
+
+        Parameters
+        ----------
+        T_new_map : RigidTransform
+            Takes map coordinates to the new frame.
+
+        Returns
+        -------
+        FieldMap
+        """
+        return replace(self, survey=self.survey.transformed(T_new_map), T_map_model=T_new_map * self.T_map_model)
+
+    def _to_model(self, points: Points) -> Points:
+        return transform_points(np.asarray(points, dtype=np.float64), self.T_map_model.inv())

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Families of field models, one file each; this table is what configuration names refer to."""
+
+from magmatch.field.linear_model import Prior
+
+PRIORS: dict[str, Prior] = {}

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a field model says at points: the vectors and their derivatives."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors
+from magmatch.typing import Tensors, ThirdOrder, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FieldValues:
+    """Field and derivatives at n points, all in one frame.
+
+    Attributes
+    ----------
+    field : (n, 3) array, T
+    gradient : (n, 3, 3) array, T/m, optional
+        ``[i, a, b] = dB_a / dx_b``; present from order 1.
+    second : (n, 3, 3, 3) array, T/m^2, optional
+        ``[i, a, b, c] = d2 B_a / dx_b dx_c``; present from order 2.
+    """
+
+    field: Vectors
+    gradient: Tensors | None = None
+    second: ThirdOrder | None = None
+
+    def rotated(self, T_new_old: RigidTransform) -> "FieldValues":
+        """Return the same values with their components in another frame."""
+        return FieldValues(
+            rotate_vectors(self.field, T_new_old),
+            None if self.gradient is None else rotate_tensors(self.gradient, T_new_old),
+            None if self.second is None else rotate_third_order(self.second, T_new_old),
+        )
+
+    @staticmethod
+    def concatenate(parts: "list[FieldValues]") -> "FieldValues":
+        """Join values at several sets of points, in order."""
+        gradients = [p.gradient for p in parts if p.gradient is not None]
+        seconds = [p.second for p in parts if p.second is not None]
+        return FieldValues(
+            np.concatenate([p.field for p in parts]),
+            np.concatenate(gradients) if len(gradients) == len(parts) else None,
+            np.concatenate(seconds) if len(seconds) == len(parts) else None,
+        )

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rigid motions over SciPy's RigidTransform: points, vectors and tensors move differently.
+
+``T_base_target`` takes target coordinates to base coordinates. Tangent vectors are rotation first.
+"""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.typing import Points, Tensors, ThirdOrder, Vector3, Vectors
+
+
+def transform_points(p_target: Points, T_base_target: RigidTransform) -> Points:
+    """Points of the target frame in the base frame: ``R p + t``.
+
+    Parameters
+    ----------
+    p_target : (n, 3) array, m
+        Positions in the target's frame.
+    T_base_target : RigidTransform
+        Takes target coordinates to base coordinates.
+
+    Returns
+    -------
+    (n, 3) array, m
+        The same points in the base's frame.
+    """
+    return p_target @ T_base_target.rotation.as_matrix().T + T_base_target.translation
+
+
+def rotate_vectors(b_target: Vectors, T_base_target: RigidTransform) -> Vectors:
+    """Field vectors of the target frame in the base frame: ``R b``; the translation does not act.
+
+    Parameters
+    ----------
+    b_target : (n, 3) array, T
+        Field vectors in the target's frame.
+    T_base_target : RigidTransform
+        Takes target coordinates to base coordinates.
+
+    Returns
+    -------
+    (n, 3) array, T
+        The same vectors in the base's frame.
+    """
+    return b_target @ T_base_target.rotation.as_matrix().T
+
+
+def rotate_tensors(G_target: Tensors, T_base_target: RigidTransform) -> Tensors:
+    """Second-order tensors of the target frame in the base frame: ``R G R^T``.
+
+    Parameters
+    ----------
+    G_target : (n, 3, 3) array, T/m
+        Field gradients (or Hessians of the magnitude, T/m^2) in the target's frame.
+    T_base_target : RigidTransform
+        Takes target coordinates to base coordinates; its translation does not act here.
+
+    Returns
+    -------
+    (n, 3, 3) array
+        The same tensors in the base's frame.
+    """
+    R = T_base_target.rotation.as_matrix()
+    turned: Tensors = R @ G_target @ R.T
+    return turned
+
+
+def rotate_third_order(D_target: ThirdOrder, T_base_target: RigidTransform) -> ThirdOrder:
+    """Third-order tensors (second derivatives of a vector field) in the base frame.
+
+    Parameters
+    ----------
+    D_target : (n, 3, 3, 3) array, T/m^2
+        ``[i, a, b, c] = d2 B_a / dx_b dx_c`` in the target's frame.
+    T_base_target : RigidTransform
+        Takes target coordinates to base coordinates; its translation does not act here.
+
+    Returns
+    -------
+    (n, 3, 3, 3) array, T/m^2
+        The same tensors in the base's frame.
+    """
+    R = T_base_target.rotation.as_matrix()
+    turned: ThirdOrder = np.einsum("ai,bj,ck,nijk->nabc", R, R, R, D_target, optimize=True)
+    return turned
+
+
+def skew(v: Points) -> Tensors:
+    """Cross-product matrices: ``skew(a) @ b == a x b``.
+
+    Parameters
+    ----------
+    v : (n, 3) array
+        Vectors.
+
+    Returns
+    -------
+    (n, 3, 3) array
+        One antisymmetric matrix per row.
+    """
+    S = np.zeros((len(v), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return S - np.swapaxes(S, 1, 2)
+
+
+def exp_se3(xi: np.ndarray) -> RigidTransform:
+    """Exponential map of a tangent vector, rotation first.
+
+    Parameters
+    ----------
+    xi : (6,) array
+        Rotation vector (rad), then the translational part (m).
+
+    Returns
+    -------
+    RigidTransform
+        ``Exp(xi)``.
+    """
+    return RigidTransform.from_exp_coords(xi)
+
+
+def log_se3(T: RigidTransform) -> np.ndarray:
+    """Logarithm map: the tangent vector of a transform, rotation first.
+
+    Parameters
+    ----------
+    T : RigidTransform
+        A rigid motion.
+
+    Returns
+    -------
+    (6,) array
+        Rotation vector (rad), then the translational part (m).
+    """
+    return np.asarray(T.as_exp_coords(), dtype=np.float64)
+
+
+def random_transform(rng: np.random.Generator, max_translation: float = 5.0) -> RigidTransform:
+    """Uniformly random rotation and a translation uniform in a cube.
+
+    Parameters
+    ----------
+    rng : numpy Generator
+        Source of randomness.
+    max_translation : float, m
+        Half the side of the cube of translations.
+
+    Returns
+    -------
+    RigidTransform
+        A random rigid motion.
+    """
+    rotation = Rotation.random(rng=rng)
+    return RigidTransform.from_components(rng.uniform(-max_translation, max_translation, 3), rotation)
+
+
+def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: Vector3) -> tuple[float, float]:
+    """How far two transforms of the same frames differ.
+
+    Parameters
+    ----------
+    T_estimate, T_true : RigidTransform
+        Two versions of ``T_base_target``.
+    center : (3,) array, m
+        Where the translation error is measured: the centroid of the target's samples, target frame.
+
+    Returns
+    -------
+    translation_error : float, m
+        ``|T_estimate c - T_true c|``.
+    rotation_error : float, rad
+        Angle of ``R_estimate^T R_true``.
+    """
+    translation_error = float(np.linalg.norm(T_estimate.apply(center) - T_true.apply(center)))
+    rotation_error = float((T_estimate.rotation.inv() * T_true.rotation).magnitude())
+    return translation_error, rotation_error

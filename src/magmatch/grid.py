@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A regular grid of points that knows where it lies in its map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import transform_points
+from magmatch.typing import Indices, Mask, Points, Scalars
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RegularGrid:
+    """Points at equal spacing along three axes, in C order (last axis fastest).
+
+    Attributes
+    ----------
+    T_map_grid : RigidTransform
+        Takes grid coordinates to map coordinates; its translation is where point (0, 0, 0) lies. Grids turn
+        with the survey they were laid over, so that what is computed on them does not depend on the frame.
+    spacing : float, m
+        Distance of neighbouring points, equal along the axes.
+    shape : (int, int, int)
+        Number of points along each axis.
+    """
+
+    T_map_grid: RigidTransform
+    spacing: float
+    shape: tuple[int, int, int]
+
+    @property
+    def n_points(self) -> int:
+        """Number of points."""
+        return int(np.prod(self.shape))
+
+    @property
+    def axes(self) -> tuple[Scalars, Scalars, Scalars]:
+        """Coordinates along each axis in the grid's own frame, m."""
+        x, y, z = (self.spacing * np.arange(n, dtype=np.float64) for n in self.shape)
+        return x, y, z
+
+    def local_points(self) -> Points:
+        """All points in the grid's own frame: (n_points, 3), m."""
+        return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+    def points(self) -> Points:
+        """All points in the map's frame: (n_points, 3), m."""
+        return transform_points(self.local_points(), self.T_map_grid)
+
+    def transformed(self, T_new_map: RigidTransform) -> "RegularGrid":
+        """Return the same grid carried along with its map.
+
+        Parameters
+        ----------
+        T_new_map : RigidTransform
+            Takes map coordinates to the new frame.
+
+        Returns
+        -------
+        RegularGrid
+            Same points, expressed in the new frame.
+        """
+        return RegularGrid(T_new_map * self.T_map_grid, self.spacing, self.shape)
+
+    def nearest(self, p_map: Points) -> tuple[Indices, Mask]:
+        """Index of the nearest grid point, and whether a point lies within half a spacing of the grid.
+
+        Parameters
+        ----------
+        p_map : (n, 3) array, m
+            Points in the map's frame.
+
+        Returns
+        -------
+        index : (n,) array
+            Flat index in C order (0 where outside).
+        is_inside : (n,) array
+            False where the nearest point would lie outside the grid.
+        """
+        ijk = np.rint(transform_points(p_map, self.T_map_grid.inv()) / self.spacing).astype(np.int64)
+        is_inside = np.all((ijk >= 0) & (ijk < np.asarray(self.shape)), axis=1)
+        ijk = np.where(is_inside[:, None], ijk, 0)
+        return np.ravel_multi_index(tuple(ijk.T), self.shape).astype(np.int64), is_inside
+
+    @classmethod
+    def over(
+        cls, points: Points, spacing: float, margin: float = 0.0, T_map_grid: RigidTransform | None = None
+    ) -> "RegularGrid":
+        """Lay a grid over the bounding box of points.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+            Points in the map's frame that the grid must cover.
+        spacing : float, m
+            Distance of neighbouring grid points.
+        margin : float, m
+            How far the grid reaches beyond the points' box on every side.
+        T_map_grid : RigidTransform, optional
+            Orientation of the grid's axes in the map (its translation is ignored); the map's own axes by default.
+
+        Returns
+        -------
+        RegularGrid
+            Centred over the box, at least one point along every axis.
+        """
+        if not spacing > 0:
+            msg = f"grid spacing must be positive, got {spacing}"
+            raise ValueError(msg)
+        frame = RigidTransform.identity() if T_map_grid is None else T_map_grid
+        local = transform_points(points, frame.inv())
+        low, high = local.min(axis=0) - margin, local.max(axis=0) + margin
+        n = np.maximum(np.ceil((high - low) / spacing - 1e-9).astype(int) + 1, 1)
+        origin = (low + high - (n - 1) * spacing) / 2
+        return cls(frame * RigidTransform.from_translation(origin), float(spacing), (int(n[0]), int(n[1]), int(n[2])))

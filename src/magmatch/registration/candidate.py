@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a search hands to refinement: poses worth looking at, best first."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.registration.result import Links
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A pose that may be right.
+
+    Attributes
+    ----------
+    T_base_target : RigidTransform
+        ``p_base = T p_target``.
+    score : float
+        Higher is better; comparable only within one search.
+    """
+
+    T_base_target: RigidTransform
+    score: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SearchResult:
+    """All that a search found.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+        Distinct poses, best first; empty where nothing was found.
+    n_keypoints, n_correspondences, n_inliers : int
+        Counts; ``n_inliers`` is of the best candidate.
+    links : Links
+        Corresponding points that support the best candidate.
+    """
+
+    candidates: tuple[Candidate, ...] = ()
+    n_keypoints: int = 0
+    n_correspondences: int = 0
+    n_inliers: int = 0
+    links: Links = field(default_factory=lambda: Links(np.zeros((0, 3)), np.zeros((0, 3))))
