@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A frame and a descriptor at every single point, from the field and its gradient there.
+
+In source-free air the gradient is symmetric and traceless, so field and gradient hold eight numbers, five of them
+rotation invariants; the field B and the vector G B span a full frame. No neighbourhood is needed, so nothing breaks
+at the edge of an overlap.
+"""
+
+import numpy as np
+
+from magmatch.typing import Matrix, Scalars, Tensors, Vectors
+
+N_INVARIANTS = 6
+# Keeps quotients finite where the gradient vanishes; far below any measurable gradient, T/m.
+_TINY_GRADIENT = 1e-15
+
+
+def gradient_norm(gradient: Tensors) -> Scalars:
+    """Frobenius norm of gradient tensors, T/m.
+
+    Parameters
+    ----------
+    gradient : (n, 3, 3) array, T/m
+        ``[i, a, b] = dB_a / dx_b``.
+
+    Returns
+    -------
+    (n,) array, T/m
+    """
+    norm: Scalars = np.sqrt(np.einsum("nij,nij->n", gradient, gradient))
+    return norm
+
+
+def traceless_symmetric(gradient: Tensors) -> Tensors:
+    """Nearest gradient that obeys both of Maxwell's laws in air: symmetric, trace zero.
+
+    Parameters
+    ----------
+    gradient : (n, 3, 3) array, T/m
+
+    Returns
+    -------
+    (n, 3, 3) array, T/m
+    """
+    symmetric = (gradient + np.swapaxes(gradient, 1, 2)) / 2
+    trace = np.trace(symmetric, axis1=1, axis2=2) / 3
+    projected: Tensors = symmetric - trace[:, None, None] * np.eye(3)
+    return projected
+
+
+def rotation_invariants(field: Vectors, gradient: Tensors) -> Matrix:
+    """Six numbers per point that no rotation of the survey changes.
+
+    Parameters
+    ----------
+    field : (n, 3) array, T
+    gradient : (n, 3, 3) array, T/m
+        Symmetric and traceless (see `traceless_symmetric`).
+
+    Returns
+    -------
+    (n, 6) array
+        ``|B|`` (T), ``|GB|/|B|`` (T/m), ``B.GB/|B|^2`` (T/m), ``|G|`` (T/m), ``det G/|G|^2`` (T/m) and the
+        chirality ``3 B.(GB x GGB)/(|B|^2 |G|^2)`` (T/m).
+    """
+    b = np.maximum(np.linalg.norm(field, axis=1), np.finfo(float).tiny)
+    GB = np.einsum("nij,nj->ni", gradient, field)
+    GGB = np.einsum("nij,nj->ni", gradient, GB)
+    g = gradient_norm(gradient) + _TINY_GRADIENT
+    return np.stack(
+        [
+            b,
+            np.linalg.norm(GB, axis=1) / b,
+            np.einsum("ni,ni->n", field, GB) / b**2,
+            g,
+            np.linalg.det(gradient / g[:, None, None]) * g,
+            3 * np.einsum("ni,ni->n", field, np.cross(GB, GGB)) / (b**2 * g**2),
+        ],
+        axis=1,
+    )
+
+
+def point_frames(field: Vectors, gradient: Tensors) -> Tensors:
+    """Right-handed frames spanned by B and G B at each point.
+
+    Parameters
+    ----------
+    field : (n, 3) array, T
+    gradient : (n, 3, 3) array, T/m
+
+    Returns
+    -------
+    (n, 3, 3) array
+        Rotation matrices whose columns are the frame's axes in the map: the first along B, the second in the
+        plane of B and GB. Ill defined where B and GB are parallel.
+    """
+    GB = np.einsum("nij,nj->ni", gradient, field)
+    first = field / np.maximum(np.linalg.norm(field, axis=1), np.finfo(float).tiny)[:, None]
+    second = GB - np.einsum("ni,ni->n", GB, first)[:, None] * first
+    second = second / np.maximum(np.linalg.norm(second, axis=1), np.finfo(float).tiny)[:, None]
+    return np.stack([first, second, np.cross(first, second)], axis=2)

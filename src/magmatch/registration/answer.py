@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""From judged poses to the result in the surveys' own frames."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.candidate import SearchResult
+from magmatch.registration.covariance import free_directions, to_survey_axes
+from magmatch.registration.decision import DecisionConfig, decide, decide_by_fitness
+from magmatch.registration.evidence import PoseEvidence
+from magmatch.registration.fitness import Fitness, mean_misalignment
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.result import Alternative, Links, RegistrationResult, Status
+
+# Poses nearer than this are one answer: rad, and in lengthscales.
+SAME_ROTATION = 0.14
+SAME_PLACE = 0.7
+MAX_LINKS = 200
+
+
+def by_evidence(
+    base: PreparedMap,
+    target: PreparedMap,
+    found: SearchResult,
+    ranked: list[PoseEvidence],
+    config: DecisionConfig,
+) -> RegistrationResult:
+    """Judge refined poses by their cells and state the answer in survey frames.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    found : SearchResult
+        Counts of the search.
+    ranked : list of PoseEvidence
+        Best first.
+    config : DecisionConfig
+
+    Returns
+    -------
+    RegistrationResult
+    """
+    if not ranked:
+        verdict = decide(ranked, False, np.inf, config)
+        return RegistrationResult(verdict.status, verdict.reason, None, n_keypoints=found.n_keypoints)
+    best = ranked[0]
+    lengthscale = min(base.lengthscale, target.lengthscale)
+    rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * lengthscale)]
+    lead = best.log_evidence - max((e.log_evidence for e in rivals), default=-np.inf)
+    poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
+    frame, center = target.T_map_model, best.pose.center
+    free = (
+        free_directions(
+            best.covariance,
+            center,
+            frame,
+            poses[0].rotation.as_matrix(),
+            config.max_sd_rotation,
+            config.max_sd_translation * lengthscale,
+        )
+        if best.covariance is not None
+        else ()
+    )
+    verdict = decide(ranked, bool(free) or best.covariance is None, lead, config)
+    is_accepted = verdict.status is Status.ACCEPTED
+    covariance = None if best.covariance is None else to_survey_axes(best.covariance, center, frame)
+    others = poses[1:] if is_accepted else poses
+    return RegistrationResult(
+        status=verdict.status,
+        reason=verdict.reason,
+        T_base_target=poses[0] if is_accepted else None,
+        covariance=covariance if is_accepted else None,
+        overlap=best.overlap,
+        # A unique answer has no alternatives; a refusal shows what was considered, best first.
+        alternatives=() if is_accepted else tuple(Alternative(T) for T in others),
+        degenerate_directions=free,
+        residual=best.residual if np.isfinite(best.residual) else None,
+        fitness=_fitness(base, target, best),
+        n_inliers=best.n_good,
+        n_keypoints=found.n_keypoints,
+        n_correspondences=found.n_correspondences,
+        links=_links(target, poses[0], best),
+    )
+
+
+def by_fitness(
+    found: SearchResult, fitness: Fitness | None, config: DecisionConfig
+) -> RegistrationResult:
+    """State the answer of the published method: the best consensus, judged by its fitness.
+
+    Parameters
+    ----------
+    found : SearchResult
+        In survey frames.
+    fitness : Fitness or None
+        None where no pose was found.
+    config : DecisionConfig
+
+    Returns
+    -------
+    RegistrationResult
+        Covariance and probability are None: the published method gives neither.
+    """
+    overlap = fitness.overlap if fitness else 0.0
+    value = fitness.value if fitness else None
+    verdict = decide_by_fitness(value, overlap, config)
+    is_accepted = verdict.status is Status.ACCEPTED
+    poses = [c.T_base_target for c in found.candidates]
+    return RegistrationResult(
+        status=verdict.status,
+        reason=verdict.reason,
+        T_base_target=poses[0] if is_accepted else None,
+        overlap=overlap,
+        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
+        fitness=value,
+        n_inliers=found.n_inliers,
+        n_keypoints=found.n_keypoints,
+        n_correspondences=found.n_correspondences,
+        links=found.links,
+    )
+
+
+def _is_same(one: PoseEvidence, other: PoseEvidence, distance: float) -> bool:
+    T, S, center = one.pose.T_base_target, other.pose.T_base_target, one.pose.center
+    angle = (T.rotation.inv() * S.rotation).magnitude()
+    return bool(angle < SAME_ROTATION and np.linalg.norm(T.apply(center) - S.apply(center)) < distance)
+
+
+def _to_surveys(T: RigidTransform, base: PreparedMap, target: PreparedMap) -> RigidTransform:
+    """From model frames to survey frames."""
+    return base.T_map_model * T * target.T_map_model.inv()
+
+
+def _fitness(base: PreparedMap, target: PreparedMap, best: PoseEvidence) -> float | None:
+    T = best.pose.T_base_target
+    expected, _, _, is_known = base.raster.lookup(transform_points(target.samples, T))
+    aligned = rotate_vectors(target.sample_field, T)
+    return mean_misalignment(aligned[is_known], expected[is_known]) if is_known.any() else None
+
+
+def _links(target: PreparedMap, T_base_target: RigidTransform, best: PoseEvidence) -> Links:
+    """Distinct target samples that the base explains, and where the answer puts them."""
+    if not best.pose.directions:
+        return Links(np.zeros((0, 3)), np.zeros((0, 3)))
+    forward = best.pose.directions[0]
+    rows = np.flatnonzero(forward.residual2 < 12.0)
+    rows = rows[np.linspace(0, len(rows) - 1, min(MAX_LINKS, len(rows))).astype(int)]
+    p_target = transform_points(forward.positions[rows], target.T_map_model)
+    return Links(transform_points(p_target, T_base_target), p_target)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Settings of a registration; presets are named instances."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from magmatch.field.config import FieldConfig
+from magmatch.registration.decision import DecisionConfig
+from magmatch.registration.invariant_search import InvariantSearchConfig
+from magmatch.registration.keypoint_search import KeypointSearchConfig
+from magmatch.registration.refinement import RefinementConfig
+
+
+class RegistrationConfig(BaseModel):
+    """Everything that shapes a registration, stage by stage."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # How the two maps are made, where surveys are given.
+    field: FieldConfig = Field(default_factory=FieldConfig)
+    # 'invariants': a frame and a descriptor at every point; 'keypoints': the published detector, HOV and MSAC.
+    search: Literal["invariants", "keypoints"] = "invariants"
+    invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
+    keypoints: KeypointSearchConfig = Field(default_factory=KeypointSearchConfig)
+    refinement: RefinementConfig = Field(default_factory=RefinementConfig)
+    decision: DecisionConfig = Field(default_factory=DecisionConfig)
+
+
+PRESETS: dict[str, RegistrationConfig] = {
+    "default": RegistrationConfig(),
+    # The published method with the corrections of docs/theory.md: no dense refinement, decided by fitness alone.
+    "paper": RegistrationConfig(
+        field=FieldConfig(prior="divergence_free"),
+        search="keypoints",
+        refinement=RefinementConfig(is_enabled=False),
+        decision=DecisionConfig(rule="fitness"),
+    ),
+}

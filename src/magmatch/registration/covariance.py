@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far the refined pose may be off: a sandwich over independent cells, and the directions left free."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import skew
+from magmatch.registration.refinement import RefinedPose
+from magmatch.registration.result import DegenerateDirection
+from magmatch.typing import Covariance6, Matrix, Points
+
+
+def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
+    """Covariance of the perturbation about the pose's centre.
+
+    Map errors are shared by neighbouring residuals, so each direction of comparison is a cluster sandwich
+    ``A^-1 (sum g g^T) A^-1`` with g summed over cells; the directions share noise (one survey's samples made the
+    map that the other is compared with), so their covariances are added rather than their information.
+
+    Parameters
+    ----------
+    pose : RefinedPose
+    cell_side : float, m
+        Side of the cells within which errors are taken as one.
+
+    Returns
+    -------
+    (6, 6) array or None
+        Rotation first (rad, m), target's model axes, about ``pose.center``; None where the data leave a
+        direction entirely free.
+    """
+    total = np.zeros((6, 6))
+    n_used = 0
+    for direction in pose.directions:
+        A = direction.information
+        clusters = _sum_by_cell(direction.scores, direction.positions, cell_side)
+        n_cells = len(clusters)
+        if n_cells < 4 or np.linalg.cond(_balanced(A)) > 1e12:
+            continue
+        clusters = clusters - clusters.mean(axis=0)
+        # Six fitted parameters use up part of the clusters' spread.
+        meat = clusters.T @ clusters * n_cells / max(n_cells - 3.0, 1.0)
+        bread = np.linalg.inv(A)
+        total += bread @ meat @ bread
+        n_used += 1
+    if n_used == 0:
+        return None
+    return (total + total.T) / 2
+
+
+def to_survey_axes(
+    covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform
+) -> Covariance6:
+    """Covariance of xi in ``T_true = T_estimate Exp(xi)``, target's survey frame.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        About ``center_model``, target's model axes.
+    center_model : (3,) array, m
+        Centre of the perturbation, target's model frame.
+    T_survey_model : RigidTransform
+        Takes the target's model coordinates to its survey coordinates.
+
+    Returns
+    -------
+    (6, 6) array
+        Rotation first (rad, m).
+    """
+    R = T_survey_model.rotation.as_matrix()
+    center = T_survey_model.apply(center_model)
+    M = np.zeros((6, 6))
+    M[:3, :3] = M[3:, 3:] = R
+    # Turning about the origin instead of the centre moves the centre: rho = R rho_c - theta x c.
+    M[3:, :3] = skew(center[None])[0] @ R
+    moved: Covariance6 = M @ covariance @ M.T
+    return (moved + moved.T) / 2
+
+
+def free_directions(
+    covariance: Covariance6,
+    center_model: np.ndarray,
+    T_survey_model: RigidTransform,
+    R_base_target: Matrix,
+    max_sd_rotation: float,
+    max_sd_translation: float,
+) -> tuple[DegenerateDirection, ...]:
+    """Directions in which the pose is worse known than allowed, with words in base axes.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        About ``center_model``, target's model axes.
+    center_model : (3,) array, m
+        Centre of the perturbation, target's model frame.
+    T_survey_model : RigidTransform
+        Takes the target's model coordinates to its survey coordinates.
+    R_base_target : (3, 3) array
+        Rotation of the estimate, survey frames.
+    max_sd_rotation, max_sd_translation : float, rad and m
+        Largest standard deviations allowed.
+
+    Returns
+    -------
+    tuple of DegenerateDirection
+    """
+    scale = np.array(3 * [max_sd_rotation] + 3 * [max_sd_translation])
+    power, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    R = T_survey_model.rotation.as_matrix()
+    center = T_survey_model.apply(center_model)
+    found = []
+    for k in np.flatnonzero(power > 1.0)[::-1]:
+        local = vectors[:, k] * scale
+        theta, rho = R @ local[:3], R @ local[3:]
+        xi = np.concatenate([theta, rho - np.cross(theta, center)])
+        is_turn = np.linalg.norm(vectors[:3, k]) > np.linalg.norm(vectors[3:, k])
+        words = ("turning about" if is_turn else "sliding along") + " base " + _axis_words(
+            R_base_target @ (theta if is_turn else rho)
+        )
+        found.append(DegenerateDirection(xi / np.linalg.norm(xi), words))
+    return tuple(found)
+
+
+def _axis_words(v: np.ndarray) -> str:
+    v = v / np.linalg.norm(v)
+    k = int(np.argmax(np.abs(v)))
+    if abs(v[k]) > 0.9:
+        return "xyz"[k]
+    return "direction ({:+.2f}, {:+.2f}, {:+.2f})".format(*(v * np.sign(v[k])))
+
+
+def _sum_by_cell(rows: Matrix, positions: Points, side: float) -> Matrix:
+    cell = np.floor(positions / side).astype(np.int64)
+    _, index = np.unique(cell, axis=0, return_inverse=True)
+    sums = np.zeros((int(index.max()) + 1, rows.shape[1]))
+    np.add.at(sums, index.ravel(), rows)
+    return sums
+
+
+def _balanced(A: Matrix) -> Matrix:
+    d = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    balanced: Matrix = A / np.outer(d, d)
+    return balanced

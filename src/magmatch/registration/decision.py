@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Accept or refuse, with the reason in words."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from magmatch.registration.evidence import PoseEvidence
+from magmatch.registration.result import Status
+
+
+class DecisionConfig(BaseModel):
+    """When a pose is accepted."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # 'evidence': independent cells for and against; 'fitness': the published check alone.
+    rule: Literal["evidence", "fitness"] = "evidence"
+    # Fewest samples' share inside the base map.
+    min_overlap: float = Field(default=0.05, ge=0, le=1)
+    # Fewest informative cells that agree, and their share among the informative ones.
+    min_good_cells: int = Field(default=10, ge=1)
+    min_good_share: float = Field(default=0.7, ge=0, le=1)
+    # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
+    min_log_evidence: float = 20.0
+    min_lead: float = 10.0
+    # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
+    max_sd_rotation: float = Field(default=0.06, gt=0)
+    max_sd_translation: float = Field(default=0.3, gt=0)
+    # Published check: largest mean sine-weighted misalignment of aligned vectors (see fitness.py).
+    max_fitness: float = Field(default=0.1, gt=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Status, and in words which check decided and what can be done."""
+
+    status: Status
+    reason: str
+
+
+def decide(ranked: list[PoseEvidence], is_free: bool, lead: float, config: DecisionConfig) -> Verdict:
+    """Judge the best of several poses.
+
+    Parameters
+    ----------
+    ranked : list of PoseEvidence
+        Best first; empty where the search found nothing.
+    is_free : bool
+        Whether the best pose has a direction that the data do not fix.
+    lead : float, nats
+        Log evidence of the best pose over the best pose elsewhere (inf where there is none).
+    config : DecisionConfig
+
+    Returns
+    -------
+    Verdict
+    """
+    if not ranked:
+        return Verdict(Status.UNINFORMATIVE, "no pose to judge: the field has no structure to match")
+    best = ranked[0]
+    if best.overlap < config.min_overlap:
+        return Verdict(
+            Status.NO_OVERLAP,
+            f"only {best.overlap:.0%} of the target falls inside the base map under the best pose "
+            f"(needs {config.min_overlap:.0%}); survey a common region",
+        )
+    if best.n_informative < config.min_good_cells:
+        return Verdict(
+            Status.UNINFORMATIVE,
+            f"only {best.n_informative} independent cells of the overlap have a field that stands out "
+            f"(needs {config.min_good_cells}); survey a larger area or closer to iron",
+        )
+    if best.good_share < config.min_good_share or best.n_good < config.min_good_cells:
+        return Verdict(
+            Status.INCONSISTENT,
+            f"under the best pose {best.n_good} of {best.n_informative} informative cells agree "
+            f"(needs {config.min_good_share:.0%} and {config.min_good_cells}): probably different places",
+        )
+    if not is_free and best.log_evidence < config.min_log_evidence:
+        return Verdict(
+            Status.INCONSISTENT,
+            f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
+            "survey a larger common area",
+        )
+    if lead < config.min_lead:
+        return Verdict(
+            Status.AMBIGUOUS,
+            f"another pose explains the data nearly as well ({lead:.1f} nats behind, needs {config.min_lead:.0f}); "
+            "see alternatives, or survey more of the surroundings",
+        )
+    if is_free:
+        return Verdict(
+            Status.DEGENERATE, "the data leave a direction free (see degenerate_directions); survey across it"
+        )
+    return Verdict(
+        Status.ACCEPTED,
+        f"{best.n_good} of {best.n_informative} informative cells agree, log odds {best.log_evidence:.0f} nats, "
+        + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
+    )
+
+
+def decide_by_fitness(fitness: float | None, overlap: float, config: DecisionConfig) -> Verdict:
+    """Judge by the published check: mean cross product of aligned vectors under a threshold.
+
+    Parameters
+    ----------
+    fitness : float or None
+        None where no pose was found or nothing overlaps.
+    overlap : float
+        Share of the target's samples inside the base map.
+    config : DecisionConfig
+
+    Returns
+    -------
+    Verdict
+    """
+    if fitness is None:
+        return Verdict(Status.UNINFORMATIVE, "too few matching keypoints for a pose; survey closer to iron")
+    if overlap < config.min_overlap:
+        return Verdict(Status.NO_OVERLAP, f"only {overlap:.0%} of the target falls inside the base map")
+    if fitness > config.max_fitness:
+        return Verdict(
+            Status.INCONSISTENT,
+            f"fitness {fitness:.3g} is above {config.max_fitness:.3g}: aligned vectors do not agree",
+        )
+    return Verdict(Status.ACCEPTED, f"fitness {fitness:.3g} is below {config.max_fitness:.3g}")

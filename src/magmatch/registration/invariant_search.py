@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Global search without a guess: every point carries a frame, so one pair of points gives a whole pose."""
+
+import logging
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.features.invariants import gradient_norm, point_frames
+from magmatch.registration.annealing import anneal_poses
+from magmatch.registration.candidate import Candidate, SearchResult
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.scoring import Evidence, score_poses, weigh_samples
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
+
+log = logging.getLogger(__name__)
+
+
+class InvariantSearchConfig(BaseModel):
+    """Counts and scales of the search; the defaults found every pair of the development set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Target points that vote, drawn in proportion to how well their gradient is known.
+    n_anchors: int = Field(default=400, ge=10)
+    # Base points with the most similar invariants that each anchor is tried on.
+    n_neighbours: int = Field(default=30, ge=1)
+    # Samples that judge a pose: half near its anchor, half anywhere.
+    n_score_samples: int = Field(default=160, ge=20)
+    # Samples that judge the few poses left.
+    n_fine_samples: int = Field(default=600, ge=20)
+    # Poses that are refined coarsely, and distinct ones that are refined further.
+    n_coarse: int = Field(default=200, ge=1)
+    n_fine: int = Field(default=40, ge=1)
+    # Distinct poses handed on.
+    n_candidates: int = Field(default=8, ge=1)
+    # Share of samples that may match nothing (moved furniture, a passing lift).
+    outlier_share: float = Field(default=0.3, gt=0, lt=1)
+    # Inaccuracy of a pose from one pair of points: rad, and in lengthscales.
+    sd_rotation: float = Field(default=0.1, gt=0)
+    sd_translation: float = Field(default=0.2, gt=0)
+    # Floor of the invariants' whitening, as a share of their spread over both maps.
+    whitening_floor: float = Field(default=0.1, gt=0)
+    # Posterior samples that give the spread of invariants and field.
+    n_draws: int = Field(default=8, ge=2)
+
+
+# Granted inaccuracy per annealing step, as a share of the configured one.
+COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
+FINE_SCHEDULE = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
+
+
+def invariant_search(
+    base: PreparedMap, target: PreparedMap, config: InvariantSearchConfig, rng: np.random.Generator
+) -> SearchResult:
+    """Find the poses under which the base's field explains the target's samples best.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    config : InvariantSearchConfig
+    rng : numpy Generator
+        Draws anchors and the samples that judge poses.
+
+    Returns
+    -------
+    SearchResult
+        Distinct poses in model frames (``T_basemodel_targetmodel``), best first.
+    """
+    anchors = choose_anchors(target, config.n_anchors, rng)
+    neighbours = similar_points(base, target, anchors, config)
+    log.info("scoring %d hypotheses", neighbours.size)
+    anchor_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
+    R = _align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
+    pb, pt = base.points[neighbours.ravel()], target.points[anchors]
+    evidence = weigh_samples(base, target)
+    rows = judging_samples(pt, target, config.n_score_samples, rng)
+    lengthscale = min(base.lengthscale, target.lengthscale)
+    sd = np.array([config.sd_rotation, config.sd_translation * lengthscale])
+    scores = score_poses(R, pb, anchor_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
+
+    log.info("refining the best hypotheses")
+    best = np.argsort(-scores, kind="stable")[: config.n_coarse]
+    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
+    schedule = np.outer(COARSE_SCHEDULE, sd)
+    R, pb, scores = anneal_poses(
+        R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.3
+    )
+    center, reach = target.samples.mean(axis=0), 0.6 * lengthscale
+    keep = distinct_poses(R, _carry(center, R, pb, pt[anchor_rows]), scores, 0.07, reach, config.n_fine)
+    R, pb, anchor_rows = R[keep], pb[keep], anchor_rows[keep]
+    common = rng.permutation(len(target.samples))[: config.n_fine_samples]
+    rows = np.tile(common, (len(pt), 1))
+    schedule = np.outer(FINE_SCHEDULE, sd)
+    R, pb, scores = anneal_poses(
+        R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.05
+    )
+    moved = _carry(center, R, pb, pt[anchor_rows])
+    keep = distinct_poses(R, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
+    candidates = tuple(
+        Candidate(_pose(R[k], moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep
+    )
+    return SearchResult(
+        candidates,
+        n_keypoints=len(base.points) + len(target.points),
+        n_correspondences=int(neighbours.size),
+    )
+
+
+def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator) -> Indices:
+    """Draw target points whose gradient is strong against its uncertainty.
+
+    Returns
+    -------
+    (a,) int array
+        Rows of ``target.points``.
+    """
+    g = gradient_norm(target.point_gradient)
+    distinct = g / np.sqrt(target.gradient_sd**2 + (0.3 * np.median(g)) ** 2 + np.finfo(float).tiny)
+    share = np.minimum(distinct, 3 * np.median(distinct)) + 1e-12
+    n = min(n_anchors, len(g))
+    return rng.choice(len(g), n, replace=False, p=share / share.sum()).astype(np.int64)
+
+
+def similar_points(
+    base: PreparedMap, target: PreparedMap, anchors: Indices, config: InvariantSearchConfig
+) -> Indices:
+    """Base points whose invariants are nearest to those of each anchor, whitened by their uncertainty.
+
+    Returns
+    -------
+    (a, k) int array
+        Rows of ``base.points``.
+    """
+    both = np.concatenate([base.invariants, target.invariants])
+    spread = 1.48 * np.median(np.abs(both - np.median(both, axis=0)), axis=0)
+    scale = np.sqrt(
+        np.median(base.invariant_sd, axis=0) ** 2
+        + np.median(target.invariant_sd, axis=0) ** 2
+        + (config.whitening_floor * spread) ** 2
+        + np.finfo(float).tiny
+    )
+    k = min(config.n_neighbours, len(base.points))
+    _, rows = cKDTree(base.invariants / scale).query(target.invariants[anchors] / scale, k=k)
+    return np.asarray(rows, dtype=np.int64).reshape(len(anchors), k)
+
+
+def judging_samples(
+    anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Which samples judge each anchor's poses: half within two lengthscales, the rest anywhere.
+
+    Returns
+    -------
+    (a, n_samples) int array
+        Rows of ``target.samples``.
+    """
+    n = len(target.samples)
+    near_rows = cKDTree(target.samples).query_ball_point(anchors, 2 * target.lengthscale, return_sorted=True)
+    rows = np.zeros((len(anchors), n_samples), dtype=np.int64)
+    for a, near in enumerate(near_rows):
+        some = rng.permutation(len(near))[: n_samples // 2]
+        rows[a, : len(some)] = np.asarray(near, dtype=np.int64)[some]
+        rows[a, len(some) :] = rng.integers(0, n, n_samples - len(some))
+    return rows
+
+
+def distinct_poses(
+    rotations: Tensors, centers: Points, scores: Scalars, angle: float, distance: float, limit: int
+) -> Indices:
+    """Best poses that differ from every better one by an angle (rad) or by the place of the centre (m).
+
+    Returns
+    -------
+    (k,) int array
+        Rows, best first.
+    """
+    kept: list[int] = []
+    for row in np.argsort(-scores, kind="stable"):
+        R_kept = rotations[kept]
+        cosine = (np.einsum("nij,ij->n", R_kept, rotations[row]) - 1) / 2
+        is_near = np.linalg.norm(centers[kept] - centers[row], axis=1) < distance
+        if not np.any((cosine > np.cos(angle)) & is_near):
+            kept.append(int(row))
+        if len(kept) >= limit:
+            break
+    return np.asarray(kept, dtype=np.int64)
+
+
+def _align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:
+    base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
+    target_frames = point_frames(target.point_field, target.point_gradient)[target_rows]
+    R: Tensors = base_frames @ np.swapaxes(target_frames, 1, 2)
+    return R
+
+
+def _carry(p_target: Matrix, R: Tensors, anchors_base: Points, anchors_target: Points) -> Points:
+    """Where each pose puts one target point."""
+    moved: Points = anchors_base + np.einsum("nij,nj->ni", R, p_target - anchors_target)
+    return moved
+
+
+def _pose(R: Matrix, moved_center: Matrix, center: Matrix) -> RigidTransform:
+    return RigidTransform.from_components(moved_center - R @ center, Rotation.from_matrix(R))
+
+

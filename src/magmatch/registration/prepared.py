@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a search needs of one map, computed once and in the map's own model frame.
+
+Working in the model frame makes the answer follow every rigid motion of a survey: the model frame moves with it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.features.invariants import gradient_norm, rotation_invariants, traceless_symmetric
+from magmatch.field.map import FieldMap
+from magmatch.field.values import FieldValues
+from magmatch.registration.raster import Raster, rasterize
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PreparedMap:
+    """A field map made ready for matching; all arrays are in its model frame.
+
+    Attributes
+    ----------
+    field_map : FieldMap
+    T_map_model : RigidTransform
+    samples : (n, 3) array, m
+    sample_field : (n, 3) array, T
+        Measured vectors.
+    points : (k, 3) array, m
+        Thinned sample positions that carry frames and invariants.
+    point_field : (k, 3) array, T
+    point_gradient : (k, 3, 3) array, T/m
+        Posterior mean, made symmetric and traceless.
+    gradient_sd : (k,) array, T/m
+        Spread of the gradient's norm under the posterior.
+    invariants, invariant_sd : (k, 6) arrays
+        See `magmatch.features.invariants`.
+    raster : Raster
+    lengthscale : float, m
+    noise_sd : float, T
+    """
+
+    field_map: FieldMap
+    T_map_model: RigidTransform
+    samples: Points
+    sample_field: Vectors
+    points: Points
+    point_field: Vectors
+    point_gradient: Tensors
+    gradient_sd: Scalars
+    invariants: Matrix
+    invariant_sd: Matrix
+    raster: Raster
+    lengthscale: float
+    noise_sd: float
+
+
+def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:
+    """Evaluate all that a search will ask of a map.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+        A fitted map.
+    n_draws : int
+        Posterior samples that give the spread of derived quantities.
+    rng : numpy Generator
+        Source of randomness of the draws.
+
+    Returns
+    -------
+    PreparedMap
+    """
+    survey = field_map.survey.transformed(field_map.T_map_model.inv())
+    lengthscale = field_map.hyperparameters.lengthscale
+    points = survey.positions[thin(survey.positions, lengthscale / 8, limit=4000)]
+    posterior = field_map.posterior
+    mean = posterior.evaluate(points, order=1)
+    draws = [posterior.evaluate(points, 1, w) for w in posterior.draw_weights(n_draws, rng)]
+    gradient = _lawful_gradient(mean)
+    invariants = rotation_invariants(mean.field, gradient)
+    spread = [rotation_invariants(d.field, _lawful_gradient(d)) - invariants for d in draws]
+    gradient_spread = [gradient_norm(_lawful_gradient(d) - gradient) for d in draws]
+    return PreparedMap(
+        field_map=field_map,
+        T_map_model=field_map.T_map_model,
+        samples=survey.positions,
+        sample_field=survey.field,
+        points=points,
+        point_field=mean.field,
+        point_gradient=gradient,
+        gradient_sd=np.sqrt(np.mean(np.square(gradient_spread), axis=0)),
+        invariants=invariants,
+        invariant_sd=np.sqrt(np.mean(np.square(spread), axis=0)),
+        raster=rasterize(field_map, lengthscale / 4, n_draws, rng),
+        lengthscale=lengthscale,
+        noise_sd=field_map.hyperparameters.noise_sd,
+    )
+
+
+def thin(points: Points, distance: float, limit: int) -> Indices:
+    """Indices of points that keep a distance from each other; spread over the whole order when many remain.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    distance : float, m
+        No two kept points are closer than this.
+    limit : int
+        Most points to keep; the distance grows until they fit.
+
+    Returns
+    -------
+    (k,) int array
+        Rows to keep, increasing.
+    """
+    while True:
+        tree = cKDTree(points)
+        is_kept = np.ones(len(points), dtype=bool)
+        for row, neighbours in enumerate(tree.query_ball_point(points, distance)):
+            if is_kept[row]:
+                is_kept[neighbours] = False
+                is_kept[row] = True
+        kept = np.flatnonzero(is_kept)
+        if len(kept) <= limit:
+            return kept.astype(np.int64)
+        distance *= 1.26
+
+
+def _lawful_gradient(values: FieldValues) -> Tensors:
+    if values.gradient is None:
+        msg = "the posterior gave no gradient although order 1 was asked for"
+        raise ValueError(msg)
+    return traceless_symmetric(values.gradient)
