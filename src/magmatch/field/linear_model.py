@@ -51,6 +51,11 @@ class Posterior(Protocol):
 
     hyperparameters: Hyperparameters
 
+    @property
+    def mean_weights(self) -> Scalars:
+        """Posterior mean of the weights, (n_weights,): what a saved map is checked against when it is loaded."""
+        ...
+
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field (order 0), gradient (1) and second derivatives (2); the posterior mean unless weights are given."""
         ...

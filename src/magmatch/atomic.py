@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Write a file whole or not at all: an interrupted run leaves the old file or the new one, never half of one."""
+
+import errno
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from magmatch.errors import DataFormatError
+
+# What file systems answer that cannot flush a folder; the rename itself has already happened by then.
+CANNOT_FLUSH_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.EACCES, errno.EBADF}
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file for writing that appears under its name only once it is whole and on the disk.
+
+    The content goes to ``.NAME.tmp-...`` in the same folder, is flushed, and then takes the place of the old file
+    in one step. A link is followed, and a device or pipe (such as ``/dev/stdout``) is written straight through,
+    since renaming over it would remove it.
+
+    Parameters
+    ----------
+    path : path
+        Where the file shall be; an existing file is replaced and keeps its permissions.
+
+    Yields
+    ------
+    binary stream
+        Write the content here; it can seek. An exception inside the block leaves the old file as it was.
+
+    Raises
+    ------
+    DataFormatError
+        The folder does not exist, or the path is itself a folder.
+    OSError
+        The machine cannot write (disk full, no permission); nothing is left behind.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     with atomic_write(Path(folder) / "note.txt") as stream:
+    ...         _ = stream.write(b"whole")
+    ...     (Path(folder) / "note.txt").read_bytes()
+    b'whole'
+    """
+    goal = Path(path).resolve()
+    if goal.is_dir():
+        raise DataFormatError(path, "is a folder, expected the name of a file to write")
+    if not goal.parent.is_dir():
+        raise DataFormatError(path, f"the folder {goal.parent} does not exist; create it first")
+    if goal.exists() and not goal.is_file():
+        buffer = BytesIO()
+        yield buffer
+        goal.write_bytes(buffer.getvalue())
+        return
+    # Cut short, so that a name of the longest length allowed leaves room for what is added to it.
+    temporary = goal.with_name(f".{goal.name[:50]}.tmp-{secrets.token_hex(4)}")
+    try:
+        with temporary.open("xb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        if goal.exists():
+            temporary.chmod(stat.S_IMODE(goal.stat().st_mode))
+        temporary.replace(goal)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    _flush_folder(goal.parent)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make a rename survive a power cut, where the system can."""
+    if os.name != "posix":
+        return
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except PermissionError:  # a folder that can be written but not listed
+        return
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in CANNOT_FLUSH_FOLDERS:
+            raise
+    finally:
+        os.close(handle)

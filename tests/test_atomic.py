@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A file is there whole or not at all."""
+
+import os
+import stat
+
+import pytest
+
+from magmatch.atomic import atomic_write
+from magmatch.errors import DataFormatError
+
+
+def test_written_bytes_are_read_back(tmp_path):
+    with atomic_write(tmp_path / "a.bin") as stream:
+        stream.write(b"one")
+        stream.write(b"two")
+    assert (tmp_path / "a.bin").read_bytes() == b"onetwo"
+    assert os.listdir(tmp_path) == ["a.bin"]
+
+
+def test_old_file_is_in_place_until_the_block_ends(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with atomic_write(path) as stream:
+        stream.write(b"new")
+        stream.flush()
+        assert path.read_bytes() == b"old"
+        (temporary,) = (p for p in tmp_path.iterdir() if p != path)
+        assert temporary.name.startswith(".a.bin.tmp-")
+    assert path.read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, OSError])
+def test_exception_keeps_the_old_file_and_leaves_nothing_behind(tmp_path, error):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+
+    def write_half():
+        with atomic_write(path) as stream:
+            stream.write(b"half")
+            raise error
+
+    with pytest.raises(error):
+        write_half()
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a.bin"]
+
+
+def test_failed_flush_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+
+    def full(_handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("magmatch.atomic.os.fsync", full)
+    with pytest.raises(OSError, match="No space left"), atomic_write(path) as stream:
+        stream.write(b"new")
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a.bin"]
+
+
+def test_missing_folder_is_named(tmp_path):
+    with (
+        pytest.raises(DataFormatError, match=r"nowhere does not exist; create it first"),
+        atomic_write(tmp_path / "nowhere" / "a.bin"),
+    ):
+        pass
+
+
+def test_folder_is_not_overwritten(tmp_path):
+    with pytest.raises(DataFormatError, match="is a folder"), atomic_write(tmp_path):
+        pass
+
+
+def test_link_is_followed_and_permissions_stay(tmp_path):
+    real, link = tmp_path / "real.bin", tmp_path / "link.bin"
+    real.write_bytes(b"old")
+    real.chmod(0o640)
+    link.symlink_to(real)
+    with atomic_write(link) as stream:
+        stream.write(b"new")
+    assert link.is_symlink()
+    assert real.read_bytes() == b"new"
+    assert stat.S_IMODE(real.stat().st_mode) == 0o640
+
+
+def test_device_is_written_through_and_not_replaced():
+    with atomic_write(os.devnull) as stream:
+        stream.write(b"gone")
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+
+
+def test_longest_name_can_be_written(tmp_path):
+    path = tmp_path / ("ä" * 127)
+    with atomic_write(path) as stream:
+        stream.write(b"x")
+    assert path.read_bytes() == b"x"
