@@ -1,14 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The first noun: a survey, samples of the magnetic field at known positions."""
 
+import json
 from dataclasses import dataclass, replace
 from functools import reduce
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.data.quaternions import QUATERNION, rotations_of
+from magmatch.data.table import Table, read_table, write_table
+from magmatch.errors import DataFormatError
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Points, Scalars, Vector3, Vectors
+
+POSITION_COLUMNS = ("x", "y", "z")
+FIELD_COLUMNS = ("bx", "by", "bz")
+COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION)
+# First comment of files written here: what the columns cannot say (frame, pose_sd) follows as JSON.
+SCHEMA = "magmatch.survey/1"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -130,6 +142,73 @@ class Survey:
             pose_sd=max(s.pose_sd for s in parts),
         )
 
+    def save(self, path: str | Path) -> None:
+        """Write the survey CSV (tesla, metre, survey frame); reading it back gives the same float64 values.
+
+        Parameters
+        ----------
+        path : path
+            Where; an existing file is replaced only once the new one is complete.
+        """
+        columns = {} if self.times is None else {"t": self.times}
+        columns |= dict(zip(POSITION_COLUMNS, self.positions.T, strict=True))
+        columns |= dict(zip(FIELD_COLUMNS, self.field.T, strict=True))
+        if self.orientations is not None:
+            columns |= dict(zip(QUATERNION, self.orientations.as_quat().T, strict=True))
+        about = {"frame": self.frame, "pose_sd": float(self.pose_sd)}
+        write_table(path, columns, [f"{SCHEMA} {json.dumps(about)}"])
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Survey":
+        """Read a survey CSV in tesla, metre and survey frame; `magmatch.read_survey` also converts and checks.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+
+        Returns
+        -------
+        Survey
+
+        Raises
+        ------
+        DataFormatError
+            With line and column wherever one is at fault.
+        """
+        return cls.from_table(read_table(path, COLUMNS))
+
+    @classmethod
+    def from_table(cls, table: Table) -> "Survey":
+        """Take the survey's columns from a table, as they stand.
+
+        Parameters
+        ----------
+        table : Table
+            Must hold ``x, y, z, bx, by, bz``; may hold ``t`` and ``qx, qy, qz, qw``.
+
+        Returns
+        -------
+        Survey
+            Named after the file.
+
+        Raises
+        ------
+        DataFormatError
+            A column is missing, time does not increase, or a quaternion is none.
+        """
+        table.require([*POSITION_COLUMNS, *FIELD_COLUMNS])
+        if table.has("t"):
+            table.require_increasing("t")
+        return cls(
+            positions=table.stack(*POSITION_COLUMNS),
+            field=table.stack(*FIELD_COLUMNS),
+            times=table.columns.get("t"),
+            orientations=rotations_of(table),
+            name=table.path.name,
+            **_about(table),
+        )
+
     def principal_frame(self) -> RigidTransform:
         """Frame laid along the samples' principal axes, moving with the survey: ``T_survey_principal``.
 
@@ -157,3 +236,19 @@ class Survey:
 
 def _concatenate(first: Rotation, second: Rotation) -> Rotation:
     return Rotation.concatenate([first, second])
+
+
+def _about(table: Table) -> dict[str, Any]:
+    """Frame and accuracy, where the file was written by `Survey.save`."""
+    text = next((c.removeprefix(SCHEMA) for c in table.comments if c.startswith(SCHEMA)), "{}")
+    try:
+        about = json.loads(text)
+        return {
+            "frame": str(about.get("frame", "survey")),
+            "pose_sd": max(float(about.get("pose_sd", 0.0)), 0.0),
+        }
+    except (ValueError, TypeError, AttributeError):
+        message = (
+            f'expected {SCHEMA} {{"frame": ..., "pose_sd": ...}} in its first comment, found {text.strip()[:60]}'
+        )
+        raise DataFormatError(table.path, message) from None

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Can this be a survey? What no survey can be is refused; what is odd is said."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from magmatch.data.format import SurveyFormat
+from magmatch.data.survey import Survey
+from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, field_text, likely_field_unit
+from magmatch.errors import SurveyError
+from magmatch.typing import Scalars
+
+# Fewer samples cannot fix a transform (6 unknowns) together with a field.
+MIN_SAMPLES = 10
+# The Earth's field is 22 to 67 uT; shielded rooms reach some nT, a table over strong magnets some mT. A median
+# outside these bounds is a unit, not a field.
+MEDIAN_FIELD = (1e-9, 20e-3)
+# Single samples may come close to a magnet; beyond this no survey magnetometer measures.
+MAX_FIELD = 0.1
+MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
+ODD_EXTENT = (0.01, 5e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
+ODD_SPEED = 50.0  # m/s, median along the samples
+FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
+GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
+CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
+
+
+def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str]:
+    """Refuse what cannot be a survey and list what is odd about one that can.
+
+    Parameters
+    ----------
+    survey : Survey
+        Samples to judge.
+    layout : SurveyFormat, optional
+        How it was read, so that messages can name the flag that would help.
+
+    Returns
+    -------
+    list of str
+        Doubts to tell the user; empty when there are none.
+
+    Raises
+    ------
+    SurveyError
+        Too few samples, NaN or infinity, time that does not increase, impossible magnitudes or extent.
+    """
+    layout = layout or SurveyFormat()
+    _require_samples(survey)
+    _require_finite(survey)
+    _require_increasing_times(survey)
+    _require_possible_field(survey, layout)
+    _require_possible_extent(survey, layout)
+    doubts = (_doubt_field, _doubt_extent, _doubt_shape, _doubt_repeats, _doubt_times, _doubt_frame)
+    return [warning for doubt in doubts for warning in doubt(survey, layout)]
+
+
+def extent(survey: Survey) -> Scalars:
+    """Size of the samples' box along each axis: (3,), m."""
+    return np.asarray(np.ptp(survey.positions, axis=0))
+
+
+def time_gaps(survey: Survey) -> Scalars:
+    """Intervals between samples that are gaps, s; empty where there is no time."""
+    if survey.times is None or len(survey) < 2:
+        return np.zeros(0)
+    intervals = np.diff(survey.times)
+    return intervals[intervals > max(GAP[0], GAP[1] * float(np.median(intervals)))]
+
+
+def _refuse(survey: Survey, message: str) -> SurveyError:
+    return SurveyError(f"{survey.name}: {message}")
+
+
+def _require_samples(survey: Survey) -> None:
+    if len(survey) < MIN_SAMPLES:
+        raise _refuse(survey, f"expected at least {MIN_SAMPLES} samples, found {len(survey)}")
+
+
+def _require_finite(survey: Survey) -> None:
+    columns = {"positions": survey.positions, "field": survey.field}
+    if survey.times is not None:
+        columns["times"] = survey.times
+    for label, values in columns.items():
+        wrong = np.flatnonzero(~np.isfinite(values.reshape(len(survey), -1)).all(axis=1))
+        if len(wrong):
+            raise _refuse(survey, f"{label} hold NaN or infinity in {len(wrong)} samples, first in sample {wrong[0]}")
+
+
+def _require_increasing_times(survey: Survey) -> None:
+    if survey.times is None:
+        return
+    wrong = np.flatnonzero(np.diff(survey.times) <= 0)
+    if len(wrong):
+        i = int(wrong[0]) + 1
+        kind = "repeats" if survey.times[i] == survey.times[i - 1] else "runs backward"
+        raise _refuse(
+            survey,
+            f"time {kind} at sample {i}: {survey.times[i]:.9g} after {survey.times[i - 1]:.9g} s; expected strictly "
+            "increasing times",
+        )
+
+
+def _require_possible_field(survey: Survey, layout: SurveyFormat) -> None:
+    magnitude = np.linalg.norm(survey.field, axis=1)
+    median = float(np.median(magnitude))
+    low, high = MEDIAN_FIELD
+    if not low <= median <= high:
+        if not magnitude.any():
+            raise _refuse(survey, "every field value is zero: a dead sensor, or the wrong columns")
+        message = (
+            f"the median field magnitude is {field_text(median)}, expected {field_text(low)} to {field_text(high)} "
+            f"(the Earth's field is about 50 uT)"
+        )
+        raise _refuse(survey, f"{message}; {_unit_advice(median, layout)}")
+    worst = int(np.argmax(magnitude))
+    if magnitude[worst] > MAX_FIELD:
+        raise _refuse(
+            survey,
+            f"the field of sample {worst} is {field_text(magnitude[worst])}, expected at most "
+            f"{field_text(MAX_FIELD)} (the median here is {field_text(median)}); remove such spikes",
+        )
+
+
+def _unit_advice(median: float, layout: SurveyFormat) -> str:
+    """Say which unit would make the numbers ordinary."""
+    number = median / TESLA_PER_UNIT[layout.field_unit]
+    unit = likely_field_unit(number)
+    if unit is None:
+        return f"read as {layout.field_unit}, and no other known unit makes it ordinary: wrong columns?"
+    return f"read as {layout.field_unit}; if the file is in {unit}, say --field-unit {unit}"
+
+
+def _require_possible_extent(survey: Survey, layout: SurveyFormat) -> None:
+    size = float(extent(survey).max())
+    if size > MAX_EXTENT:
+        raise _refuse(
+            survey,
+            f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; read as "
+            f"{layout.length_unit}; if the file is in mm or cm, say --length-unit mm (or cm)",
+        )
+    if size == 0:
+        raise _refuse(survey, "all samples lie at one point, expected a surveyed region")
+
+
+def _doubt_field(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
+    median = float(np.median(np.linalg.norm(survey.field, axis=1)))
+    if not ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
+        number = median / TESLA_PER_UNIT[layout.field_unit]
+        unit = likely_field_unit(number)
+        hint = f"; if the file is in {unit}, say --field-unit {unit}" if unit else ""
+        yield f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT){hint}"
+    if float(survey.field.std(axis=0).max()) < CONSTANT_FIELD:
+        yield f"the field is constant (varies less than {field_text(CONSTANT_FIELD)}): nothing tells places apart"
+
+
+def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
+    size = float(extent(survey).max())
+    if size < ODD_EXTENT[0]:
+        yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
+    elif size > ODD_EXTENT[1]:
+        yield f"the positions span {size / 1e3:.3g} km, read as {layout.length_unit}: millimetres (--length-unit mm)?"
+    if survey.times is not None:
+        steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
+        speed = float(np.median(steps / np.diff(survey.times)))
+        if speed > ODD_SPEED:
+            yield f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
+
+
+def _doubt_shape(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+    offset = survey.positions - survey.centroid
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(offset.T @ offset / len(survey))[::-1], 0))
+    flat = min(FLAT, FLAT * spread[0] if spread[0] < 1 else FLAT)
+    if spread[1] <= flat:
+        yield "all samples lie on one line: the field beside it, and turns about it, are hardly known"
+    elif spread[2] <= flat:
+        yield "all samples lie on one plane: the field above and below it is inferred, not measured"
+
+
+def _doubt_repeats(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+    n = len(survey) - 1
+    n_still = int((np.diff(survey.positions, axis=0) == 0).all(axis=1).sum())
+    if n_still > 0.05 * n:
+        share = f"{100 * n_still / n:.0f} %"
+        yield f"{share} of the samples repeat the position before them: standing still, or poses slower than field?"
+    n_stuck = int((np.diff(survey.field, axis=0) == 0).all(axis=1).sum())
+    if 0.05 * n < n_stuck < n:
+        yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
+
+
+def _doubt_times(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+    gaps = time_gaps(survey)
+    if len(gaps):
+        yield f"time has {len(gaps)} gaps, {gaps.sum():.3g} s in all, the longest {gaps.max():.3g} s"
+
+
+def _doubt_frame(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
+    """Turned the wrong way, the Earth's part of the field spreads out; turned right, it stands still."""
+    if survey.orientations is None:
+        return
+    n_turns = survey.orientations if layout.field_frame == "survey" else survey.orientations.inv()
+    spread = float(survey.field.var(axis=0).sum())
+    other = float(n_turns.apply(survey.field).var(axis=0).sum())
+    if other < 0.5 * spread:
+        right = "sensor" if layout.field_frame == "survey" else "survey"
+        yield (
+            f"the field looks like vectors in the {right} frame, though read as {layout.field_frame} frame "
+            f"(--field-frame {right})"
+        )

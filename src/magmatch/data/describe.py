@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a survey holds, in plain numbers and words for a reader."""
+
+from typing import Any
+
+import numpy as np
+
+from magmatch.data.checks import check_survey, extent, time_gaps
+from magmatch.data.format import SurveyFormat
+from magmatch.data.survey import Survey
+
+
+def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, Any]:
+    """Counts, extent, units, frames, gaps and doubts of a survey.
+
+    Parameters
+    ----------
+    survey : Survey
+        What to describe.
+    layout : SurveyFormat, optional
+        How it was read, so that doubts can name the flag that would help.
+
+    Returns
+    -------
+    dict
+        Ready for JSON. Units stand in ``units``; ``time`` is None without times; ``warnings`` are those of
+        `check_survey`.
+
+    Raises
+    ------
+    SurveyError
+        As `check_survey`.
+    """
+    warnings = check_survey(survey, layout)
+    magnitude = np.linalg.norm(survey.field, axis=1)
+    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
+    return {
+        "name": survey.name,
+        "samples": len(survey),
+        "units": {"length": "m", "field": "T", "time": "s"},
+        "frame": survey.frame,
+        "orientations": survey.orientations is not None,
+        "pose_sd": survey.pose_sd,
+        "low": survey.positions.min(axis=0).tolist(),
+        "high": survey.positions.max(axis=0).tolist(),
+        "extent": extent(survey).tolist(),
+        "path_length": float(steps.sum()),
+        "median_step": float(np.median(steps)),
+        "field": {
+            "median_magnitude": float(np.median(magnitude)),
+            "smallest_magnitude": float(magnitude.min()),
+            "largest_magnitude": float(magnitude.max()),
+            "mean": survey.field.mean(axis=0).tolist(),
+            "sd": survey.field.std(axis=0).tolist(),
+        },
+        "time": _describe_times(survey),
+        "warnings": warnings,
+    }
+
+
+def _describe_times(survey: Survey) -> dict[str, Any] | None:
+    """Span, rate and gaps; None without times."""
+    if survey.times is None:
+        return None
+    gaps = time_gaps(survey)
+    return {
+        "first": float(survey.times[0]),
+        "last": float(survey.times[-1]),
+        "duration": float(survey.times[-1] - survey.times[0]),
+        "rate": float(1 / np.median(np.diff(survey.times))),
+        "gaps": len(gaps),
+        "longest_gap": float(gaps.max()) if len(gaps) else 0.0,
+    }

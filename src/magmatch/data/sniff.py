@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tell what a file is by its content, before its name."""
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Literal
+
+from magmatch.data.table import read_bytes, text_lines
+from magmatch.errors import DataFormatError
+
+FileKind = Literal["csv", "map", "registration", "tum"]
+
+# How files begin that people hand over by mistake, what they are, and what to do about it.
+_FOREIGN: tuple[tuple[bytes, str, str], ...] = (
+    (b"\x1f\x8b", "gzip", "decompress it first (gunzip)"),
+    (b"BZh", "bzip2", "decompress it first (bunzip2)"),
+    (b"\xfd7zXZ\0", "xz", "decompress it first (unxz)"),
+    (b"\x28\xb5\x2f\xfd", "Zstandard", "decompress it first (unzstd)"),
+    (b"7z\xbc\xaf\x27\x1c", "7-Zip", "unpack it first"),
+    (b"SQLite format 3\0", "SQLite database (a ROS 2 bag?)", "export the field and the poses as text"),
+    (b"#ROSBAG V", "ROS 1 bag", "export the field and the poses as text"),
+    (b"\x89MCAP0\r\n", "MCAP log", "export the field and the poses as text"),
+    (b"ULog\x01\x12\x35", "PX4 ULog", "export the field and the poses as text"),
+    (b"\x89HDF\r\n\x1a\n", "HDF5 (or MATLAB 7.3)", "export it as CSV"),
+    (b"MATLAB 5.0 MAT-file", "MATLAB", "export it as CSV"),
+    (b"\x93NUMPY", "NumPy", "export it as CSV"),
+    (b"PAR1", "Parquet", "export it as CSV"),
+    (b"\x89PNG", "PNG picture", "expected samples, not a picture"),
+    (b"\xff\xd8\xff", "JPEG picture", "expected samples, not a picture"),
+    (b"%PDF", "PDF document", "expected samples, not a document"),
+    (b"\xd0\xcf\x11\xe0", "old Excel workbook", "export the sheet as CSV"),
+    (b"\x80\x04\x95", "Python pickle", "pickles are never read, since they can run code; export it as CSV"),
+    (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
+    (b"<!DOCTYPE", "web page", "download the raw file instead"),
+    (b"<!doctype", "web page", "download the raw file instead"),
+    (b"<html", "web page", "download the raw file instead"),
+    (b"<?xml", "XML document", "export it as CSV"),
+)
+_REGISTRATION_SCHEMA = "magmatch.registration/"
+_TUM_WIDTH = 8
+_HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
+
+
+def sniff(path: str | Path) -> FileKind:
+    """Tell what a file is.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    str
+        ``csv`` (a table with a header row), ``map`` (a zip archive such as a saved map), ``registration`` (a
+        result of `register`) or ``tum`` (rows of 8 numbers without a header).
+
+    Raises
+    ------
+    DataFormatError
+        None of these; says what it seems to be and what to do.
+    """
+    head = read_bytes(path, _HEAD)
+    if head.startswith(b"PK\x03\x04"):
+        return _sniff_archive(path)
+    for signature, what, advice in _FOREIGN:
+        if head.startswith(signature):
+            raise DataFormatError(path, f"is a {what} file, expected a survey (CSV) or a saved map; {advice}")
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in {b"{", b"["}:
+        return _sniff_json(path)
+    if len(head) == _HEAD and b"\n" in head:
+        head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
+    for line in text_lines(path, head):
+        text = line.strip()
+        if text and not text.startswith("#"):
+            return "tum" if _is_tum_row(text) else "csv"
+    return "csv"
+
+
+def _sniff_archive(path: str | Path) -> FileKind:
+    """A zip archive is a map unless its members say otherwise."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.namelist()
+    except zipfile.BadZipFile:
+        raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
+    if "[Content_Types].xml" in members:
+        raise DataFormatError(path, "is an Excel workbook or Office document; export the sheet as CSV")
+    if members and all(name.endswith(".npy") for name in members):
+        raise DataFormatError(
+            path, "is a NumPy .npz archive, expected a survey (CSV) or a saved map; export it as CSV"
+        )
+    return "map"
+
+
+def _sniff_json(path: str | Path) -> FileKind:
+    """JSON is a registration result, or nothing we read."""
+    try:
+        content = json.loads(read_bytes(path).decode("utf-8-sig"))
+    except ValueError as error:
+        raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
+    schema = content.get("schema") if isinstance(content, dict) else None
+    if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):
+        return "registration"
+    message = (
+        f"is JSON with schema {schema!r}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
+    )
+    raise DataFormatError(path, message)
+
+
+def _is_tum_row(text: str) -> bool:
+    """Whether a row is eight numbers separated by white space."""
+    cells = text.split()
+    try:
+        return len([float(cell) for cell in cells]) == _TUM_WIDTH
+    except ValueError:
+        return False

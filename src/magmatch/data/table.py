@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Text tables of numbers: read by column name, faults found by line and column, written whole or not at all."""
+
+import csv
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from magmatch.data.atomic import write_atomically
+from magmatch.errors import DataFormatError
+from magmatch.typing import Indices, Matrix, Scalars
+
+# Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
+CHUNK_ROWS = 20_000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Table:
+    """Number columns of a text file, with the line each row stands on.
+
+    Attributes
+    ----------
+    path : Path
+        The file, for messages.
+    names : tuple of str
+        All columns of the header, lower case, in the file's order.
+    columns : dict of str to (n,) array
+        The columns that were asked for and are there; all values finite.
+    line_numbers : (n,) int array
+        Line of each row, counted from 1.
+    comments : tuple of str
+        Comment lines above the first row, without the ``#``.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    columns: dict[str, Scalars]
+    line_numbers: Indices
+    comments: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.line_numbers)
+
+    def has(self, *names: str) -> bool:
+        """Whether all these columns are there."""
+        return all(name in self.columns for name in names)
+
+    def require(self, names: Sequence[str], hint: str = "") -> None:
+        """Raise DataFormatError, naming what was expected and found, unless all these columns are there."""
+        missing = [name for name in names if name not in self.columns]
+        if missing:
+            found = ", ".join(name or "(unnamed)" for name in self.names)
+            message = f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {found}"
+            raise DataFormatError(self.path, f"{message}. {hint}" if hint else message)
+
+    def stack(self, *names: str) -> Matrix:
+        """Columns side by side: (n, k)."""
+        return np.column_stack([self.columns[name] for name in names])
+
+    def require_increasing(self, name: str) -> None:
+        """Raise DataFormatError at the first row where a column does not increase."""
+        values = self.columns[name]
+        wrong = np.flatnonzero(np.diff(values) <= 0)
+        if len(wrong):
+            row = int(wrong[0]) + 1
+            kind = "repeats" if values[row] == values[row - 1] else "runs backward"
+            message = (
+                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times"
+            )
+            raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
+
+
+def read_bytes(path: str | Path, limit: int = -1) -> bytes:
+    """Give a regular file's content; what is not one is refused in words.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    limit : int
+        How many bytes to read at most; all by default.
+
+    Returns
+    -------
+    bytes
+        Its content, from the beginning.
+
+    Raises
+    ------
+    DataFormatError
+        No such file, a folder, a device, or no permission to read.
+    """
+    place = Path(path)
+    try:
+        if place.is_dir():
+            raise DataFormatError(path, "is a folder, expected a file")
+        if not place.exists():
+            raise DataFormatError(path, "no such file")
+        if not place.is_file():
+            raise DataFormatError(path, "is not a regular file (a device, pipe or socket), expected a file")
+        with place.open("rb") as stream:
+            return stream.read(limit)
+    except PermissionError:
+        raise DataFormatError(path, "no permission to read it") from None
+
+
+def text_lines(path: str | Path, raw: bytes) -> list[str]:
+    """Give the lines of a text file, whatever its line ends; UTF-8 (or UTF-16 with a byte order mark).
+
+    Parameters
+    ----------
+    path : path
+        The file, for messages.
+    raw : bytes
+        Its content.
+
+    Returns
+    -------
+    list of str
+        Lines without their ends.
+
+    Raises
+    ------
+    DataFormatError
+        Empty, binary, or in another encoding.
+    """
+    if not raw.strip():
+        raise DataFormatError(path, "the file is empty" if not raw else "the file holds only white space")
+    try:
+        text = raw.decode("utf-16" if raw[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        message = (
+            f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save it as UTF-8, or it is not a text file at all"
+        )
+        raise DataFormatError(path, message, line=line) from None
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise DataFormatError(path, "holds NUL bytes: a binary file, or one cut off while writing", line=line)
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def read_table(path: str | Path, known: Collection[str], names: Sequence[str] | None = None) -> Table:
+    """Read the known columns of a delimited text file.
+
+    Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
+    semicolon, tab, or else white space.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    known : collection of str
+        Columns to read where present, lower case; others are ignored, whatever they hold.
+    names : sequence of str, optional
+        The columns, for formats without a header row; by default the first row names them.
+
+    Returns
+    -------
+    Table
+        At least one row; every number finite.
+
+    Raises
+    ------
+    DataFormatError
+        With line and column wherever one is at fault.
+    """
+    lines = text_lines(path, read_bytes(path))
+    numbers = [i for i, line in enumerate(lines) if (text := line.lstrip()) and text[0] != "#"]
+    if not numbers:
+        raise DataFormatError(path, "holds only comments and blank lines, expected rows of numbers")
+    comments = tuple(line.strip().lstrip("#").strip() for line in lines[: numbers[0]] if line.strip())
+    first = lines[numbers[0]]
+    delimiter = _delimiter(path, first, numbers[0] + 1)
+    if names is None:
+        names = _header(path, _split(first, delimiter), numbers.pop(0) + 1, known, comments)
+    if not numbers:
+        raise DataFormatError(path, "has a header row but no samples under it")
+    wanted = {name: k for k, name in enumerate(names) if name in known}
+    blocks: list[Matrix] = []
+    for start in range(0, len(numbers), CHUNK_ROWS):
+        chunk = numbers[start : start + CHUNK_ROWS]
+        rows = [lines[i] for i in chunk]
+        block = _numbers_at_once(rows, delimiter, len(names), wanted)
+        if block is None:
+            cells = _cells(path, rows, chunk, delimiter, names, is_last=chunk[-1] == len(lines) - 1)
+            block = _numbers(path, chunk, cells, wanted)
+        blocks.append(block)
+    columns = {name: np.concatenate([block[:, j] for block in blocks]) for j, name in enumerate(wanted)}
+    return Table(Path(path), tuple(names), columns, np.array(numbers, dtype=np.int64) + 1, comments)
+
+
+def write_table(path: str | Path, columns: Mapping[str, Scalars], comments: Sequence[str] = ()) -> None:
+    """Write number columns as CSV, so that reading them gives the same float64 values.
+
+    Parameters
+    ----------
+    path : path
+        Where; an existing file is replaced only once the new one is complete.
+    columns : mapping of str to (n,) array
+        Column names and values, in the order to write.
+    comments : sequence of str
+        Lines to put above the header, without the ``#``.
+    """
+    write_atomically(path, _rows(columns, comments))
+
+
+def _rows(columns: Mapping[str, Scalars], comments: Sequence[str]) -> Iterator[bytes]:
+    """Encode a table piece by piece."""
+    head = [f"# {comment}" for comment in comments] + [",".join(columns)]
+    yield ("\n".join(head) + "\n").encode()
+    n = len(next(iter(columns.values())))
+    for start in range(0, n, CHUNK_ROWS):
+        texts = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
+        yield ("\n".join(map(",".join, zip(*texts, strict=True))) + "\n").encode()
+
+
+def _delimiter(path: str | Path, first: str, line: int) -> str | None:
+    """Choose what separates the cells from the first row; None for white space."""
+    if "," in first and ";" in first:
+        raise DataFormatError(path, "both ',' and ';' separate the columns here; use one of them", line=line)
+    return next((mark for mark in (",", ";", "\t") if mark in first), None)
+
+
+def _split(text: str, delimiter: str | None) -> list[str]:
+    """Cells of one line."""
+    if delimiter is not None and '"' in text:
+        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
+    return text.split(delimiter)
+
+
+def _header(
+    path: str | Path, cells: list[str], line: int, known: Collection[str], comments: Sequence[str]
+) -> tuple[str, ...]:
+    """Names of the columns, lower case."""
+    names = [cell.strip().strip("'\"").lower() for cell in cells]
+    while names and not names[-1]:
+        names.pop()
+    if all(_is_number(name) for name in names):
+        message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
+        if any(len(set(comment.replace(",", " ").lower().split()) & set(known)) > 2 for comment in comments):
+            message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
+        raise DataFormatError(path, message, line=line)
+    for name in names:
+        if name in known and names.count(name) > 1:
+            raise DataFormatError(path, f"the column stands {names.count(name)} times", line=line, column=name)
+    return tuple(names)
+
+
+def _numbers_at_once(rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int]) -> Matrix | None:
+    """Wanted columns of some rows by NumPy's parser; None where any row needs a closer look."""
+    if delimiter is None or not wanted or any(row.count(delimiter) != width - 1 for row in rows):
+        return None
+    try:
+        block = np.loadtxt(rows, delimiter=delimiter, comments=None, usecols=list(wanted.values()), ndmin=2)
+    except ValueError:
+        return None
+    return block if len(block) == len(rows) and np.isfinite(block).all() else None
+
+
+def _cells(
+    path: str | Path, rows: list[str], chunk: list[int], delimiter: str | None, names: Sequence[str], *, is_last: bool
+) -> list[list[str]]:
+    """Cells of some rows, each as many as there are columns."""
+    width = len(names)
+    cells = [_split(row, delimiter) for row in rows]
+    for i, row in zip(chunk, cells, strict=True):
+        while len(row) > width and not row[-1].strip():
+            row.pop()
+        if len(row) != width:
+            message = f"expected {width} cells ({', '.join(name or '-' for name in names)}), found {len(row)}"
+            if is_last and i == chunk[-1] and len(row) < width:
+                message += "; the file ends in the middle of this line: cut off?"
+            raise DataFormatError(path, message, line=i + 1)
+    return cells
+
+
+def _numbers(path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]) -> Matrix:
+    """Wanted columns of some rows, one cell at a time."""
+    try:
+        block = np.array([[float(row[k]) for k in wanted.values()] for row in rows])
+        if np.isfinite(block).all():
+            return block
+    except ValueError:
+        pass
+    raise _first_fault(path, chunk, rows, wanted)
+
+
+def _first_fault(
+    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]
+) -> DataFormatError:
+    """Find the first cell that is not a finite number (slow, so done only once one is known to be there)."""
+    for i, row in zip(chunk, rows, strict=True):
+        for name, k in wanted.items():
+            text = row[k].strip()
+            if not text:
+                return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
+            if not _is_number(text):
+                hint = " (write decimals with a point)" if _is_number(text.replace(",", ".")) else ""
+                return DataFormatError(path, f"expected a number, found '{text[:40]}'{hint}", line=i + 1, column=name)
+            if not np.isfinite(float(text)):
+                message = f"expected a finite number, found '{text[:40]}'; remove the row or repair it"
+                return DataFormatError(path, message, line=i + 1, column=name)
+    msg = "a fault was reported but none found"
+    raise AssertionError(msg)
+
+
+def _is_number(text: str) -> bool:
+    """Whether a cell reads as a number (which may be nan or inf)."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A trajectory: poses over time, from another system than the magnetometer."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from magmatch.data.quaternions import rotations_of
+from magmatch.data.tum import read_tum, write_tum
+from magmatch.errors import DataFormatError
+from magmatch.typing import Mask, Points, Scalars
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trajectory:
+    """Poses at strictly increasing times, all in one frame.
+
+    Attributes
+    ----------
+    times : (n,) array, s
+        Strictly increasing; at least two.
+    positions : (n, 3) array, m
+        Positions of the sensor, survey frame.
+    orientations : Rotation of length n
+        Takes sensor coordinates to survey coordinates.
+    """
+
+    times: Scalars
+    positions: Points
+    orientations: Rotation
+
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        if n < 2:
+            msg = f"a trajectory needs at least two poses, got {n}"
+            raise ValueError(msg)
+        if self.positions.shape != (n, 3) or len(self.orientations) != n:
+            msg = f"expected {n} positions and orientations, got {self.positions.shape} and {len(self.orientations)}"
+            raise ValueError(msg)
+        if not np.all(np.diff(self.times) > 0):
+            msg = "times of a trajectory must increase strictly"
+            raise ValueError(msg)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def covers(self, times: Scalars) -> Mask:
+        """Whether each time lies between the first and the last pose: (k,) bool."""
+        is_covered: Mask = (times >= self.times[0]) & (times <= self.times[-1])
+        return is_covered
+
+    def interpolate(self, times: Scalars) -> tuple[Points, Rotation]:
+        """Poses at other times: positions linearly, orientations along the shortest turn.
+
+        Parameters
+        ----------
+        times : (k,) array, s
+            Within the trajectory; see `covers`.
+
+        Returns
+        -------
+        positions : (k, 3) array, m
+            Survey frame.
+        orientations : Rotation of length k
+            Sensor to survey frame.
+
+        Raises
+        ------
+        ValueError
+            A time lies outside the trajectory: poses are never extrapolated.
+
+        Notes
+        -----
+        With ``a = (t - t0) / (t1 - t0)``: ``p = (1 - a) p0 + a p1`` and ``R = R0 Exp(a Log(R0^T R1))`` (slerp).
+        """
+        outside = ~self.covers(times)
+        if outside.any():
+            msg = (
+                f"{int(outside.sum())} of {len(times)} times lie outside the trajectory's "
+                f"{self.times[0]:.9g} to {self.times[-1]:.9g} s; drop them first (Trajectory.covers)"
+            )
+            raise ValueError(msg)
+        positions = np.column_stack([np.interp(times, self.times, axis) for axis in self.positions.T])
+        return positions, Slerp(self.times, self.orientations)(times)
+
+    def save(self, path: str | Path) -> None:
+        """Write the trajectory as a TUM file."""
+        write_tum(path, self.times, self.positions, self.orientations.as_quat())
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Trajectory":
+        """Read a TUM file.
+
+        Parameters
+        ----------
+        path : path
+            Rows ``t x y z qx qy qz qw``; seconds and metres.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        DataFormatError
+            With the line at fault.
+        """
+        table = read_tum(path)
+        orientations = rotations_of(table)
+        if orientations is None or len(table) < 2:
+            raise DataFormatError(path, f"expected at least two poses, found {len(table)}")
+        return cls(table.columns["t"], table.stack("x", "y", "z"), orientations)

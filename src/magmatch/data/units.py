@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Units that files come in; everything inside the package is tesla and metre."""
+
+from math import log
+from typing import Literal
+
+FieldUnit = Literal["T", "mT", "uT", "nT", "G", "mG"]
+LengthUnit = Literal["m", "cm", "mm"]
+
+TESLA_PER_UNIT: dict[FieldUnit, float] = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "G": 1e-4, "mG": 1e-7}
+METRE_PER_UNIT: dict[LengthUnit, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+# The Earth's field is 22 to 67 uT at the surface (World Magnetic Model); indoors steel moves it by a factor of two
+# or so, hence the wider window in which a median magnitude is ordinary.
+EARTH_FIELD = 48e-6
+ORDINARY_FIELD = (10e-6, 200e-6)
+
+
+def likely_field_unit(median_number: float) -> FieldUnit | None:
+    """Give the unit in which a number would be an ordinary magnitude near the Earth's surface.
+
+    Parameters
+    ----------
+    median_number : float
+        Median field magnitude as it stands in the file.
+
+    Returns
+    -------
+    str or None
+        The unit that brings it closest to 48 uT; None where no unit makes it ordinary.
+
+    Examples
+    --------
+    >>> likely_field_unit(48.0), likely_field_unit(480.0), likely_field_unit(1e9)
+    ('uT', 'mG', None)
+    """
+    low, high = ORDINARY_FIELD
+    fits: list[tuple[float, FieldUnit]] = [
+        (abs(log(median_number * tesla / EARTH_FIELD)), unit)
+        for unit, tesla in TESLA_PER_UNIT.items()
+        if low <= median_number * tesla <= high
+    ]
+    return min(fits)[1] if fits else None
+
+
+def field_text(tesla: float) -> str:
+    """Write a field strength with a unit that a reader can picture.
+
+    Parameters
+    ----------
+    tesla : float
+        Field strength, T.
+
+    Returns
+    -------
+    str
+        Three significant digits and one of nT, uT, mT, T.
+
+    Examples
+    --------
+    >>> field_text(48.25e-6), field_text(48.0)
+    ('48.2 uT', '48 T')
+    """
+    for unit in ("nT", "uT", "mT"):
+        if abs(tesla) < 1000 * TESLA_PER_UNIT[unit]:
+            return f"{tesla / TESLA_PER_UNIT[unit]:.3g} {unit}"
+    return f"{tesla:.3g} T"
