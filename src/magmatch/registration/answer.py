@@ -84,9 +84,7 @@ def by_evidence(
     )
 
 
-def by_fitness(
-    found: SearchResult, fitness: Fitness | None, config: DecisionConfig
-) -> RegistrationResult:
+def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionConfig) -> RegistrationResult:
     """State the answer of the published method: the best consensus, judged by its fitness.
 
     Parameters

@@ -48,9 +48,7 @@ def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
     return (total + total.T) / 2
 
 
-def to_survey_axes(
-    covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform
-) -> Covariance6:
+def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform) -> Covariance6:
     """Covariance of xi in ``T_true = T_estimate Exp(xi)``, target's survey frame.
 
     Parameters
@@ -114,8 +112,10 @@ def free_directions(
         theta, rho = R @ local[:3], R @ local[3:]
         xi = np.concatenate([theta, rho - np.cross(theta, center)])
         is_turn = np.linalg.norm(vectors[:3, k]) > np.linalg.norm(vectors[3:, k])
-        words = ("turning about" if is_turn else "sliding along") + " base " + _axis_words(
-            R_base_target @ (theta if is_turn else rho)
+        words = (
+            ("turning about" if is_turn else "sliding along")
+            + " base "
+            + _axis_words(R_base_target @ (theta if is_turn else rho))
         )
         found.append(DegenerateDirection(xi / np.linalg.norm(xi), words))
     return tuple(found)

@@ -21,8 +21,8 @@ class DecisionConfig(BaseModel):
     # Fewest samples' share inside the base map.
     min_overlap: float = Field(default=0.05, ge=0, le=1)
     # Fewest informative cells that agree, and their share among the informative ones.
-    min_good_cells: int = Field(default=10, ge=1)
-    min_good_share: float = Field(default=0.7, ge=0, le=1)
+    min_good_cells: int = Field(default=6, ge=1)
+    min_good_share: float = Field(default=0.6, ge=0, le=1)
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
     min_log_evidence: float = 20.0
     min_lead: float = 10.0

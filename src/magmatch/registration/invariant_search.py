@@ -99,9 +99,7 @@ def invariant_search(
     )
     moved = _carry(center, R, pb, pt[anchor_rows])
     keep = distinct_poses(R, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
-    candidates = tuple(
-        Candidate(_pose(R[k], moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep
-    )
+    candidates = tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep)
     return SearchResult(
         candidates,
         n_keypoints=len(base.points) + len(target.points),
@@ -147,9 +145,7 @@ def similar_points(
     return np.asarray(rows, dtype=np.int64).reshape(len(anchors), k)
 
 
-def judging_samples(
-    anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator
-) -> np.ndarray:
+def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator) -> np.ndarray:
     """Which samples judge each anchor's poses: half within two lengthscales, the rest anywhere.
 
     Returns
@@ -204,5 +200,3 @@ def _carry(p_target: Matrix, R: Tensors, anchors_base: Points, anchors_target: P
 
 def _pose(R: Matrix, moved_center: Matrix, center: Matrix) -> RigidTransform:
     return RigidTransform.from_components(moved_center - R @ center, Rotation.from_matrix(R))
-
-

@@ -152,9 +152,7 @@ def compare(
         values = base.field_map.posterior.evaluate(transform_points(y, T_base_target), order=1)
         looked_up = values.rotated(T_target_base)
         assert looked_up.gradient is not None
-        found.append(
-            _direction(y, b, b - looked_up.field, looked_up.gradient, sd, target.noise_sd, center)
-        )
+        found.append(_direction(y, b, b - looked_up.field, looked_up.gradient, sd, target.noise_sd, center))
     x, b = base.samples[base_rows], base.sample_field[base_rows]
     z, b = transform_points(x, T_target_base), rotate_vectors(b, T_target_base)
     _, sd, _, is_known = target.raster.lookup(z)
@@ -187,5 +185,3 @@ def _direction(
 
 def _some_rows(n: int, limit: int, rng: np.random.Generator) -> Indices:
     return np.sort(rng.permutation(n)[:limit]).astype(np.int64)
-
-

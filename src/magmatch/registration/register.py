@@ -124,9 +124,7 @@ def _refine_and_rank(
     base: PreparedMap, target: PreparedMap, found: SearchResult, config: RegistrationConfig, rng: np.random.Generator
 ) -> list[PoseEvidence]:
     """Refine the best candidates and order them by their evidence."""
-    starts: list[RigidTransform] = [
-        c.T_base_target for c in found.candidates[: config.refinement.n_candidates]
-    ]
+    starts: list[RigidTransform] = [c.T_base_target for c in found.candidates[: config.refinement.n_candidates]]
     refined = [refine(base, target, T, config.refinement, rng) for T in starts]
     weighed = [weigh_pose(base, target, pose) for pose in refined]
     return sorted(weighed, key=lambda e: -e.log_evidence)

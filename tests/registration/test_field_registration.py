@@ -1,0 +1,154 @@
+"""Claims about the default registration, on maps whose field is known exactly."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error, transform_points
+from magmatch.registration.covariance import pose_covariance, to_survey_axes
+from magmatch.registration.evidence import weigh_pose
+from magmatch.registration.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
+from magmatch.registration.prepared import prepare, thin
+from magmatch.registration.raster import rasterize
+from magmatch.registration.refinement import RefinementConfig, compare, perturbation, refine
+
+FEW = InvariantSearchConfig(n_anchors=60, n_neighbours=15, n_coarse=60, n_fine=10)
+
+
+@pytest.fixture(scope="module")
+def prepared_pair(make_exact_pair):
+    T_base_target = random_transform(np.random.default_rng(3))
+    base_map, target_map = make_exact_pair(5, T_base_target)
+    rng = np.random.default_rng(0)
+    base, target = prepare(base_map, 4, rng), prepare(target_map, 4, rng)
+    T_model = base.T_map_model.inv() * T_base_target * target.T_map_model
+    return base, target, T_model
+
+
+def error(T, T_true, target):
+    return transform_error(T, T_true, target.samples.mean(axis=0))
+
+
+def test_search_finds_a_random_pose_without_a_guess(prepared_pair):
+    base, target, T_true = prepared_pair
+    found = invariant_search(base, target, FEW, np.random.default_rng(0))
+    distance, angle = error(found.candidates[0].T_base_target, T_true, target)
+    assert distance < 0.02
+    assert angle < np.radians(1)
+
+
+def test_search_is_deterministic(prepared_pair):
+    base, target, _ = prepared_pair
+    one, two = (
+        invariant_search(base, target, FEW, np.random.default_rng(7)).candidates[0].T_base_target.as_matrix()
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(one, two)
+
+
+def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
+    base, target, T_true = prepared_pair
+    start = T_true * exp_se3(np.array([0.05, -0.03, 0.04, 0.05, 0.02, -0.04]))
+    pose = refine(base, target, start, RefinementConfig(), np.random.default_rng(0))
+    distance, angle = error(pose.T_base_target, T_true, target)
+    assert distance < 1e-3
+    assert angle < np.radians(0.1)
+
+
+def test_jacobian_is_the_derivative_of_the_residual(prepared_pair):
+    base, target, T_true = prepared_pair
+    T = T_true * exp_se3(np.array([0.01, 0.02, -0.01, 0.01, 0.0, 0.02]))
+    center = target.samples.mean(axis=0)
+    rows = np.arange(0, 800, 8)
+    cost = lambda xi: [  # noqa: E731
+        d.scores.sum(axis=0) for d in compare(base, target, T * perturbation(xi, center), center, rows, rows)
+    ]
+    # With Student weights the score is the gradient of the robust cost; its change along a direction is the
+    # Gauss-Newton information plus terms that vanish with the residual, so compare at the truth.
+    T = T_true
+    directions = compare(base, target, T, center, rows, rows)
+    step = 1e-5
+    for k, direction in enumerate(directions):
+        numeric = np.stack([(cost(step * e)[k] - cost(-step * e)[k]) / (2 * step) for e in np.eye(6)], axis=1)
+        scale = np.sqrt(np.outer(np.diag(direction.information), np.diag(direction.information)))
+        # The weights' own derivative is left out by Gauss-Newton; it is a fraction of the information.
+        assert np.abs(numeric - direction.information).max() / scale.max() < 0.35
+
+
+def test_covariance_moves_with_the_perturbation_to_survey_axes():
+    rng = np.random.default_rng(1)
+    T_survey_model, center = random_transform(rng), rng.normal(size=3)
+    T_base_model = random_transform(rng)
+    xi = 1e-6 * rng.normal(size=6)
+    # The same motion said in both ways: about the centre in model axes, about the origin in survey axes.
+    T_base_survey = T_base_model * T_survey_model.inv()
+    moved = T_base_model * perturbation(xi, center) * T_survey_model.inv()
+    eta = log_se3(T_base_survey.inv() * moved)
+    C = to_survey_axes(np.outer(xi, xi), center, T_survey_model)
+    np.testing.assert_allclose(C, np.outer(eta, eta), atol=1e-5 * np.abs(np.outer(eta, eta)).max())
+
+
+def test_covariance_covers_the_error_of_repeated_surveys(make_exact_pair):
+    nees = []
+    for seed in range(6):
+        T_true = random_transform(np.random.default_rng(seed))
+        rng = np.random.default_rng(0)
+        base, target = (prepare(m, 4, rng) for m in make_exact_pair(seed, T_true))
+        T_model = base.T_map_model.inv() * T_true * target.T_map_model
+        pose = refine(base, target, T_model, RefinementConfig(), rng)
+        C = pose_covariance(pose, 1.2)
+        xi = perturbation(np.zeros(6), pose.center).inv() * pose.T_base_target.inv() * T_model
+        shift = xi.apply(pose.center) - pose.center
+        e = np.concatenate([xi.rotation.as_rotvec(), shift])
+        nees.append(e @ np.linalg.solve(C, e) / 6)
+    assert 0.1 < np.mean(nees) < 3
+
+
+def test_a_right_pose_has_evidence_and_a_wrong_one_has_none(prepared_pair):
+    base, target, T_true = prepared_pair
+    config, rng = RefinementConfig(), np.random.default_rng(0)
+    right = weigh_pose(base, target, refine(base, target, T_true, config, rng))
+    elsewhere = T_true * exp_se3(np.array([0, 0, 2.0, 0.4, 0.3, 0]))
+    wrong = weigh_pose(base, target, refine(base, target, elsewhere, config, rng))
+    assert right.log_evidence > 100
+    assert right.good_share > 0.95
+    assert wrong.log_evidence < 10
+
+
+def test_raster_agrees_with_the_map_between_its_points(prepared_pair):
+    base, _, _ = prepared_pair
+    raster = rasterize(base.field_map, 0.05, 2, np.random.default_rng(0))
+    points = base.points[::20]
+    field, _, gradient, is_known = raster.lookup(points)
+    exact = base.field_map.posterior.evaluate(points, order=1)
+    assert is_known.mean() > 0.9
+    assert np.abs(field - exact.field)[is_known].max() < 1e-6
+    assert np.median(np.abs(gradient - exact.gradient)[is_known]) < 3e-6
+
+
+def test_nothing_is_known_outside_the_raster(prepared_pair):
+    base, _, _ = prepared_pair
+    *_, is_known = base.raster.lookup(base.points + 100.0)
+    assert not is_known.any()
+
+
+def test_thinned_points_keep_their_distance():
+    points = np.random.default_rng(0).uniform(size=(500, 3))
+    kept = points[thin(points, 0.1, 10_000)]
+    d = np.linalg.norm(kept[:, None] - kept[None], axis=2) + np.eye(len(kept))
+    assert d.min() >= 0.1
+    assert len(thin(points, 0.01, 50)) <= 50
+
+
+def test_distinct_poses_drop_only_near_duplicates():
+    R = np.stack([np.eye(3), np.eye(3), RigidTransform.from_exp_coords([0, 0, 1, 0, 0, 0]).rotation.as_matrix()])
+    centers = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0, 0.0]])
+    kept = distinct_poses(R, centers, np.array([2.0, 3.0, 1.0]), 0.1, 0.5, 10)
+    np.testing.assert_array_equal(kept, [1, 2])
+
+
+def test_transform_takes_target_points_to_base_points(prepared_pair):
+    base, target, T_true = prepared_pair
+    b_base = base.field_map.posterior.evaluate(transform_points(target.samples, T_true)).field
+    residual = b_base - target.sample_field @ T_true.rotation.as_matrix().T
+    assert np.sqrt((residual**2).mean()) < 0.4e-6
