@@ -41,6 +41,10 @@ class ConfigurationError(MagmatchError, ValueError):
     """A setting is out of its bounds or unknown."""
 
 
+class DatasetError(MagmatchError, OSError):
+    """A public recording cannot be had: no connection, or what came is not what was published."""
+
+
 class MissingExtraError(MagmatchError, ImportError):
     """An optional dependency is not installed; names the extra that brings it.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.atomic import write_atomically
+from magmatch.atomic import atomic_write
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -204,7 +204,8 @@ def write_table(path: str | Path, columns: Mapping[str, Scalars], comments: Sequ
     comments : sequence of str
         Lines to put above the header, without the ``#``.
     """
-    write_atomically(path, _rows(columns, comments))
+    with atomic_write(path) as stream:
+        stream.writelines(_rows(columns, comments))
 
 
 def _rows(columns: Mapping[str, Scalars], comments: Sequence[str]) -> Iterator[bytes]:

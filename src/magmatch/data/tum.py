@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.atomic import write_atomically
+from magmatch.atomic import atomic_write
 from magmatch.data.table import Table, read_table
 from magmatch.typing import Points, Scalars
 
@@ -49,4 +49,5 @@ def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: 
     """
     rows = np.column_stack([times, positions, quaternions]).tolist()
     lines = [f"# {' '.join(TUM_COLUMNS)}", *(" ".join(map(repr, row)) for row in rows), ""]
-    write_atomically(path, ["\n".join(lines).encode()])
+    with atomic_write(path) as stream:
+        stream.write("\n".join(lines).encode())
