@@ -71,8 +71,9 @@ def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_m
     M[:3, :3] = M[3:, 3:] = R
     # Turning about the origin instead of the centre moves the centre: rho = R rho_c - theta x c.
     M[3:, :3] = skew(center[None])[0] @ R
-    moved: Covariance6 = M @ covariance @ M.T
-    return (moved + moved.T) / 2
+    moved = M @ covariance @ M.T
+    symmetric: Covariance6 = (moved + moved.T) / 2
+    return symmetric
 
 
 def free_directions(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Accept or refuse, with the reason in words."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -61,45 +62,50 @@ def decide(ranked: list[PoseEvidence], is_free: bool, lead: float, config: Decis
     if not ranked:
         return Verdict(Status.UNINFORMATIVE, "no pose to judge: the field has no structure to match")
     best = ranked[0]
+    accepted = Verdict(
+        Status.ACCEPTED,
+        f"{best.n_good} of {best.n_informative} informative cells agree, log odds {best.log_evidence:.0f} nats, "
+        + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
+    )
+    return next(_refusals(best, is_free, lead, config), accepted)
+
+
+def _refusals(best: PoseEvidence, is_free: bool, lead: float, config: DecisionConfig) -> Iterator[Verdict]:
+    """Reasons against the best pose, the most telling first."""
     if best.overlap < config.min_overlap:
-        return Verdict(
+        yield Verdict(
             Status.NO_OVERLAP,
             f"only {best.overlap:.0%} of the target falls inside the base map under the best pose "
             f"(needs {config.min_overlap:.0%}); survey a common region",
         )
     if best.n_informative < config.min_good_cells:
-        return Verdict(
+        yield Verdict(
             Status.UNINFORMATIVE,
             f"only {best.n_informative} independent cells of the overlap have a field that stands out "
             f"(needs {config.min_good_cells}); survey a larger area or closer to iron",
         )
     if best.good_share < config.min_good_share or best.n_good < config.min_good_cells:
-        return Verdict(
+        yield Verdict(
             Status.INCONSISTENT,
             f"under the best pose {best.n_good} of {best.n_informative} informative cells agree "
             f"(needs {config.min_good_share:.0%} and {config.min_good_cells}): probably different places",
         )
     if not is_free and best.log_evidence < config.min_log_evidence:
-        return Verdict(
+        yield Verdict(
             Status.INCONSISTENT,
             f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
             "survey a larger common area",
         )
     if lead < config.min_lead:
-        return Verdict(
+        yield Verdict(
             Status.AMBIGUOUS,
             f"another pose explains the data nearly as well ({lead:.1f} nats behind, needs {config.min_lead:.0f}); "
             "see alternatives, or survey more of the surroundings",
         )
     if is_free:
-        return Verdict(
+        yield Verdict(
             Status.DEGENERATE, "the data leave a direction free (see degenerate_directions); survey across it"
         )
-    return Verdict(
-        Status.ACCEPTED,
-        f"{best.n_good} of {best.n_informative} informative cells agree, log odds {best.log_evidence:.0f} nats, "
-        + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
-    )
 
 
 def decide_by_fitness(fitness: float | None, overlap: float, config: DecisionConfig) -> Verdict:

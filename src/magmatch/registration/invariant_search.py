@@ -12,7 +12,7 @@ from magmatch.features.invariants import gradient_norm, point_frames
 from magmatch.registration.annealing import anneal_poses
 from magmatch.registration.candidate import Candidate, SearchResult
 from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.scoring import Evidence, score_poses, weigh_samples
+from magmatch.registration.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 log = logging.getLogger(__name__)
