@@ -35,7 +35,10 @@ Data = TypeVar("Data", bound=Information)
 class LinearModel(Protocol[Data]):
     """One prior with fixed hyperparameters over one region."""
 
-    hyperparameters: Hyperparameters
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Numbers that shape the prior."""
+        ...
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> Data:
         """Information in samples; ``weights`` (default 1) scale each sample's inverse noise variance."""
@@ -49,7 +52,10 @@ class LinearModel(Protocol[Data]):
 class Posterior(Protocol):
     """A fitted field, in the model's frame."""
 
-    hyperparameters: Hyperparameters
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Numbers that shape the prior."""
+        ...
 
     @property
     def mean_weights(self) -> Scalars:
@@ -83,7 +89,10 @@ class Posterior(Protocol):
 class Prior(Protocol):
     """A family of models; one file in ``field/priors`` each."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What configuration calls it."""
+        ...
 
     def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
         """Numbers that fit the data; deterministic."""

@@ -2,5 +2,6 @@
 """Families of field models, one file each; this table is what configuration names refer to."""
 
 from magmatch.field.linear_model import Prior
+from magmatch.field.priors.spline import SplinePrior
 
-PRIORS: dict[str, Prior] = {}
+PRIORS: dict[str, Prior] = {"spline": SplinePrior()}

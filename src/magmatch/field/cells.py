@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which cells and spline nodes exist: those within reach of a sample, so that cost follows the data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from magmatch.errors import ConfigurationError
+from magmatch.field.element_matrices import ball_offsets
+from magmatch.typing import Points, Scalars, Vector3
+
+MAX_ACTIVE_CELLS = 400_000
+MAX_BOX_CELLS = 40_000_000
+# Two nodes interact when they touch a common cell: offsets -3..3 along each axis, 343 in all. Symmetric matrices
+# keep the second half, from the node itself on.
+STENCIL_REACH = 3
+FULL_STENCIL = (2 * STENCIL_REACH + 1) ** 3
+HALF_STENCIL = (FULL_STENCIL + 1) // 2
+
+_LOCAL = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+# [a, b], a <= b: place in the half stencil of the offset from the cell's node a to its node b.
+HALF_OFFSET = ((_LOCAL[None] - _LOCAL[:, None]) @ np.array([49, 7, 1])).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CellGrid:
+    """Active cells of a regular grid and the spline nodes that touch them.
+
+    Attributes
+    ----------
+    origin : (3,) array, m
+        Lower corner of cell (0, 0, 0).
+    spacing : float, m
+        Side of a cell.
+    cells : (c, 3) int array
+        Indices of the active cells; cell (i, j, k) is touched by nodes (i..i+3, j..j+3, k..k+3).
+    cell_index : (nx, ny, nz) int32 array
+        Number of each active cell in ``cells``; -1 elsewhere.
+    node_index : (nx + 9, ny + 9, nz + 9) int32 array
+        Number of each node, padded by 3 on every side; -1 where no active cell touches it.
+    nodes : (m, 3) int array
+        Indices of the nodes.
+    cell_nodes : (c, 64) int32 array
+        Nodes of each active cell.
+    """
+
+    origin: Vector3
+    spacing: float
+    cells: np.ndarray
+    cell_index: np.ndarray
+    node_index: np.ndarray
+    nodes: np.ndarray
+    cell_nodes: np.ndarray
+
+    @property
+    def n_cells(self) -> int:
+        """Number of active cells."""
+        return len(self.cells)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of splines."""
+        return len(self.nodes)
+
+    def axis_cells(self, x: Scalars, axis: int) -> tuple[np.ndarray, Scalars]:
+        """Cell index along one axis (clipped to -1..n) and position in the cell, 0 to 1."""
+        u = (np.asarray(x) - self.origin[axis]) / self.spacing
+        i = np.floor(u)
+        n = self.cell_index.shape[axis]
+        return np.clip(np.where(np.isnan(i), -1, i), -1, n).astype(np.int64), u - i
+
+    def locate(self, points: Points) -> tuple[np.ndarray, Points]:
+        """Active cell of each point (-1 where there is none) and the position in it, 0 to 1 along each axis."""
+        located = [self.axis_cells(points[:, axis], axis) for axis in range(3)]
+        ijk = np.stack([i for i, _ in located], axis=1)
+        inside = np.all((ijk >= 0) & (ijk < self.cell_index.shape), axis=1)
+        ijk = np.where(inside[:, None], ijk, 0)
+        cell = np.where(inside, self.cell_index[tuple(ijk.T)], -1).astype(np.int64)
+        return cell, np.stack([t for _, t in located], axis=1)
+
+    def stencil_shifts(self) -> np.ndarray:
+        """Distance in the flattened ``node_index`` to each of the 343 neighbours."""
+        _, ny, nz = self.node_index.shape
+        d = np.arange(-STENCIL_REACH, STENCIL_REACH + 1)
+        x, y, z = np.meshgrid(d, d, d, indexing="ij")
+        return np.asarray(((x * ny + y) * nz + z).ravel(), dtype=np.int64)
+
+    def flat_nodes(self) -> np.ndarray:
+        """Where each node lies in the flattened ``node_index``."""
+        return np.asarray(
+            np.ravel_multi_index(tuple((self.nodes + STENCIL_REACH).T), self.node_index.shape), dtype=np.int64
+        )
+
+
+def count_active_cells(points: Points, spacing: float, reach: float) -> tuple[int, float]:
+    """How many cells `lay_cells` would activate, and how many the box around them holds.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    spacing, reach : float, m
+
+    Returns
+    -------
+    n_active : int
+        -1 where the box alone is too large to look at.
+    n_box : float
+    """
+    _, occupied, shape = _occupied(points, spacing, reach)
+    n_box = float(np.prod(shape.astype(float)))
+    if n_box > MAX_BOX_CELLS:
+        return -1, n_box
+    is_active = np.zeros(tuple(shape), dtype=np.bool_)
+    _activate(occupied, ball_offsets(reach / spacing), is_active)
+    return int(is_active.sum()), n_box
+
+
+def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
+    """Lay cells over all places within reach of a sample.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        Where samples are.
+    spacing : float, m
+        Side of a cell.
+    reach : float, m
+        Cells are active whose centre lies this near to the centre of a cell that holds a sample.
+
+    Returns
+    -------
+    CellGrid
+
+    Raises
+    ------
+    ConfigurationError
+        If more cells would be needed than memory allows.
+    """
+    low, occupied, shape = _occupied(points, spacing, reach)
+    n_box = float(np.prod(shape.astype(float)))
+    if n_box > MAX_BOX_CELLS:
+        _refuse(f"{n_box:.3g} cells in the box of the samples, at most {MAX_BOX_CELLS:,}", spacing)
+    is_active = np.zeros(tuple(shape), dtype=np.bool_)
+    _activate(occupied, ball_offsets(reach / spacing), is_active)
+    cells = np.argwhere(is_active)
+    if len(cells) > MAX_ACTIVE_CELLS:
+        _refuse(f"{len(cells):,} cells near samples, at most {MAX_ACTIVE_CELLS:,}", spacing)
+    cell_index = np.full(tuple(shape), -1, dtype=np.int32)
+    cell_index[is_active] = np.arange(len(cells), dtype=np.int32)
+    node_index = np.full(tuple(shape + 3 + 2 * STENCIL_REACH), -1, dtype=np.int32)
+    _mark_nodes(cells, node_index)
+    nodes = np.argwhere(node_index >= 0)
+    node_index[tuple(nodes.T)] = np.arange(len(nodes), dtype=np.int32)
+    cell_nodes = np.empty((len(cells), 64), dtype=np.int32)
+    _list_nodes(cells, node_index, cell_nodes)
+    return CellGrid(low, float(spacing), cells, cell_index, node_index, nodes - STENCIL_REACH, cell_nodes)
+
+
+def _refuse(needed: str, spacing: float) -> None:
+    msg = (
+        f"the region is too large for a spacing of {spacing:.3g} m: {needed}; use a wider spacing or map it in parts"
+    )
+    raise ConfigurationError(msg)
+
+
+def _occupied(points: Points, spacing: float, reach: float) -> tuple[Vector3, np.ndarray, np.ndarray]:
+    """Origin, distinct occupied cells and number of cells along each axis."""
+    if len(points) == 0:
+        msg = "expected at least one sample to lay cells around, got none"
+        raise ValueError(msg)
+    if not (spacing > 0 and reach >= 0):
+        msg = f"expected a positive spacing and a reach of at least 0, got {spacing} m and {reach} m"
+        raise ValueError(msg)
+    # Half a cell of slack centres a flat survey in its layer of cells instead of leaving it on a boundary.
+    pad = int(np.floor(reach / spacing + 1e-9))
+    low = points.min(axis=0) - (pad + 0.5) * spacing
+    extent = np.floor((points.max(axis=0) - low) / spacing) + 1 + pad
+    if np.prod(extent) > MAX_BOX_CELLS:
+        return low, np.zeros((0, 3), dtype=np.int64), extent
+    shape = extent.astype(np.int64)
+    ijk = np.floor((points - low) / spacing).astype(np.int64)
+    flat = np.unique(np.ravel_multi_index(tuple(ijk.T), tuple(shape)))
+    return low, np.stack(np.unravel_index(flat, tuple(shape)), axis=1).astype(np.int64), shape
+
+
+@njit(cache=True)
+def _activate(occupied: np.ndarray, offsets: np.ndarray, is_active: np.ndarray) -> None:
+    for i in range(occupied.shape[0]):
+        for k in range(offsets.shape[0]):
+            is_active[
+                occupied[i, 0] + offsets[k, 0], occupied[i, 1] + offsets[k, 1], occupied[i, 2] + offsets[k, 2]
+            ] = True
+
+
+@njit(cache=True)
+def _mark_nodes(cells: np.ndarray, node_index: np.ndarray) -> None:
+    for n in range(cells.shape[0]):
+        for a in range(4):
+            for b in range(4):
+                for c in range(4):
+                    node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3] = 0
+
+
+@njit(cache=True)
+def _list_nodes(cells: np.ndarray, node_index: np.ndarray, cell_nodes: np.ndarray) -> None:
+    for n in range(cells.shape[0]):
+        for k in range(64):
+            a, b, c = k // 16, (k // 4) % 4, k % 4
+            cell_nodes[n, k] = node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3]

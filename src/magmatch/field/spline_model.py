@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The spline potential as a linear model: cells, information of samples, posterior."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magmatch.field.cells import HALF_OFFSET, CellGrid, lay_cells
+from magmatch.field.element_matrices import lone_cell_covariance, prior_element
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Axes
+from magmatch.field.multifrontal import CholeskyFactor, factorise
+from magmatch.field.nested_dissection import Elimination, order_elimination
+from magmatch.field.selected_inverse import selected_inverse
+from magmatch.field.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
+from magmatch.field.spline_kernels import add_gram, axis_tables, evaluate_grid, evaluate_points, point_covariances
+from magmatch.field.stencil_matrix import StencilMatrix, sum_of_elements
+from magmatch.field.values import FieldValues
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+
+# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
+CONSTANT_SD = 1e-4
+# How far beyond occupied cells the basis reaches, in cells. Less leaves gaps to guesses; more costs time.
+REACH_IN_CELLS = 2.5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SplineInformation:
+    """What samples say about the weights, in units of the noise: sums over samples, so they add and subtract.
+
+    Attributes
+    ----------
+    gram : StencilMatrix
+        ``sum W Phi^T Phi``.
+    eta : (m + 3,) array, T
+        ``sum W Phi^T b``.
+    square : float, T^2
+        ``sum W |b|^2``.
+    n_values : float
+        Number of measured components.
+    """
+
+    gram: StencilMatrix
+    eta: np.ndarray
+    square: float
+    n_values: float
+
+    def __add__(self, other: "SplineInformation") -> "SplineInformation":
+        """Information of both data sets."""
+        return SplineInformation(
+            self.gram + other.gram, self.eta + other.eta, self.square + other.square, self.n_values + other.n_values
+        )
+
+    def __sub__(self, other: "SplineInformation") -> "SplineInformation":
+        """Take off information that was counted twice."""
+        return SplineInformation(
+            self.gram - other.gram, self.eta - other.eta, self.square - other.square, self.n_values - other.n_values
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SplineModel:
+    """Splines over the cells near given points, with fixed hyperparameters.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    cells : CellGrid
+    elimination : Elimination
+    """
+
+    hyperparameters: Hyperparameters
+    cells: CellGrid
+    elimination: Elimination
+
+    @classmethod
+    def over(cls, points: Points, hyperparameters: Hyperparameters) -> "SplineModel":
+        """Lay splines over the surroundings of points."""
+        cells = lay_cells(points, hyperparameters.spacing, REACH_IN_CELLS * hyperparameters.spacing)
+        return cls(hyperparameters, cells, order_elimination(cells))
+
+    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> SplineInformation:
+        """Information in samples; those outside the active cells inform the constant field alone."""
+        m = self.cells.n_nodes
+        weight = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
+        b = np.ascontiguousarray(field, dtype=np.float64)
+        cell, t = self.cells.locate(points)
+        gram, eta = StencilMatrix.zeros(m), np.zeros(m + 3)
+        order = np.argsort(cell, kind="stable")
+        order = order[np.searchsorted(cell[order], 0) :]
+        add_gram(
+            order, cell, t, b, weight, self.cells.cell_nodes, FIRST, HALF_OFFSET, gram.stencil, gram.border, eta[:m]
+        )
+        gram.corner[:] = weight.sum() * np.eye(3)
+        eta[m:] = weight @ b
+        return SplineInformation(gram, eta, float(weight @ (b**2).sum(axis=1)), float(b.size))
+
+    def prior_precision(self) -> StencilMatrix:
+        """Prior precision of the weights in units of the noise's, ``noise_sd^2 P0``."""
+        h = self.hyperparameters
+        element, covariance = prior_terms(h)
+        scale = (h.noise_sd / h.signal_sd) ** 2 * covariance[0, 0]
+        stencil = sum_of_elements(self.cells, element * scale)
+        return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2)
+
+    def infer(self, information: SplineInformation) -> "SplinePosterior":
+        """Posterior of the weights given information."""
+        factor = factorise(self.elimination, information.gram + self.prior_precision())
+        return SplinePosterior(self.hyperparameters, self.cells, factor, factor.solve(information.eta))
+
+
+def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
+    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
+    relative = h.lengthscale / h.spacing
+    return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, REACH_IN_CELLS)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SplinePosterior:
+    """A fitted spline potential.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    cells : CellGrid
+    factor : CholeskyFactor
+        Of the posterior precision times the noise variance.
+    weights : (m + 3,) array, T
+        Posterior mean.
+    """
+
+    hyperparameters: Hyperparameters
+    cells: CellGrid
+    factor: CholeskyFactor
+    weights: np.ndarray
+    _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+        """Field and derivatives at points; outside the active cells the constant field alone."""
+        w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
+        derivatives = derivative_table(order)
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        out = np.zeros((len(cell), len(derivatives)))
+        evaluate_points(cell, t, self.cells.cell_nodes, w, derivatives, self.cells.spacing, out)
+        return _as_values(out, w[-3:], order)
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, one axis after the other."""
+        derivatives = derivative_table(order)
+        located = [self.cells.axis_cells(x, k) for k, x in enumerate(axes)]
+        (ix, tx), (iy, ty), (iz, tz) = located
+        out = np.zeros((len(ix) * len(iy) * len(iz), len(derivatives)))
+        evaluate_grid(
+            ix, iy, iz, axis_tables(tx), axis_tables(ty), axis_tables(tz), self.cells.cell_index,
+            self.cells.node_index, self.weights, derivatives, self.cells.spacing, out,
+        )  # fmt: skip
+        return _as_values(out, self.weights[-3:], order)
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Posterior covariance of field (and gradient) at each point; the prior's outside the active cells.
+
+        There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
+        """
+        derivatives = derivative_table(min(order, 1))
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        inverse, h = self._selected_inverse(), self.hyperparameters
+        out = np.zeros((len(cell), len(derivatives), len(derivatives)))
+        point_covariances(
+            np.argsort(cell, kind="stable"), cell, t, self.cells.cell_nodes, derivatives, self.cells.spacing,
+            HALF_OFFSET, inverse.stencil, inverse.border, inverse.corner, out,
+        )  # fmt: skip
+        out *= h.noise_sd**2
+        out[cell < 0] = self._outside(inverse)[: len(derivatives), : len(derivatives)]
+        return out if order == 0 else _expand(out)
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+        """Posterior samples of the weights, (n_draws, m + 3)."""
+        white = rng.standard_normal((len(self.weights), n_draws))
+        return np.ascontiguousarray(self.weights + self.hyperparameters.noise_sd * self.factor.solve_half(white).T)
+
+    def knows(self, points: Points) -> Mask:
+        """Whether each point lies in an active cell."""
+        return np.asarray(self.cells.locate(np.asarray(points, dtype=np.float64))[0] >= 0)
+
+    def _selected_inverse(self) -> StencilMatrix:
+        """Compute once, on first use: it costs about twice a factorisation."""
+        if not self._inverse:
+            self._inverse.append(selected_inverse(self.factor))
+        return self._inverse[0]
+
+    def _outside(self, inverse: StencilMatrix) -> np.ndarray:
+        """Covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
+        h = self.hyperparameters
+        prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
+        per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
+        covariance = h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing)
+        covariance[:3, :3] += h.noise_sd**2 * inverse.corner
+        return np.asarray(covariance)
+
+
+def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:
+    """Field values from the list of distinct derivatives."""
+    return FieldValues(
+        distinct[:, :3] + constant,
+        distinct[:, 3:9][:, GRADIENT_INDEX] if order >= 1 else None,
+        distinct[:, 9:][:, SECOND_INDEX] if order >= 2 else None,
+    )
+
+
+def _expand(covariance: np.ndarray) -> np.ndarray:
+    """From field and 6 distinct gradient entries to field and all 9, row-major."""
+    rows = np.concatenate([np.arange(3), 3 + GRADIENT_INDEX.ravel()])
+    return np.asarray(covariance[:, rows[:, None], rows])
