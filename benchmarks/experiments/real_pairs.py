@@ -25,6 +25,8 @@ LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
 @dataclass(frozen=True)
 class Pair:
+    """Two surveys in one frame, and how far the answer may be off."""
+
     group: str
     name: str
     base: Survey
@@ -93,8 +95,8 @@ def main() -> None:
         outcome.setdefault(pair.group, []).append(bool(is_right and result.is_accepted))
         print(
             f"{pair.group:12s} {pair.name:28s} n {len(pair.base):5d} {len(pair.target):5d}  {result.status:13s} "
-            f"{'right' if is_right else 'WRONG'}  {1e3 * distance:7.0f} mm {np.degrees(angle):6.2f} deg  {seconds:5.2f} s"
-            f"  | {result.reason}",
+            f"{'right' if is_right else 'WRONG'}  {1e3 * distance:7.0f} mm {np.degrees(angle):6.2f} deg"
+            f"  {seconds:5.2f} s  | {result.reason}",
             flush=True,
         )
     for group, successes in outcome.items():
