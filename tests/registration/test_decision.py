@@ -1,0 +1,56 @@
+"""Which check refuses what."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from magmatch.registration.decision import DecisionConfig, decide, decide_by_fitness
+from magmatch.registration.result import Status
+
+CONFIG = DecisionConfig()
+
+
+def evidence(**changes):
+    good = dict(overlap=0.9, n_informative=40, n_good=38, good_share=0.95, log_evidence=200.0)
+    return SimpleNamespace(**(good | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_free", "lead", "status"),
+    [
+        ({}, False, np.inf, Status.ACCEPTED),
+        ({}, False, 100.0, Status.ACCEPTED),
+        ({"overlap": 0.01}, False, np.inf, Status.NO_OVERLAP),
+        ({"n_informative": 2}, False, np.inf, Status.UNINFORMATIVE),
+        ({"n_good": 10, "good_share": 0.25}, False, np.inf, Status.INCONSISTENT),
+        ({"log_evidence": 5.0}, False, np.inf, Status.INCONSISTENT),
+        ({}, False, 1.0, Status.AMBIGUOUS),
+        ({}, True, np.inf, Status.DEGENERATE),
+    ],
+)
+def test_each_check_gives_its_own_status(changes, is_free, lead, status):
+    assert decide([evidence(**changes)], is_free, lead, CONFIG).status is status
+
+
+def test_no_pose_at_all_is_a_result():
+    assert decide([], False, np.inf, CONFIG).status is Status.UNINFORMATIVE
+
+
+def test_reason_names_the_number_that_decided():
+    verdict = decide([evidence(overlap=0.01)], False, np.inf, CONFIG)
+    assert "1%" in verdict.reason
+    assert "5%" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("fitness", "overlap", "status"),
+    [
+        (None, 0.0, Status.UNINFORMATIVE),
+        (0.01, 0.01, Status.NO_OVERLAP),
+        (0.9, 0.9, Status.INCONSISTENT),
+        (0.01, 0.9, Status.ACCEPTED),
+    ],
+)
+def test_published_rule_looks_at_fitness_alone(fitness, overlap, status):
+    assert decide_by_fitness(fitness, overlap, CONFIG).status is status
