@@ -12,7 +12,7 @@ CONFIG = DecisionConfig()
 
 
 def evidence(**changes):
-    good = dict(overlap=0.9, n_informative=40, n_good=38, good_share=0.95, log_evidence=200.0)
+    good = {"overlap": 0.9, "n_informative": 40, "n_good": 38, "good_share": 0.95, "log_evidence": 200.0}
     return SimpleNamespace(**(good | changes))
 
 
