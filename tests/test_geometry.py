@@ -1,0 +1,81 @@
+"""Laws of rigid motions: points, vectors and tensors move differently."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import (
+    exp_se3,
+    log_se3,
+    random_transform,
+    rotate_tensors,
+    rotate_third_order,
+    rotate_vectors,
+    skew,
+    transform_error,
+    transform_points,
+)
+
+SEEDS = st.integers(0, 10_000)
+LAW = settings(max_examples=20, deadline=None, derandomize=True)
+
+
+def two_transforms(seed):
+    rng = np.random.default_rng(seed)
+    return random_transform(rng), random_transform(rng), rng
+
+
+@given(seed=SEEDS)
+@LAW
+def test_moving_twice_is_moving_by_the_product(seed):
+    T_a_b, T_b_c, rng = two_transforms(seed)
+    p, G, D = rng.normal(size=(5, 3)), rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3, 3, 3))
+    for move, x in (
+        (transform_points, p),
+        (rotate_vectors, p),
+        (rotate_tensors, G),
+        (rotate_third_order, D),
+    ):
+        np.testing.assert_allclose(move(move(x, T_b_c), T_a_b), move(x, T_a_b * T_b_c), atol=1e-12)
+
+
+@given(seed=SEEDS)
+@LAW
+def test_derivatives_of_a_field_move_as_tensors(seed):
+    # A quadratic field B_a = G_ab x_b + D_abc x_b x_c / 2 has gradient G and second derivatives D at the origin.
+    T, _, rng = two_transforms(seed)
+    G, D = rng.normal(size=(1, 3, 3)), rng.normal(size=(1, 3, 3, 3))
+    D = D + np.swapaxes(D, 2, 3)
+    R = T.rotation.as_matrix()
+    x = rng.normal(size=3)
+    moved_field = R @ (G[0] @ x + np.einsum("abc,b,c->a", D[0], x, x) / 2)
+    y = R @ x
+    G2, D2 = rotate_tensors(G, T)[0], rotate_third_order(D, T)[0]
+    np.testing.assert_allclose(G2 @ y + np.einsum("abc,b,c->a", D2, y, y) / 2, moved_field, atol=1e-12)
+
+
+@given(seed=SEEDS)
+@LAW
+def test_exponential_and_logarithm_are_inverse(seed):
+    T, _, _ = two_transforms(seed)
+    np.testing.assert_allclose(exp_se3(log_se3(T)).as_matrix(), T.as_matrix(), atol=1e-12)
+
+
+def test_tangent_vectors_are_rotation_first():
+    T = exp_se3(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(T.translation, [1, 2, 3])
+    np.testing.assert_allclose(T.rotation.magnitude(), 0)
+
+
+def test_skew_is_the_cross_product():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b))
+
+
+def test_transform_error_is_measured_at_the_centre():
+    T = exp_se3(np.array([0, 0, 0.1, 0, 0, 0]))
+    distance, angle = transform_error(T, RigidTransform.identity(), np.array([2.0, 0.0, 0.0]))
+    np.testing.assert_allclose(angle, 0.1)
+    np.testing.assert_allclose(distance, 2 * 2 * np.sin(0.05))
