@@ -23,6 +23,8 @@ ODD_EXTENT = (0.01, 5e3)  # m; outside, millimetres, degrees or projected coordi
 ODD_SPEED = 50.0  # m/s, median along the samples
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
+# Variance in the other frame over that in the declared one. Tablet walks: 0.12 to 0.75 the right way round.
+WRONG_FRAME = 0.7
 CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 
 
@@ -171,7 +173,7 @@ def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
 def _doubt_shape(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
     offset = survey.positions - survey.centroid
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(offset.T @ offset / len(survey))[::-1], 0))
-    flat = min(FLAT, FLAT * spread[0] if spread[0] < 1 else FLAT)
+    flat = FLAT * min(1.0, spread[0])
     if spread[1] <= flat:
         yield "all samples lie on one line: the field beside it, and turns about it, are hardly known"
     elif spread[2] <= flat:
@@ -199,10 +201,8 @@ def _doubt_frame(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
     """Turned the wrong way, the Earth's part of the field spreads out; turned right, it stands still."""
     if survey.orientations is None:
         return
-    n_turns = survey.orientations if layout.field_frame == "survey" else survey.orientations.inv()
-    spread = float(survey.field.var(axis=0).sum())
-    other = float(n_turns.apply(survey.field).var(axis=0).sum())
-    if other < 0.5 * spread:
+    other_field = survey.orientations.apply(survey.field, inverse=layout.field_frame == "sensor")
+    if other_field.var(axis=0).sum() < WRONG_FRAME * survey.field.var(axis=0).sum():
         right = "sensor" if layout.field_frame == "survey" else "survey"
         yield (
             f"the field looks like vectors in the {right} frame, though read as {layout.field_frame} frame "

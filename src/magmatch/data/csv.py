@@ -9,6 +9,7 @@ import numpy as np
 
 from magmatch.data.format import SurveyFormat
 from magmatch.data.quaternions import QUATERNION
+from magmatch.data.sniff import sniff
 from magmatch.data.survey import COLUMNS, FIELD_COLUMNS, POSITION_COLUMNS, Survey
 from magmatch.data.table import Table, read_table
 from magmatch.data.trajectory import Trajectory
@@ -98,6 +99,9 @@ def _with_poses_from(table: Table, trajectory_path: Path) -> Survey:
         logger.warning(
             "%s: columns %s are ignored, poses come from %s", table.path, ", ".join(ignored), trajectory_path
         )
+    kind = sniff(trajectory_path)
+    if kind in {"map", "registration"}:
+        raise DataFormatError(trajectory_path, f"is a saved {kind}, expected a TUM trajectory (t x y z qx qy qz qw)")
     trajectory = Trajectory.load(trajectory_path)
     times = table.columns["t"]
     is_covered = trajectory.covers(times)

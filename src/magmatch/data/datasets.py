@@ -196,11 +196,12 @@ def fetch(name: str, source_dir: str | Path | None = None, cache_dir: str | Path
     cache = cache_folder(cache_dir) / name
     missing = [file for file, digest in dataset.files.items() if not _is_whole(cache / file, digest)]
     logger.info("%s: %s. Licence: %s Cite: %s", name, dataset.title, dataset.licence, dataset.citation)
-    if missing and source_dir is not None:
-        for file, source in verified_files(name, source_dir).items():
+    if source_dir is not None:
+        sources = verified_files(name, source_dir)
+        for file in missing:
             (cache / file).parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(cache / file) as stream:
-                stream.write(source.read_bytes())
+                stream.write(sources[file].read_bytes())
     elif missing:
         _download(dataset, missing, cache)
     return {file: cache / file for file in dataset.files}

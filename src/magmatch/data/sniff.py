@@ -62,14 +62,14 @@ def sniff(path: str | Path) -> FileKind:
         None of these; says what it seems to be and what to do.
     """
     head = read_bytes(path, _HEAD)
-    if head.startswith(b"PK\x03\x04"):
+    if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         return _sniff_archive(path)
     for signature, what, advice in _FOREIGN:
         if head.startswith(signature):
             raise DataFormatError(path, f"is a {what} file, expected a survey (CSV) or a saved map; {advice}")
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in {b"{", b"["}:
         return _sniff_json(path)
-    if len(head) == _HEAD and b"\n" in head:
+    if len(head) == _HEAD and b"\n" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
     for line in text_lines(path, head):
         text = line.strip()
@@ -87,7 +87,9 @@ def _sniff_archive(path: str | Path) -> FileKind:
         raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
     if "[Content_Types].xml" in members:
         raise DataFormatError(path, "is an Excel workbook or Office document; export the sheet as CSV")
-    if members and all(name.endswith(".npy") for name in members):
+    if all(name.lower().endswith((".csv", ".txt", "/")) for name in members):
+        raise DataFormatError(path, f"is a zip archive of {len(members)} text files or none; unpack it first")
+    if all(name.endswith(".npy") for name in members):
         raise DataFormatError(
             path, "is a NumPy .npz archive, expected a survey (CSV) or a saved map; export it as CSV"
         )

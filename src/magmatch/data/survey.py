@@ -243,12 +243,12 @@ def _about(table: Table) -> dict[str, Any]:
     text = next((c.removeprefix(SCHEMA) for c in table.comments if c.startswith(SCHEMA)), "{}")
     try:
         about = json.loads(text)
-        return {
-            "frame": str(about.get("frame", "survey")),
-            "pose_sd": max(float(about.get("pose_sd", 0.0)), 0.0),
-        }
+        frame, pose_sd = str(about.get("frame", "survey")), float(about.get("pose_sd", 0.0))
     except (ValueError, TypeError, AttributeError):
+        pose_sd = -1.0
+    if not 0 <= pose_sd < np.inf:
         message = (
             f'expected {SCHEMA} {{"frame": ..., "pose_sd": ...}} in its first comment, found {text.strip()[:60]}'
         )
-        raise DataFormatError(table.path, message) from None
+        raise DataFormatError(table.path, message)
+    return {"frame": frame, "pose_sd": pose_sd}

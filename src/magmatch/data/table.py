@@ -2,6 +2,8 @@
 """Text tables of numbers: read by column name, faults found by line and column, written whole or not at all."""
 
 import csv
+import errno
+import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +16,9 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 # Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
 CHUNK_ROWS = 20_000
+
+# Faults of the name that was given; others are faults of the machine.
+BAD_NAME = {errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EINVAL}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,8 +56,9 @@ class Table:
         """Raise DataFormatError, naming what was expected and found, unless all these columns are there."""
         missing = [name for name in names if name not in self.columns]
         if missing:
-            found = ", ".join(name or "(unnamed)" for name in self.names)
-            message = f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {found}"
+            message = (
+                f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {_listed(self.names)}"
+            )
             raise DataFormatError(self.path, f"{message}. {hint}" if hint else message)
 
     def stack(self, *names: str) -> Matrix:
@@ -93,17 +99,24 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
         No such file, a folder, a device, or no permission to read.
     """
     place = Path(path)
+    if "\0" in str(path):
+        raise DataFormatError(path, "holds a NUL character, expected the name of a file")
     try:
-        if place.is_dir():
-            raise DataFormatError(path, "is a folder, expected a file")
-        if not place.exists():
-            raise DataFormatError(path, "no such file")
-        if not place.is_file():
+        mode = place.stat().st_mode
+        if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
             raise DataFormatError(path, "is not a regular file (a device, pipe or socket), expected a file")
+        if stat.S_ISDIR(mode):
+            raise DataFormatError(path, "is a folder, expected a file")
         with place.open("rb") as stream:
             return stream.read(limit)
+    except FileNotFoundError:
+        raise DataFormatError(path, "no such file") from None
     except PermissionError:
         raise DataFormatError(path, "no permission to read it") from None
+    except OSError as error:
+        if error.errno not in BAD_NAME:
+            raise
+        raise DataFormatError(path, f"cannot be opened: {error.strerror}") from None
 
 
 def text_lines(path: str | Path, raw: bytes) -> list[str]:
@@ -168,7 +181,8 @@ def read_table(path: str | Path, known: Collection[str], names: Sequence[str] | 
         With line and column wherever one is at fault.
     """
     lines = text_lines(path, read_bytes(path))
-    numbers = [i for i, line in enumerate(lines) if (text := line.lstrip()) and text[0] != "#"]
+    # A row of delimiters alone is what spreadsheets write for a blank line.
+    numbers = [i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")]
     if not numbers:
         raise DataFormatError(path, "holds only comments and blank lines, expected rows of numbers")
     comments = tuple(line.strip().lstrip("#").strip() for line in lines[: numbers[0]] if line.strip())
@@ -179,6 +193,8 @@ def read_table(path: str | Path, known: Collection[str], names: Sequence[str] | 
     if not numbers:
         raise DataFormatError(path, "has a header row but no samples under it")
     wanted = {name: k for k, name in enumerate(names) if name in known}
+    if not wanted:
+        raise DataFormatError(path, f"expected columns such as {_listed(tuple(known))}; found {_listed(names)}")
     blocks: list[Matrix] = []
     for start in range(0, len(numbers), CHUNK_ROWS):
         chunk = numbers[start : start + CHUNK_ROWS]
@@ -271,7 +287,7 @@ def _cells(
         while len(row) > width and not row[-1].strip():
             row.pop()
         if len(row) != width:
-            message = f"expected {width} cells ({', '.join(name or '-' for name in names)}), found {len(row)}"
+            message = f"expected {width} cells ({_listed(names)}), found {len(row)}"
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
             raise DataFormatError(path, message, line=i + 1)
@@ -300,12 +316,18 @@ def _first_fault(
                 return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
             if not _is_number(text):
                 hint = " (write decimals with a point)" if _is_number(text.replace(",", ".")) else ""
-                return DataFormatError(path, f"expected a number, found '{text[:40]}'{hint}", line=i + 1, column=name)
+                return DataFormatError(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
             if not np.isfinite(float(text)):
-                message = f"expected a finite number, found '{text[:40]}'; remove the row or repair it"
+                message = f"expected a finite number, found {text[:40]!r}; remove the row or repair it"
                 return DataFormatError(path, message, line=i + 1, column=name)
     msg = "a fault was reported but none found"
     raise AssertionError(msg)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Column names for a message; a file that is no table at all may have thousands."""
+    shown = [name[:30] if name.isprintable() else "(unprintable)" for name in names[:15]]
+    return ", ".join(name or "(unnamed)" for name in shown) + (", ..." if len(names) > len(shown) else "")
 
 
 def _is_number(text: str) -> bool:

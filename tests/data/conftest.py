@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Small surveys and the real recordings, where they are present."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.survey import Survey
+
+RECORDINGS = Path(__file__).parents[2] / "../shared/data"
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+@pytest.fixture
+def room(rng):
+    """Fifty samples of a smooth field in a room, with times and orientations."""
+    n = 50
+    positions = rng.uniform(0.0, 3.0, (n, 3))
+    field = np.array([18e-6, 3e-6, -45e-6]) + 2e-6 * np.sin(positions)
+    return Survey(positions, field, 0.5 * np.arange(n), Rotation.random(n, rng=rng), name="room")
+
+
+@pytest.fixture
+def recordings():
+    """Folder of the real recordings."""
+    if not RECORDINGS.is_dir():
+        pytest.skip("the real recordings are not on this machine (magmatch datasets fetch NAME)")
+    return RECORDINGS

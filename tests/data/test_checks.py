@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What no survey can be is refused; what is odd is said; what is ordinary passes in silence."""
+
+import json
+import logging
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.checks import check_survey
+from magmatch.data.describe import describe
+from magmatch.data.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.survey import Survey
+from magmatch.data.units import TESLA_PER_UNIT, field_text, likely_field_unit
+from magmatch.errors import SurveyError
+
+
+def test_ordinary_survey_passes_in_silence(room):
+    assert check_survey(room) == []
+
+
+def changed(survey, attribute, index, value):
+    values = getattr(survey, attribute).copy()
+    values[index] = value
+    return replace(survey, **{attribute: values})
+
+
+REFUSED = {
+    "empty": (lambda s: s.subset(np.arange(0)), "at least 10 samples, found 0"),
+    "nine samples": (lambda s: s.subset(np.arange(9)), "at least 10 samples, found 9"),
+    "NaN position": (lambda s: changed(s, "positions", (4, 1), np.nan), "positions hold NaN .* sample 4"),
+    "infinite field": (lambda s: changed(s, "field", (5, 2), np.inf), "field hold NaN or infinity .* sample 5"),
+    "NaN time": (lambda s: changed(s, "times", 6, np.nan), "times hold NaN .* sample 6"),
+    "repeated time": (lambda s: changed(s, "times", 7, s.times[6]), "time repeats at sample 7: 3 after 3 s"),
+    "backward time": (lambda s: changed(s, "times", 7, 0.0), "time runs backward at sample 7: 0 after 3 s"),
+    "spike": (lambda s: changed(s, "field", (8, 0), 0.2), "sample 8 is 200 mT, expected at most 100 mT"),
+    "zero field": (lambda s: replace(s, field=0 * s.field), "every field value is zero"),
+    "one point": (lambda s: replace(s, positions=0 * s.positions + 1), "one point"),
+    "too large": (lambda s: replace(s, positions=1e6 * s.positions), "km, expected less than 100 km"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_impossible_survey_is_refused(name, room):
+    change, words = REFUSED[name]
+    with pytest.raises(SurveyError, match=f"room: .*{words}"):
+        check_survey(change(room))
+
+
+SAID = {
+    "line": (lambda s: replace(s, positions=s.positions[:, :1] * [1.0, 2.0, 0.0]), "one line"),
+    "tilted plane": (lambda s: replace(s, positions=s.positions @ tilted_plane()), "one plane"),
+    "time gap": (lambda s: replace(s, times=s.times + 60 * (s.times > 10)), "1 gaps, 60.5 s in all"),
+    "standing still": (lambda s: replace(s, positions=np.repeat(s.positions[::5], 5, axis=0)), "repeat the position"),
+    "stuck sensor": (lambda s: replace(s, field=np.repeat(s.field[::5], 5, axis=0)), "repeat the field"),
+    "constant field": (lambda s: replace(s, field=0 * s.field + 30e-6), "field is constant"),
+    "weak field": (lambda s: replace(s, field=s.field / 100), "unusual on Earth"),
+    "strong field": (lambda s: replace(s, field=s.field * 100), "unusual on Earth"),
+    "tiny": (lambda s: replace(s, positions=s.positions * 1e-4), "span only"),
+    "huge": (lambda s: replace(s, positions=s.positions * 5e3, times=1e4 * s.times), "span 14.* km"),
+    "too fast": (lambda s: replace(s, times=s.times / 100), "moves at .* m/s"),
+}
+
+
+def tilted_plane():
+    normal = np.array([1.0, -2.0, 2.0]) / 3
+    return np.eye(3) - np.outer(normal, normal)
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_odd_survey_is_said_but_not_refused(name, room):
+    change, words = SAID[name]
+    warnings = check_survey(change(room))
+    assert len(warnings) == 1
+    assert re.search(words, warnings[0]), warnings
+
+
+@pytest.mark.parametrize("declared", ["survey", "sensor"])
+def test_field_in_the_other_frame_than_declared_is_said(declared, room):
+    inverse = declared == "survey"  # sensor vectors taken for survey vectors, or survey vectors turned once more
+    wrong = replace(room, field=room.orientations.apply(room.field, inverse=inverse))
+    (warning,) = check_survey(wrong, SurveyFormat(field_frame=declared))
+    assert f"--field-frame {'sensor' if declared == 'survey' else 'survey'}" in warning
+    assert check_survey(room, SurveyFormat(field_frame=declared)) == []
+
+
+def test_warnings_reach_the_log_with_the_file_name(room, tmp_path, caplog):
+    path = tmp_path / "flat.csv"
+    replace(room, positions=room.positions * [1.0, 1.0, 0.0]).save(path)
+    with caplog.at_level(logging.WARNING, logger="magmatch"):
+        read_survey(path)
+    assert f"{path}: all samples lie on one plane" in caplog.text
+
+
+@pytest.mark.parametrize("unit", TESLA_PER_UNIT)
+@settings(deadline=None, derandomize=True, max_examples=20)
+@given(field=st.floats(22e-6, 67e-6))
+def test_the_unit_of_any_place_on_earth_is_recognised(unit, field):
+    assert likely_field_unit(field / TESLA_PER_UNIT[unit]) == unit
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(median=st.floats(1.001e-9, 19.99e-3), seed=st.integers(0, 9))
+def test_every_median_between_the_bounds_is_accepted(median, seed):
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(31, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    magnitude = median * np.clip(np.sort(rng.lognormal(size=31)), 0.1, 3)
+    magnitude *= median / magnitude[15]
+    check_survey(Survey(rng.uniform(0, 3, (31, 3)), direction * np.clip(magnitude, None, 0.09)[:, None]))
+
+
+def test_field_of_the_published_simulation_is_accepted(rng):
+    field = rng.uniform(-10e-3, 10e-3, (500, 3)) + rng.normal(0, 10e-3, (500, 3))  # +-100 G and 0.01 T of noise
+    check_survey(Survey(rng.uniform(0, 3, (500, 3)), field))
+
+
+@pytest.mark.parametrize(
+    ("tesla", "text"), [(48.25e-6, "48.2 uT"), (48.0, "48 T"), (0.048, "48 mT"), (3e-10, "0.3 nT"), (0.0, "0 nT")]
+)
+def test_field_text_names_a_fitting_unit(tesla, text):
+    assert field_text(tesla) == text
+
+
+def test_description_holds_counts_extent_time_and_doubts(room):
+    gapped = replace(room, times=room.times + 60 * (room.times > 10), pose_sd=0.02)
+    about = describe(gapped)
+    assert about["samples"] == 50
+    assert about["pose_sd"] == 0.02
+    assert about["orientations"] is True
+    np.testing.assert_allclose(about["extent"], np.ptp(room.positions, axis=0))
+    assert about["time"]["gaps"] == 1
+    assert about["time"]["longest_gap"] == 60.5
+    assert about["time"]["rate"] == pytest.approx(2.0)
+    np.testing.assert_allclose(about["field"]["mean"], room.field.mean(axis=0))
+    assert about["warnings"] == check_survey(gapped)
+
+
+def test_description_is_ready_for_json(room):
+    timeless = Survey(room.positions, room.field, orientations=Rotation.identity(len(room)))
+    assert json.loads(json.dumps(describe(timeless)))["time"] is None

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Public recordings: only whole, verified files are used; what stands in the way is said in one line."""
+
+import hashlib
+import logging
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pooch
+import pytest
+import requests
+
+from magmatch.data import datasets
+from magmatch.data.checks import check_survey
+from magmatch.data.datasets import DATASETS, Dataset, fetch, verified_files
+from magmatch.data.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.recordings import load_recordings
+from magmatch.errors import ConfigurationError, DataFormatError, DatasetError, MissingExtraError
+
+CONTENT = {"a.csv": b"1,2,3\n", "run/b.csv": b"4,5,6\n"}
+
+
+@pytest.fixture
+def toy(monkeypatch):
+    """A data set of two tiny files in the table."""
+    digests = {file: hashlib.sha256(content).hexdigest() for file, content in CONTENT.items()}
+    entry = Dataset("toy", "Two files", "Nobody, 2024", "MIT", "owner/repo", "c" * 40, "data", digests)
+    monkeypatch.setitem(DATASETS, "toy", entry)
+    return entry
+
+
+@pytest.fixture
+def source(tmp_path):
+    """A folder with the toy's files."""
+    for file, content in CONTENT.items():
+        path = tmp_path / "source" / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return tmp_path / "source"
+
+
+class Web:
+    """Stands in for the network: answers with what it is told to, and counts."""
+
+    def __init__(self, answer):
+        self.answer, self.urls = answer, []
+
+    def __call__(self, url, output_file, _pooch):
+        self.urls.append(url)
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        with open(output_file, "wb") as stream:  # noqa: PTH123  (pooch hands over a name)
+            stream.write(self.answer[url.split("/data/")[1]])
+
+
+@pytest.fixture
+def web(monkeypatch):
+    def install(answer):
+        stand_in = Web(answer)
+        monkeypatch.setattr(pooch, "HTTPDownloader", lambda **_: stand_in)
+        monkeypatch.setattr("time.sleep", lambda _seconds: None)
+        return stand_in
+
+    return install
+
+
+def test_download_fills_the_cache_once(toy, web, tmp_path):
+    network = web(CONTENT)
+    files = fetch("toy", cache_dir=tmp_path)
+    assert {file: path.read_bytes() for file, path in files.items()} == CONTENT
+    assert network.urls == [toy.url(file) for file in CONTENT]
+    assert fetch("toy", cache_dir=tmp_path) == files
+    assert len(network.urls) == len(CONTENT)
+
+
+def test_url_names_repository_commit_and_path(toy):
+    assert toy.url("run/b.csv") == f"https://raw.githubusercontent.com/owner/repo/{'c' * 40}/data/run/b.csv"
+
+
+def test_licence_and_citation_are_logged_before_the_download(toy, web, tmp_path, caplog):
+    web(requests.exceptions.ConnectionError("down"))
+    with caplog.at_level(logging.INFO, logger="magmatch"), pytest.raises(DatasetError):
+        fetch("toy", cache_dir=tmp_path)
+    assert "Licence: MIT Cite: Nobody, 2024" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "error", [requests.exceptions.ConnectionError("long\ntext"), requests.exceptions.ReadTimeout(), OSError("reset")]
+)
+def test_no_connection_is_one_line_with_a_way_out(toy, web, tmp_path, error):
+    web(error)
+    with pytest.raises(DatasetError, match=r"cannot download https.*--from FOLDER") as caught:
+        fetch("toy", cache_dir=tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_page_names_the_status(toy, web, tmp_path):
+    response = requests.Response()
+    response.status_code = 404
+    web(requests.exceptions.HTTPError("gone", response=response))
+    with pytest.raises(DatasetError, match="HTTP status 404"):
+        fetch("toy", cache_dir=tmp_path)
+
+
+def test_download_that_differs_from_what_was_published_is_refused(toy, web, tmp_path):
+    web(dict.fromkeys(CONTENT, b"another"))
+    with pytest.raises(DatasetError, match="not what was published"):
+        fetch("toy", cache_dir=tmp_path)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_damaged_file_in_the_cache_is_brought_again(toy, web, tmp_path):
+    network = web(CONTENT)
+    files = fetch("toy", cache_dir=tmp_path)
+    files["a.csv"].write_bytes(b"damaged")
+    fetch("toy", cache_dir=tmp_path)
+    assert files["a.csv"].read_bytes() == CONTENT["a.csv"]
+    assert network.urls[-1] == toy.url("a.csv")
+
+
+@pytest.mark.parametrize("is_parent", [False, True])
+def test_local_folder_fills_the_cache_without_a_connection(toy, web, source, tmp_path, is_parent):
+    network = web(requests.exceptions.ConnectionError())
+    folder = source.rename(tmp_path / "toy").parent if is_parent else source
+    files = fetch("toy", folder, tmp_path / "cache")
+    assert {file: path.read_bytes() for file, path in files.items()} == CONTENT
+    assert fetch("toy", cache_dir=tmp_path / "cache") == files
+    assert network.urls == []
+
+
+def test_local_folder_that_lacks_a_file_is_named(toy, source, tmp_path):
+    (source / "run/b.csv").unlink()
+    with pytest.raises(DataFormatError, match=r"run/b\.csv: no such file.*https://raw"):
+        fetch("toy", source, tmp_path / "cache")
+
+
+def test_local_file_of_another_version_is_named(toy, source, tmp_path):
+    (source / "a.csv").write_bytes(b"edited")
+    with pytest.raises(DataFormatError, match=r"a\.csv: is not the published file: expected SHA-256 .*, found"):
+        fetch("toy", source, tmp_path / "cache")
+
+
+def test_missing_local_folder_is_named(toy, tmp_path):
+    with pytest.raises(DataFormatError, match="nowhere: expected a folder"):
+        verified_files("toy", tmp_path / "nowhere")
+
+
+def test_unknown_dataset_names_the_known_ones():
+    with pytest.raises(ConfigurationError, match="unknown dataset 'cae', expected one of kok, cea, aalto"):
+        fetch("cae")
+
+
+@pytest.mark.parametrize("name", DATASETS)
+def test_entry_is_complete(name):
+    dataset = datasets.find_dataset(name)
+    assert len(dataset.commit) == 40
+    assert all(len(digest) == 64 for digest in dataset.files.values())
+    assert dataset.licence
+    assert dataset.citation
+    assert len(set(dataset.files.values())) == len(dataset.files)
+
+
+RECORDINGS = {
+    "kok": {"eight": 466, "square": 747, "library": 1435, "mall": 2575},
+    "cea": {"training": 15575, "test": 16634, "training-floor1": 7015, "training-floor2": 7954,
+            "test-floor1": 7444, "test-floor2": 9089},
+    "aalto": {"invensense-1": 8875, "invensense-2": 9105, "invensense-4": 7332,
+              "trivisio-1": 17612, "trivisio-2": 18109, "trivisio-4": 14597},
+    "jidling": {"volume": 16782},
+    "kaist": {"floor": 2337},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_real_recordings_load_as_plausible_surveys(name, recordings):
+    surveys = load_recordings(name, recordings)
+    assert {key: len(survey) for key, survey in surveys.items()} == RECORDINGS[name]
+    for survey in surveys.values():
+        doubts = [w for w in check_survey(survey) if "one plane" not in w]
+        assert doubts == []
+        assert 40e-6 < np.median(np.linalg.norm(survey.field, axis=1)) < 56e-6
+
+
+@pytest.mark.parametrize("place", ["square", "library", "mall"])
+def test_real_tablet_walk_read_in_the_wrong_frame_is_noticed(place, recordings, tmp_path, caplog):
+    survey = load_recordings("kok", recordings)[place]
+    seen = survey.orientations.apply(survey.field, inverse=True)
+    replace(survey, field=seen).save(tmp_path / "walk.csv")
+    right = read_survey(tmp_path / "walk.csv", SurveyFormat(field_frame="sensor"))
+    np.testing.assert_allclose(right.field, survey.field, atol=1e-15)
+    assert "frame" not in caplog.text
+    read_survey(tmp_path / "walk.csv")
+    assert "--field-frame sensor" in caplog.text
+
+
+def test_both_sensors_of_the_wheeled_robot_agree_on_the_field(recordings):
+    surveys = load_recordings("aalto", recordings)
+    a, b = (np.median(np.linalg.norm(surveys[f"{s}-2"].field, axis=1)) for s in ("invensense", "trivisio"))
+    assert abs(a / b - 1) < 0.05
+
+
+def test_hdf5_recording_without_its_extra_names_the_extra(recordings, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(MissingExtraError, match=r"magmatch\[datasets\]"):
+        load_recordings("kaist", recordings)

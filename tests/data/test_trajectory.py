@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Trajectories: interpolation follows the motion it should, and never goes beyond the poses."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.trajectory import Trajectory
+
+
+def helix(n=20, rate=0.3):
+    times = np.linspace(0.0, 10.0, n)
+    return Trajectory(
+        times, np.outer(times, [1.0, -2.0, 0.5]), Rotation.from_rotvec(np.outer(rate * times, [0, 0.6, 0.8]))
+    )
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(times=st.lists(st.floats(0, 10), min_size=1, max_size=20), rate=st.floats(-1, 1))
+def test_steady_motion_is_interpolated_exactly(times, rate):
+    times = np.array(times)
+    positions, orientations = helix(rate=rate).interpolate(times)
+    np.testing.assert_allclose(positions, np.outer(times, [1.0, -2.0, 0.5]), atol=1e-12)
+    expected = Rotation.from_rotvec(np.outer(rate * times, [0, 0.6, 0.8]))
+    assert orientations.approx_equal(expected, atol=1e-7).all()  # the angle of a tiny rotation costs half the digits
+
+
+def test_poses_themselves_are_kept():
+    trajectory = helix()
+    positions, orientations = trajectory.interpolate(trajectory.times)
+    np.testing.assert_array_equal(positions, trajectory.positions)
+    assert orientations.approx_equal(trajectory.orientations, atol=1e-7).all()
+
+
+def test_interpolation_takes_the_shortest_turn_whatever_the_sign_of_the_quaternion():
+    quaternions = Rotation.from_rotvec([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4]]).as_quat() * np.array([[1.0], [-1.0]])
+    trajectory = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)), Rotation.from_quat(quaternions))
+    _, orientations = trajectory.interpolate(np.array([0.5]))
+    np.testing.assert_allclose(orientations.magnitude(), 0.2, atol=1e-12)
+
+
+@pytest.mark.parametrize("time", [-0.1, 10.1])
+def test_poses_are_never_extrapolated(time):
+    with pytest.raises(ValueError, match=r"1 of 2 times lie outside the trajectory's 0 to 10 s"):
+        helix().interpolate(np.array([5.0, time]))
+
+
+def test_covers_includes_both_ends():
+    np.testing.assert_array_equal(helix().covers(np.array([-1e-9, 0.0, 5.0, 10.0, 10.1])), [0, 1, 1, 1, 0])
+
+
+def test_saving_and_loading_keeps_the_poses(tmp_path):
+    trajectory = helix()
+    trajectory.save(tmp_path / "poses.tum")
+    loaded = Trajectory.load(tmp_path / "poses.tum")
+    np.testing.assert_array_equal(loaded.times, trajectory.times)
+    np.testing.assert_array_equal(loaded.positions, trajectory.positions)
+    assert loaded.orientations.approx_equal(trajectory.orientations, atol=1e-12).all()
+
+
+def test_wall_clock_times_keep_their_fractions(tmp_path):
+    times = 1_700_000_000 + np.arange(5) / 100
+    Trajectory(times, np.zeros((5, 3)), Rotation.identity(5)).save(tmp_path / "poses.tum")
+    np.testing.assert_array_equal(Trajectory.load(tmp_path / "poses.tum").times, times)
+
+
+@pytest.mark.parametrize(
+    ("times", "n_positions", "words"),
+    [([0.0], 1, "at least two poses"), ([0.0, 0.0], 2, "increase strictly"), ([0.0, 1.0], 3, "expected 2 positions")],
+)
+def test_impossible_trajectory_is_refused(times, n_positions, words):
+    with pytest.raises(ValueError, match=words):
+        Trajectory(np.array(times), np.zeros((n_positions, 3)), Rotation.identity(n_positions))
