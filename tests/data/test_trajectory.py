@@ -67,9 +67,13 @@ def test_wall_clock_times_keep_their_fractions(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("times", "n_positions", "words"),
-    [([0.0], 1, "at least two poses"), ([0.0, 0.0], 2, "increase strictly"), ([0.0, 1.0], 3, "expected 2 positions")],
+    ("times", "n_turns", "words"),
+    [
+        ([0.0], 1, "at least two poses"),
+        ([0.0, 0.0], 2, "increase strictly"),
+        ([0.0, 1.0], 3, "expected 2 .*, got .* 3"),
+    ],
 )
-def test_impossible_trajectory_is_refused(times, n_positions, words):
+def test_impossible_trajectory_is_refused(times, n_turns, words):
     with pytest.raises(ValueError, match=words):
-        Trajectory(np.array(times), np.zeros((n_positions, 3)), Rotation.identity(n_positions))
+        Trajectory(np.array(times), np.zeros((len(times), 3)), Rotation.identity(n_turns))

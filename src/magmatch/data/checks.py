@@ -19,7 +19,7 @@ MEDIAN_FIELD = (1e-9, 20e-3)
 # Single samples may come close to a magnet; beyond this no survey magnetometer measures.
 MAX_FIELD = 0.1
 MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
-ODD_EXTENT = (0.01, 5e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
+ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
 ODD_SPEED = 50.0  # m/s, median along the samples
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
