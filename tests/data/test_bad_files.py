@@ -135,6 +135,7 @@ FOREIGN_CASES = {
     "a registration": (b'{"schema": "magmatch.registration/1"}', ["registration result", "expected a survey"]),
     "other JSON": (b'{"schema": "other/1"}', ["other/1"]),
     "broken JSON": (b'{"schema": ', ["JSON"]),
+    "endless JSON": (b"[" * 200_000, ["JSON"]),
     "a trajectory": ("\n".join(f"{i} 0 0 0 0 0 0 1" for i in range(20)), ["TUM", "no field", "--trajectory"]),
 }
 
@@ -282,3 +283,14 @@ def test_any_bytes_at_all_end_in_a_survey_or_a_known_error(tmp_path, rng):
         survey, message = read_or_refuse(write(tmp_path / "damaged.csv", bytes(damaged)))
         assert "\n" not in message
         assert survey is None or np.isfinite(survey.field).all()
+
+
+def test_any_damage_to_an_archive_ends_in_a_known_error(tmp_path, rng):
+    good = zipped(**{"zarr.json": "{}", "manifest/zarr.json": "{}", "weights/c/0": "0" * 50})
+    for _ in range(300):
+        damaged = bytearray(good)
+        for _ in range(rng.integers(1, 6)):
+            damaged[rng.integers(4, len(damaged))] = rng.integers(256)
+        survey, message = read_or_refuse(write(tmp_path / "damaged.map", bytes(damaged)))
+        assert survey is None
+        assert "\n" not in message

@@ -2,6 +2,7 @@
 """Tell what a file is by its content, before its name."""
 
 import json
+import struct
 import zipfile
 from pathlib import Path
 from typing import Literal
@@ -36,6 +37,17 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"<!doctype", "web page", "download the raw file instead"),
     (b"<html", "web page", "download the raw file instead"),
     (b"<?xml", "XML document", "export it as CSV"),
+)
+# All that zipfile raises over a damaged archive.
+BROKEN_ZIP = (
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    EOFError,
+    ValueError,
+    KeyError,
+    OverflowError,
+    struct.error,
 )
 _REGISTRATION_SCHEMA = "magmatch.registration/"
 _TUM_WIDTH = 8
@@ -83,7 +95,7 @@ def _sniff_archive(path: str | Path) -> FileKind:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.namelist()
-    except zipfile.BadZipFile:
+    except BROKEN_ZIP:
         raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
     if "[Content_Types].xml" in members:
         raise DataFormatError(path, "is an Excel workbook or Office document; export the sheet as CSV")
@@ -100,7 +112,7 @@ def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
     try:
         content = json.loads(read_bytes(path).decode("utf-8-sig"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
     schema = content.get("schema") if isinstance(content, dict) else None
     if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):
