@@ -3,6 +3,7 @@
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -15,7 +16,7 @@ def test_written_bytes_are_read_back(tmp_path):
         stream.write(b"one")
         stream.write(b"two")
     assert (tmp_path / "a.bin").read_bytes() == b"onetwo"
-    assert os.listdir(tmp_path) == ["a.bin"]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
 
 
 def test_old_file_is_in_place_until_the_block_ends(tmp_path):
@@ -43,7 +44,7 @@ def test_exception_keeps_the_old_file_and_leaves_nothing_behind(tmp_path, error)
     with pytest.raises(error):
         write_half()
     assert path.read_bytes() == b"old"
-    assert os.listdir(tmp_path) == ["a.bin"]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
 
 
 def test_failed_flush_keeps_the_old_file(tmp_path, monkeypatch):
@@ -57,7 +58,7 @@ def test_failed_flush_keeps_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space left"), atomic_write(path) as stream:
         stream.write(b"new")
     assert path.read_bytes() == b"old"
-    assert os.listdir(tmp_path) == ["a.bin"]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
 
 
 def test_missing_folder_is_named(tmp_path):
@@ -88,7 +89,7 @@ def test_link_is_followed_and_permissions_stay(tmp_path):
 def test_device_is_written_through_and_not_replaced():
     with atomic_write(os.devnull) as stream:
         stream.write(b"gone")
-    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+    assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
 
 
 def test_longest_name_can_be_written(tmp_path):

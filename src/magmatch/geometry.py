@@ -9,6 +9,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.typing import Points, Tensors, ThirdOrder, Vector3, Vectors
 
+# Largest entry of R R^T - I: what a file may hold, and what products of transforms accumulate by rounding.
+ORTHONORMAL_TOLERANCE = 1e-9
+ORTHONORMAL_TO_ROUNDING = 1e-12
+
 
 def transform_points(p_target: Points, T_base_target: RigidTransform) -> Points:
     """Points of the target frame in the base frame: ``R p + t``.
@@ -84,6 +88,46 @@ def rotate_third_order(D_target: ThirdOrder, T_base_target: RigidTransform) -> T
     R = T_base_target.rotation.as_matrix()
     turned: ThirdOrder = np.einsum("ai,bj,ck,nijk->nabc", R, R, R, D_target, optimize=True)
     return turned
+
+
+def transform_from_matrix(matrix: np.ndarray) -> RigidTransform:
+    """Rigid motion given as a 4x4 matrix, as files hold it.
+
+    A rotation that is orthonormal to rounding keeps its very bits, so that reading what was written changes
+    nothing; one that was written with fewer digits is brought to the nearest rotation.
+
+    Parameters
+    ----------
+    matrix : (4, 4) array
+        ``[[R, t], [0, 1]]``, translation in m.
+
+    Returns
+    -------
+    RigidTransform
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not finite, its last row is not ``0, 0, 0, 1``, or its upper left part is no rotation
+        to 1e-9.
+    """
+    matrix = np.asarray(matrix, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        msg = f"expected a finite 4x4 matrix, got shape {matrix.shape}"
+        raise ValueError(msg)
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        msg = f"expected the last row of a rigid transform to be 0, 0, 0, 1, got {matrix[3].tolist()}"
+        raise ValueError(msg)
+    R = matrix[:3, :3]
+    # Clipped, so that squares of absurd entries do not overflow.
+    error = float(np.abs(np.clip(R, -2, 2) @ np.clip(R, -2, 2).T - np.eye(3)).max())
+    if error > ORTHONORMAL_TOLERANCE:
+        msg = f"expected a rotation in the upper left 3x3, got one that is off orthonormal by {error:.1e}"
+        raise ValueError(msg)
+    if np.linalg.det(R) < 0:
+        msg = "expected a rotation in the upper left 3x3, got a reflection (determinant -1)"
+        raise ValueError(msg)
+    return RigidTransform(matrix, normalize=error > ORTHONORMAL_TO_ROUNDING)
 
 
 def skew(v: Points) -> Tensors:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
+from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Prior
 from magmatch.field.map import FieldMap
@@ -43,9 +44,7 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     prior = PRIORS[config.prior]
     hyperparameters = _hyperparameters(prior, samples.positions, samples.field, config)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
-    model = prior.build(samples.positions, samples.field, hyperparameters)
-    posterior = model.infer(model.observe(samples.positions, samples.field))
-    return FieldMap(merged, posterior, T_map_model, config)
+    return FieldMap(merged, fit_posterior(samples, hyperparameters, config), T_map_model, config)
 
 
 def _hyperparameters(prior: Prior, points: Points, field: Vectors, config: FieldConfig) -> Hyperparameters:

@@ -58,7 +58,7 @@ class Posterior(Protocol):
         ...
 
     @property
-    def mean_weights(self) -> Scalars:
+    def weights(self) -> Scalars:
         """Posterior mean of the weights, (n_weights,): what a saved map is checked against when it is loaded."""
         ...
 

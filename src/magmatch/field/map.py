@@ -2,6 +2,7 @@
 """The noun of this room: a field map, the posterior of the field over the region a survey covers."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,6 +11,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
+from magmatch.field.store import MapRecord
 from magmatch.field.values import FieldValues
 from magmatch.geometry import rotate_tensors, transform_points
 from magmatch.grid import RegularGrid
@@ -52,12 +54,16 @@ class FieldMap:
         Takes model coordinates to map coordinates.
     config : FieldConfig
         How the map was made.
+    fitted_samples : Survey or None
+        The samples in the model's frame as they were fitted; None while going back from the map frame gives the
+        same, kept once the map is carried to another frame, since going back would round.
     """
 
     survey: Survey
     posterior: Posterior
     T_map_model: RigidTransform
     config: FieldConfig
+    fitted_samples: Survey | None = None
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -172,7 +178,57 @@ class FieldMap:
         -------
         FieldMap
         """
-        return replace(self, survey=self.survey.transformed(T_new_map), T_map_model=T_new_map * self.T_map_model)
+        fitted = self.fitted_samples
+        return replace(
+            self,
+            survey=self.survey.transformed(T_new_map),
+            T_map_model=T_new_map * self.T_map_model,
+            fitted_samples=self.survey.transformed(self.T_map_model.inv()) if fitted is None else fitted,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the map to one file (Zarr v3 in a zip, layout in ``docs/conventions.md``), whole or not at all.
+
+        Parameters
+        ----------
+        path : path
+            Where; an existing file is replaced. The same map gives the same bytes.
+
+        Raises
+        ------
+        DataFormatError
+            The folder does not exist.
+        """
+        MapRecord(
+            self.survey,
+            self.T_map_model,
+            self.config,
+            self.hyperparameters,
+            self.posterior.weights,
+            self.fitted_samples,
+        ).write(path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "FieldMap":
+        """Read a saved map, check all of it, and fit it again to its own samples.
+
+        Parameters
+        ----------
+        path : path
+            A file that `save` wrote.
+
+        Returns
+        -------
+        FieldMap
+            Gives the same numbers as the map that was saved, bit for bit on the same machine.
+
+        Raises
+        ------
+        DataFormatError
+            Not a map, damaged, of another version, or fitting does not give the field that was saved.
+        """
+        record = MapRecord.read(path)
+        return cls(record.survey, record.refit(path), record.T_map_model, record.config, record.fitted_samples)
 
     def _to_model(self, points: Points) -> Points:
         return transform_points(np.asarray(points, dtype=np.float64), self.T_map_model.inv())
