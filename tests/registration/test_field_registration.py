@@ -1,16 +1,38 @@
 """Claims about the default registration, on maps whose field is known exactly."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.field.values import FieldValues
 from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error, transform_points
 from magmatch.registration.covariance import pose_covariance, to_survey_axes
 from magmatch.registration.evidence import weigh_pose
 from magmatch.registration.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
 from magmatch.registration.prepared import prepare, thin
 from magmatch.registration.raster import rasterize
-from magmatch.registration.refinement import RefinementConfig, compare, perturbation, refine
+from magmatch.registration.refinement import RefinementConfig, look_up, perturbation, refine, residual_jacobian
+from magmatch.registration.sensors import identical_sensors
+
+
+@dataclass(frozen=True)
+class BiasedPosterior:
+    """What a map says when its sensor was biased: everything scaled, a constant added."""
+
+    honest: object
+    scale: float
+    bias: np.ndarray
+
+    def evaluate(self, points, order=0, weights=None):
+        v = self.honest.evaluate(points, order, weights)
+        gradient = None if v.gradient is None else self.scale * v.gradient
+        return FieldValues(self.scale * v.field + self.bias, gradient)
+
+    def __getattr__(self, name):
+        return getattr(self.honest, name)
+
 
 FEW = InvariantSearchConfig(n_anchors=60, n_neighbours=15, n_coarse=60, n_fine=10)
 
@@ -57,22 +79,41 @@ def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
 
 def test_jacobian_is_the_derivative_of_the_residual(prepared_pair):
     base, target, T_true = prepared_pair
-    T = T_true * exp_se3(np.array([0.01, 0.02, -0.01, 0.01, 0.0, 0.02]))
-    center = target.samples.mean(axis=0)
-    rows = np.arange(0, 800, 8)
-    cost = lambda xi: [  # noqa: E731
-        d.scores.sum(axis=0) for d in compare(base, target, T * perturbation(xi, center), center, rows, rows)
-    ]
-    # With Student weights the score is the gradient of the robust cost; its change along a direction is the
-    # Gauss-Newton information plus terms that vanish with the residual, so compare at the truth.
-    T = T_true
-    directions = compare(base, target, T, center, rows, rows)
-    step = 1e-5
-    for k, direction in enumerate(directions):
-        numeric = np.stack([(cost(step * e)[k] - cost(-step * e)[k]) / (2 * step) for e in np.eye(6)], axis=1)
-        scale = np.sqrt(np.outer(np.diag(direction.information), np.diag(direction.information)))
-        # The weights' own derivative is left out by Gauss-Newton; it is a fraction of the information.
-        assert np.abs(numeric - direction.information).max() / scale.max() < 0.35
+    center, sensor = target.samples.mean(axis=0), identical_sensors("scale")
+    rows = np.arange(0, 800, 8), np.arange(0, 800, 8)
+
+    def residuals(xi):
+        moved = T_true * perturbation(xi[:6], center)
+        return [side.residual for side in look_up(base, target, moved, sensor.stepped(xi[6:]), rows)]
+
+    steps = np.diag([1e-5] * 6 + [1e-9] * 3 + [1e-6])
+    for k, side in enumerate(look_up(base, target, T_true, sensor, rows)):
+        numeric = np.stack([(residuals(e)[k] - residuals(-e)[k]) / (2 * e.max()) for e in steps], axis=2)
+        J = residual_jacobian(side, center, sensor)
+        assert np.all(np.abs(numeric - J).max(axis=(0, 1)) < 1e-5 * np.abs(J).max(axis=(0, 1)))
+
+
+def test_a_biased_sensor_is_noticed_and_taken_off(make_exact_pair):
+    T_true = random_transform(np.random.default_rng(8))
+    base_map, target_map = make_exact_pair(8, T_true)
+    bias, scale = np.array([2e-6, -1e-6, 1.5e-6]), 1.03
+    survey = replace(target_map.survey, field=scale * target_map.survey.field + bias)
+    posterior = BiasedPosterior(target_map.posterior, scale, target_map.T_map_model.rotation.inv().apply(bias))
+    target_map = replace(target_map, survey=survey, posterior=posterior)
+    rng = np.random.default_rng(0)
+    base, target = prepare(base_map, 4, rng), prepare(target_map, 4, rng)
+    T_model = base.T_map_model.inv() * T_true * target.T_map_model
+    pose = refine(base, target, T_model, RefinementConfig(), rng)
+    np.testing.assert_allclose(target.T_map_model.rotation.apply(pose.sensor.bias), bias, atol=0.2e-6)
+    np.testing.assert_allclose(pose.sensor.gain[0, 0], scale, atol=0.003)
+    assert error(pose.T_base_target, T_model, target)[1] < np.radians(0.1)
+
+
+def test_like_sensors_are_left_alike(prepared_pair):
+    base, target, T_true = prepared_pair
+    pose = refine(base, target, T_true, RefinementConfig(), np.random.default_rng(0))
+    assert np.abs(pose.sensor.bias).max() < 0.3e-6
+    np.testing.assert_allclose(pose.sensor_sd[0], 0.2e-6)
 
 
 def test_covariance_moves_with_the_perturbation_to_survey_axes():

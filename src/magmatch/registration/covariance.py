@@ -5,9 +5,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew
-from magmatch.registration.refinement import RefinedPose
+from magmatch.registration.refinement import RefinedPose, sum_by_cell
 from magmatch.registration.result import DegenerateDirection
-from magmatch.typing import Covariance6, Matrix, Points
+from magmatch.typing import Covariance6, Matrix
+
+# Fewer independent cells than this give no covariance.
+MIN_CELLS = 4
 
 
 def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
@@ -29,23 +32,24 @@ def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
         Rotation first (rad, m), target's model axes, about ``pose.center``; None where the data leave a
         direction entirely free.
     """
-    total = np.zeros((6, 6))
+    prior = np.diag(np.concatenate([np.zeros(6), pose.sensor_sd**-2]))
+    total = np.zeros_like(prior)
     n_used = 0
     for direction in pose.directions:
-        A = direction.information
-        clusters = _sum_by_cell(direction.scores, direction.positions, cell_side)
+        clusters = sum_by_cell(direction.scores, direction.positions, cell_side)
         n_cells = len(clusters)
-        if n_cells < 4 or np.linalg.cond(_balanced(A)) > 1e12:
+        if n_cells < MIN_CELLS or np.linalg.cond(_balanced(direction.information[:6, :6])) > 1e12:
             continue
         clusters = clusters - clusters.mean(axis=0)
         # Six fitted parameters use up part of the clusters' spread.
         meat = clusters.T @ clusters * n_cells / max(n_cells - 3.0, 1.0)
-        bread = np.linalg.inv(A)
-        total += bread @ meat @ bread
+        bread = np.linalg.inv(_regular(direction.information + prior))
+        total += bread @ (meat + prior) @ bread
         n_used += 1
     if n_used == 0:
         return None
-    return (total + total.T) / 2
+    pose_block = total[:6, :6]
+    return (pose_block + pose_block.T) / 2
 
 
 def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform) -> Covariance6:
@@ -130,12 +134,10 @@ def _axis_words(v: np.ndarray) -> str:
     return "direction ({:+.2f}, {:+.2f}, {:+.2f})".format(*(v * np.sign(v[k])))
 
 
-def _sum_by_cell(rows: Matrix, positions: Points, side: float) -> Matrix:
-    cell = np.floor(positions / side).astype(np.int64)
-    _, index = np.unique(cell, axis=0, return_inverse=True)
-    sums = np.zeros((int(index.max()) + 1, rows.shape[1]))
-    np.add.at(sums, index.ravel(), rows)
-    return sums
+def _regular(A: Matrix) -> Matrix:
+    """Guard of the inverse: far below any information that matters."""
+    guarded: Matrix = A + np.diag(1e-12 * np.diag(A))
+    return guarded
 
 
 def _balanced(A: Matrix) -> Matrix:

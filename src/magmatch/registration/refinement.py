@@ -4,7 +4,7 @@
 Residuals are taken in target axes, ``r = b - R^T B_base(T y)`` at the target's samples y and
 ``r = B_target(T^-1 x) - R^T b`` at the base's samples x. With the pose perturbed about a centre c of the target,
 ``T Exp(xi)``, both have the same Jacobian, ``-[b]x theta + G ([y - c]x theta - rho)``, G the gradient of the map
-that is looked up, in target axes.
+that is looked up, in target axes. Bias and scale of the target's magnetometer are further columns (`sensors.py`).
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.field.values import FieldValues
 from magmatch.geometry import rotate_vectors, skew, transform_points
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import MEDIAN_CHI2_3
-from magmatch.typing import Indices, Matrix, Points, Scalars, Vector3, Vectors
+from magmatch.registration.sensors import SensorConfig, SensorModel, choose_level, identical_sensors, prior_sd
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
 # Fewer samples than this in one direction say too little to be used.
 MIN_SAMPLES = 20
 # Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
+# Longest step: rad, and in lengthscales.
+MAX_TURN, MAX_SHIFT = 0.1, 0.3
+# The pose settles with like sensors before their difference is judged.
+LEVEL_STEP = 5
 
 
 class RefinementConfig(BaseModel):
@@ -34,9 +40,11 @@ class RefinementConfig(BaseModel):
     # Samples per survey; more than enough for the data's floor.
     n_samples: int = Field(default=1200, ge=MIN_SAMPLES)
     # Most Gauss-Newton steps.
-    n_steps: int = Field(default=12, ge=1)
+    n_steps: int = Field(default=20, ge=1)
     # Best candidates to refine and compare.
     n_candidates: int = Field(default=4, ge=1)
+    # What may differ between the two magnetometers.
+    sensor: SensorConfig = Field(default_factory=SensorConfig)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,9 +53,9 @@ class Direction:
 
     Attributes
     ----------
-    information : (6, 6) array
-        Weighted ``J^T J``.
-    scores : (n, 6) array
+    information : (6 + k, 6 + k) array
+        Weighted ``J^T J`` of the pose and the k sensor parameters.
+    scores : (n, 6 + k) array
         Each sample's weighted gradient.
     positions : (n, 3) array, m
         Where the samples lie, target's model frame.
@@ -71,12 +79,18 @@ class RefinedPose:
         Model frame to model frame.
     center : (3,) array, m
         Point of the target about which the perturbation is taken, target's model frame.
+    sensor : SensorModel
+        Bias and gain of the target's magnetometer against the base's, target's model axes.
+    sensor_sd : (k,) array
+        Prior standard deviations that the sensor's parameters were given.
     directions : tuple of Direction
         What each direction of comparison says; empty where the maps hardly overlap.
     """
 
     T_base_target: RigidTransform
     center: Vector3
+    sensor: SensorModel
+    sensor_sd: np.ndarray
     directions: tuple[Direction, ...]
 
 
@@ -102,24 +116,30 @@ def refine(
     -------
     RefinedPose
     """
-    target_rows = _some_rows(len(target.samples), config.n_samples, rng)
-    base_rows = _some_rows(len(base.samples), config.n_samples, rng)
+    rows = (
+        _some_rows(len(target.samples), config.n_samples, rng),
+        _some_rows(len(base.samples), config.n_samples, rng),
+    )
     T, center = T_base_target, target.samples.mean(axis=0)
+    sensor = identical_sensors(config.sensor.mode)
+    level = {"none": -1, "auto": 0}.get(config.sensor.mode, len(config.sensor.bias_levels) - 1)
     lengthscale = min(base.lengthscale, target.lengthscale)
-    limit = np.array([0.1, 0.1, 0.1, *(3 * [0.3 * lengthscale])])
-    for _ in range(config.n_steps):
-        directions = compare(base, target, T, center, target_rows, base_rows)
+    for step in range(config.n_steps):
+        directions = compare(base, target, T, center, sensor, rows)
         if not directions:
             break
-        A = sum((d.information for d in directions), np.zeros((6, 6)))
-        v = -sum((d.scores.sum(axis=0) for d in directions), np.zeros(6))
-        # Minimum-norm step: a direction that the data do not fix is left where the search put it.
-        xi = np.linalg.lstsq(A, v, rcond=1e-10)[0]
-        xi /= max(1.0, float(np.abs(xi / limit).max()))
-        T = T * perturbation(xi, center)
-        if np.linalg.norm(xi[:3]) < 1e-8 and np.linalg.norm(xi[3:]) < 1e-8:
+        A, v = normal_equations(directions)
+        if config.sensor.mode == "auto" and step == LEVEL_STEP:
+            level = choose_level(A, v, sensor.parameters, overdispersion(directions, 2 * lengthscale), config.sensor)
+        sd = prior_sd(config.sensor, level, sensor.n_parameters)
+        A[6:, 6:] += np.diag(sd**-2)
+        v[6:] -= sensor.parameters / sd**2
+        xi = _step(A, v, sd, lengthscale)
+        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:])
+        if step > LEVEL_STEP and np.abs(xi[:6]).max() < 1e-9:
             break
-    return RefinedPose(T, center, compare(base, target, T, center, target_rows, base_rows))
+    sd = prior_sd(config.sensor, level, sensor.n_parameters)
+    return RefinedPose(T, center, sensor, sd, compare(base, target, T, center, sensor, rows))
 
 
 def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
@@ -128,59 +148,132 @@ def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
     return RigidTransform.from_components(center + xi[3:] - rotation.apply(center), rotation)
 
 
+def normal_equations(directions: tuple[Direction, ...]) -> tuple[Matrix, np.ndarray]:
+    """Information of both directions together and the gradient of their log-likelihood."""
+    A = np.sum([d.information for d in directions], axis=0)
+    v = -np.sum([d.scores.sum(axis=0) for d in directions], axis=0)
+    return A, v
+
+
+def sum_by_cell(rows: Matrix, positions: Points, side: float) -> Matrix:
+    """Rows added up over the cubic cells their positions fall into, one row per occupied cell."""
+    _, index = np.unique(np.floor(positions / side).astype(np.int64), axis=0, return_inverse=True)
+    sums = np.zeros((int(index.max()) + 1, rows.shape[1]))
+    np.add.at(sums, index.ravel(), rows)
+    return sums
+
+
+def overdispersion(directions: tuple[Direction, ...], side: float) -> float:
+    """By how much cell-wise sums of the gradient scatter more than independent samples would (at least 1)."""
+    A, _ = normal_equations(directions)
+    clusters = np.concatenate([sum_by_cell(d.scores, d.positions, side) for d in directions])
+    meat = clusters.T @ clusters
+    ratio = np.trace(np.linalg.lstsq(A, meat, rcond=1e-10)[0]) / len(A)
+    return max(1.0, float(ratio))
+
+
 def compare(
     base: PreparedMap,
     target: PreparedMap,
     T_base_target: RigidTransform,
     center: Vector3,
-    target_rows: Indices,
-    base_rows: Indices,
+    sensor: SensorModel,
+    rows: tuple[Indices, Indices],
 ) -> tuple[Direction, ...]:
     """Residuals, weights and Jacobians of both directions at a pose.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    T_base_target : RigidTransform
+        Model frame to model frame.
+    center : (3,) array, m
+        Centre of the perturbation, target's model frame.
+    sensor : SensorModel
+    rows : pair of int arrays
+        Samples of the target and of the base to use.
 
     Returns
     -------
     tuple of Direction
         Directions with at least `MIN_SAMPLES` samples inside the other map.
     """
+    forward, backward = look_up(base, target, T_base_target, sensor, rows)
+    sides = (forward, target.noise_sd), (backward, base.noise_sd)
+    return tuple(_direction(side, sd, center, sensor) for side, sd in sides if len(side.sd) >= MIN_SAMPLES)
+
+
+def look_up(
+    base: PreparedMap,
+    target: PreparedMap,
+    T_base_target: RigidTransform,
+    sensor: SensorModel,
+    rows: tuple[Indices, Indices],
+) -> "tuple[Lookup, Lookup]":
+    """The base's map at the target's samples, and the target's map at the base's samples."""
     T_target_base = T_base_target.inv()
-    found = []
-    y, b = target.samples[target_rows], target.sample_field[target_rows]
+    y, b = target.samples[rows[0]], target.sample_field[rows[0]]
     _, sd, _, is_known = base.raster.lookup(transform_points(y, T_base_target))
-    if is_known.sum() >= MIN_SAMPLES:
-        y, b, sd = y[is_known], b[is_known], sd[is_known]
-        values = base.field_map.posterior.evaluate(transform_points(y, T_base_target), order=1)
-        looked_up = values.rotated(T_target_base)
-        assert looked_up.gradient is not None
-        found.append(_direction(y, b, b - looked_up.field, looked_up.gradient, sd, target.noise_sd, center))
-    x, b = base.samples[base_rows], base.sample_field[base_rows]
-    z, b = transform_points(x, T_target_base), rotate_vectors(b, T_target_base)
+    y, corrected = y[is_known], sensor.correct(b[is_known])
+    seen = base.field_map.posterior.evaluate(transform_points(y, T_base_target), order=1).rotated(T_target_base)
+    forward = Lookup(y, seen.field, corrected - seen.field, _gradient(seen), corrected, sd[is_known])
+
+    z = transform_points(base.samples[rows[1]], T_target_base)
+    b = rotate_vectors(base.sample_field[rows[1]], T_target_base)
     _, sd, _, is_known = target.raster.lookup(z)
-    if is_known.sum() >= MIN_SAMPLES:
-        z, b, sd = z[is_known], b[is_known], sd[is_known]
-        values = target.field_map.posterior.evaluate(z, order=1)
-        assert values.gradient is not None
-        found.append(_direction(z, b, values.field - b, values.gradient, sd, base.noise_sd, center))
-    return tuple(found)
+    z, b = z[is_known], b[is_known]
+    seen = target.field_map.posterior.evaluate(z, order=1)
+    corrected = sensor.correct(seen.field)
+    return forward, Lookup(z, b, corrected - b, _gradient(seen), corrected, sd[is_known])
 
 
-def _direction(
-    y: Points, b: Vectors, residual: Vectors, gradient: np.ndarray, sd: Scalars, noise_sd: float, center: Vector3
-) -> Direction:
-    lever = skew(y - center)
-    J = np.concatenate([gradient @ lever - skew(b), -gradient], axis=2)
-    r2 = np.einsum("ni,ni->n", residual, residual)
+@dataclass(frozen=True, eq=False, slots=True)
+class Lookup:
+    """One survey's samples against the other's map, all in target axes."""
+
+    positions: Points
+    base_side: Vectors  # turns with the pose
+    residual: Vectors
+    gradient: Tensors  # of the map that was looked up
+    target_side: Vectors  # corrected by the sensor model
+    sd: Scalars  # of the map that was looked up
+
+
+def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> np.ndarray:
+    """Change of the residuals with pose and sensor: (n, 3, 6 + k), see the module's equation."""
+    lever, G = skew(lookup.positions - center), lookup.gradient
+    return np.concatenate([G @ lever - skew(lookup.base_side), -G, sensor.jacobian(lookup.target_side)], axis=2)
+
+
+def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorModel) -> Direction:
+    J = residual_jacobian(lookup, center, sensor)
+    r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     # What the residuals themselves show beyond the map's own spread, never less than a share of the noise.
-    excess = max(float(np.median(r2)) / MEDIAN_CHI2_3 - float(np.median(sd**2)), 0.25 * noise_sd**2)
-    variance = excess + sd**2
+    map_variance = lookup.sd**2
+    excess = max(float(np.median(r2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
+    variance = excess + map_variance
     weight = (STUDENT_DOF + 3) / (STUDENT_DOF + r2 / variance) / variance
     JW = J * weight[:, None, None]
     return Direction(
-        information=np.einsum("nij,nik->jk", JW, J),
-        scores=np.einsum("nij,ni->nj", JW, residual),
-        positions=y,
-        residual2=r2 / (noise_sd**2 + sd**2),
+        information=np.einsum("nij,nik->jk", JW, J, optimize=True),
+        scores=np.einsum("nij,ni->nj", JW, lookup.residual),
+        positions=lookup.positions,
+        residual2=r2 / (noise_sd**2 + map_variance),
     )
+
+
+def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -> np.ndarray:
+    """Bounded Gauss-Newton step; of minimum norm, so a direction that the data do not fix stays where it was."""
+    scale = np.concatenate([np.full(3, MAX_TURN), np.full(3, MAX_SHIFT * lengthscale), sensor_sd])
+    xi: np.ndarray = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
+    return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))
+
+
+def _gradient(values: FieldValues) -> Tensors:
+    if values.gradient is None:
+        msg = "the posterior gave no gradient although order 1 was asked for"
+        raise ValueError(msg)
+    return values.gradient
 
 
 def _some_rows(n: int, limit: int, rng: np.random.Generator) -> Indices:

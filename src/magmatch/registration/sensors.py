@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Two magnetometers rarely agree: the target's bias and scale, estimated with the pose where the data ask for it.
+
+The target's readings are corrected as ``b' = (I + D)^-1 (b - c)``, c the bias and D the scale (``s I``) or the full
+soft-iron matrix. Both are constant in the target's survey frame, which is exact for a sensor that kept its attitude
+and an approximation otherwise. A free bias would let correlated map error pose as bias, so its prior is one of a few
+levels, and the tightest is left only for clear evidence.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from magmatch.typing import Matrix, Vectors
+
+SensorMode = Literal["auto", "none", "bias", "scale", "full"]
+
+
+class SensorConfig(BaseModel):
+    """What may differ between the two magnetometers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # 'auto': bias and scale, at the level the evidence asks for; 'none': identical sensors; 'bias', 'scale' (and
+    # bias) and 'full' (soft iron and bias): free at the widest level.
+    mode: SensorMode = "auto"
+    # Prior standard deviations of bias (T) and scale, tightest first: same sensor, same kind, uncalibrated.
+    bias_levels: tuple[float, ...] = (0.2e-6, 0.7e-6, 3e-6)
+    scale_levels: tuple[float, ...] = (0.002, 0.007, 0.03)
+    # How much better (nats) a wider level must explain the data to be taken: sensor changes gave 24 to 307, one
+    # sensor used twice at most 10.
+    min_gain: float = Field(default=15.0, ge=0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SensorModel:
+    """Bias and gain of the target's magnetometer against the base's.
+
+    Attributes
+    ----------
+    bias : (3,) array, T
+        Target's axes.
+    gain : (3, 3) array
+        ``I + D``.
+    shapes : (k, 3, 3) array
+        Directions in which the gain may change; the parameters are the bias, then one number per shape.
+    """
+
+    bias: np.ndarray
+    gain: Matrix
+    shapes: np.ndarray
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of bias and gain parameters."""
+        return 3 + len(self.shapes)
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """Bias, then the coefficient of each shape."""
+        D = self.gain - np.eye(3)
+        power = np.einsum("kij,kij->k", self.shapes, self.shapes)
+        return np.concatenate([self.bias, np.einsum("kij,ij->k", self.shapes, D) / power])
+
+    def correct(self, b: Vectors) -> Vectors:
+        """Readings of the target as the base's sensor would have given them."""
+        corrected: Vectors = np.linalg.solve(self.gain, (b - self.bias).T).T
+        return corrected
+
+    def jacobian(self, corrected: Vectors) -> np.ndarray:
+        """Change of corrected readings with the parameters: (n, 3, k), to first order in the gain."""
+        n = len(corrected)
+        bias = np.broadcast_to(-np.eye(3), (n, 3, 3))
+        gain = -np.einsum("kij,nj->nik", self.shapes, corrected)
+        return np.concatenate([bias, gain], axis=2)
+
+    def stepped(self, step: np.ndarray) -> "SensorModel":
+        """Return the model with its parameters moved."""
+        gain = self.gain + np.einsum("k,kij->ij", step[3:], self.shapes)
+        return SensorModel(self.bias + step[:3], gain, self.shapes)
+
+
+def identical_sensors(mode: SensorMode) -> SensorModel:
+    """Start of the estimation: no difference, with the parameters that a mode may move."""
+    shapes = np.zeros((0, 3, 3))
+    if mode in ("auto", "scale"):
+        shapes = np.eye(3)[None]
+    elif mode == "full":
+        shapes = np.eye(9).reshape(9, 3, 3)
+    return SensorModel(np.zeros(3), np.eye(3), shapes)
+
+
+def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
+    """Prior standard deviations of the parameters at a level; a negative level ties them to zero."""
+    if level < 0:
+        return np.full(n_parameters, 1e-12)
+    gain = np.full(n_parameters - 3, config.scale_levels[level])
+    return np.concatenate([np.full(3, config.bias_levels[level]), gain])
+
+
+def choose_level(
+    information: Matrix, gradient: np.ndarray, current: np.ndarray, overdispersion: float, config: SensorConfig
+) -> int:
+    """Prior level that the data ask for, the pose marginalised.
+
+    Parameters
+    ----------
+    information : (6 + k, 6 + k) array
+        Of pose and sensor parameters.
+    gradient : (6 + k,) array
+        Of the log-likelihood at the current estimate.
+    current : (k,) array
+        Current sensor parameters.
+    overdispersion : float
+        By how much neighbouring residuals overstate the information.
+    config : SensorConfig
+
+    Returns
+    -------
+    int
+        Index into the levels.
+    """
+    A, v = information / overdispersion, gradient / overdispersion
+    pose, sensor = slice(0, 6), slice(6, len(A))
+    gain = A[sensor, pose] @ np.linalg.pinv(A[pose, pose], rcond=1e-10, hermitian=True)
+    schur = A[sensor, sensor] - gain @ A[pose, sensor]
+    free_covariance = np.linalg.pinv(schur, rcond=1e-12, hermitian=True)
+    estimate = current + free_covariance @ (v[sensor] - gain @ v[pose])
+    log_evidence = []
+    for level in range(len(config.bias_levels)):
+        total = free_covariance + np.diag(prior_sd(config, level, len(current)) ** 2)
+        _, log_det = np.linalg.slogdet(total)
+        log_evidence.append(-0.5 * float(estimate @ np.linalg.solve(total, estimate) + log_det))
+    best = int(np.argmax(log_evidence))
+    return best if log_evidence[best] - log_evidence[0] > config.min_gain else 0
