@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The noun of this room: two simulated surveys and the exact truth between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.simulation.config import SimulationConfig
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -25,6 +26,8 @@ class SimulatedPair:
     accept : bool
         Whether a correct program accepts a registration here: False where the places differ or the field
         has no structure.
+    config : SimulationConfig
+        Settings it was made with.
     """
 
     scenario: str
@@ -33,3 +36,4 @@ class SimulatedPair:
     target: Survey
     T_base_target: RigidTransform
     accept: bool
+    config: SimulationConfig = field(default_factory=SimulationConfig)

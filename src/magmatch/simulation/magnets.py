@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Magnetic sources and their field, by magpylib behind one function."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magmatch.errors import MissingExtraError
+from magmatch.typing import Points, Scalars, Vector3, Vectors
+
+# Source-point pairs evaluated at once: bounds memory at some 100 MB however long a survey is.
+_PAIRS_AT_ONCE = 400_000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Box:
+    """A uniformly magnetised cuboid: a block magnet, or a steel cabinet seen as one.
+
+    Attributes
+    ----------
+    center : (3,) array, m
+        World frame.
+    size : (3,) array, m
+        Full sides along the body's axes.
+    polarization : (3,) array, T
+        Magnetic polarisation J = mu0 M, body frame.
+    rotation : Rotation
+        Takes body coordinates to world coordinates.
+    """
+
+    center: Vector3
+    size: Vector3
+    polarization: Vector3
+    rotation: Rotation
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cylinder:
+    """A uniformly magnetised cylinder along its body's z: a pipe, a can, a disc magnet.
+
+    Attributes
+    ----------
+    center : (3,) array, m
+        World frame.
+    diameter, height : float, m
+        Across and along the body's z.
+    polarization : (3,) array, T
+        Magnetic polarisation J = mu0 M, body frame.
+    rotation : Rotation
+        Takes body coordinates to world coordinates.
+    """
+
+    center: Vector3
+    diameter: float
+    height: float
+    polarization: Vector3
+    rotation: Rotation
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Dipole:
+    """A point dipole: anything small against its distance.
+
+    Attributes
+    ----------
+    center : (3,) array, m
+        World frame.
+    moment : (3,) array, A m^2
+        World frame.
+    """
+
+    center: Vector3
+    moment: Vector3
+
+
+Source = Box | Cylinder | Dipole
+
+
+def field_of(sources: Sequence[Source], points: Points) -> Vectors:
+    """Magnetic flux density of all sources together; the Earth's field is not in it.
+
+    Parameters
+    ----------
+    sources : sequence of Box, Cylinder or Dipole
+        World frame.
+    points : (n, 3) array, m
+        Where to evaluate, world frame.
+
+    Returns
+    -------
+    (n, 3) array, T
+        World frame; zero where there are no sources.
+
+    Raises
+    ------
+    MissingExtraError
+        Magpylib is not installed.
+
+    Notes
+    -----
+    A dipole gives ``mu0 / (4 pi) (3 (m . r) r / r^5 - m / r^3)``, and so do the bodies from afar, with
+    ``m = J V / mu0``.
+
+    Examples
+    --------
+    >>> bar = Dipole(center=np.zeros(3), moment=np.array([0.0, 0.0, 1.0]))
+    >>> field_of([bar], np.array([[0.0, 0.0, 1.0]])).round(9).tolist()
+    [[0.0, 0.0, 2e-07]]
+    """
+    field = np.zeros((len(points), 3))
+    if not sources or not len(points):
+        return field
+    magpylib = _magpylib()
+    bodies = [_body(magpylib, source) for source in sources]
+    step = max(_PAIRS_AT_ONCE // len(bodies), 1)
+    for start in range(0, len(points), step):
+        part = points[start : start + step]
+        field[start : start + step] = np.reshape(magpylib.getB(bodies, part, sumup=True), (-1, 3))
+    return field
+
+
+def distance_to(source: Source, points: Points) -> Scalars:
+    """Distance of points to the surface of a source; zero inside it.
+
+    Parameters
+    ----------
+    source : Box, Cylinder or Dipole
+        World frame.
+    points : (n, 3) array, m
+        World frame.
+
+    Returns
+    -------
+    (n,) array, m
+        Distances.
+    """
+    offset = points - source.center
+    if isinstance(source, Dipole):
+        return np.asarray(np.linalg.norm(offset, axis=1))
+    local = offset @ source.rotation.as_matrix()
+    if isinstance(source, Box):
+        beyond = np.abs(local) - source.size / 2
+    else:
+        radial = np.hypot(local[:, 0], local[:, 1]) - source.diameter / 2
+        beyond = np.column_stack([radial, np.abs(local[:, 2]) - source.height / 2])
+    return np.asarray(np.linalg.norm(np.maximum(beyond, 0), axis=1))
+
+
+def strengthened(source: Source, factor: float) -> Source:
+    """Return the same source, its magnetisation multiplied.
+
+    Parameters
+    ----------
+    source : Box, Cylinder or Dipole
+        Any source.
+    factor : float
+        What to multiply by.
+
+    Returns
+    -------
+    Box, Cylinder or Dipole
+        New source.
+    """
+    if isinstance(source, Dipole):
+        return replace(source, moment=source.moment * factor)
+    return replace(source, polarization=source.polarization * factor)
+
+
+def _magpylib() -> ModuleType:
+    """Import the optional dependency, or say which extra brings it."""
+    try:
+        import magpylib
+    except ImportError:
+        feature = "simulating magnetic sources"
+        raise MissingExtraError(feature, "simulation") from None
+    module: ModuleType = magpylib
+    return module
+
+
+def _body(magpylib: ModuleType, source: Source) -> Any:
+    """Magpylib's counterpart of a source (SI units on both sides; the one place that knows its names)."""
+    if isinstance(source, Dipole):
+        return magpylib.misc.Dipole(position=source.center, moment=source.moment)
+    pose = {"position": source.center, "orientation": source.rotation, "polarization": source.polarization}
+    if isinstance(source, Box):
+        return magpylib.magnet.Cuboid(dimension=source.size, **pose)
+    return magpylib.magnet.Cylinder(dimension=(source.diameter, source.height), **pose)

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where and how a sensor is carried: random samples of a box, hand-held sweeps, robot circles, a corridor loop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from magmatch.typing import Points, Scalars, Vector3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SensorPath:
+    """True sensor poses, world frame.
+
+    Attributes
+    ----------
+    positions : (n, 3) array, m
+        World frame.
+    times : (n,) array, s, optional
+        Strictly increasing; None for samples in no order.
+    orientations : Rotation of length n, optional
+        Takes sensor coordinates to world coordinates; None for a sensor that did not turn.
+    """
+
+    positions: Points
+    times: Scalars | None = None
+    orientations: Rotation | None = None
+
+
+def uniform_in_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) -> Points:
+    """Points drawn uniformly from a box.
+
+    Parameters
+    ----------
+    low, high : (3,) array, m
+        Opposite corners.
+    n : int
+        Number of points.
+    rng : numpy Generator
+        Source of randomness.
+
+    Returns
+    -------
+    (n, 3) array, m
+        Points.
+    """
+    return rng.uniform(low, high, (n, 3))
+
+
+def resample(corners: Points, n: int) -> Points:
+    """Points at equal distances along a chain of straight lines, both ends included.
+
+    Parameters
+    ----------
+    corners : (k, 3) array, m
+        The chain.
+    n : int
+        Number of points.
+
+    Returns
+    -------
+    (n, 3) array, m
+        Points.
+    """
+    walked = _walked(corners)
+    at = np.linspace(0, walked[-1], n)
+    return np.column_stack([np.interp(at, walked, corners[:, axis]) for axis in range(3)])
+
+
+def boustrophedon(
+    low: Vector3, high: Vector3, heights: Sequence[float], row_spacing: float, along: int, n: int
+) -> Points:
+    """Sweep a rectangle row by row, back and forth, one height after another.
+
+    Parameters
+    ----------
+    low, high : (3,) array, m
+        Opposite corners of the rectangle; their z is not used.
+    heights : sequence of float, m
+        z of each sweep.
+    row_spacing : float, m
+        Distance of neighbouring rows, shortened so that rows lie on both edges.
+    along : {0, 1}
+        Axis the rows run along.
+    n : int
+        Number of points, at equal distances along the sweep.
+
+    Returns
+    -------
+    (n, 3) array, m
+        Points in the order they are passed.
+    """
+    across = 1 - along
+    n_rows = int(np.ceil((high[across] - low[across]) / row_spacing)) + 1
+    rows = np.linspace(low[across], high[across], n_rows)
+    corners = []
+    ends = (float(low[along]), float(high[along]))
+    for k, height in enumerate(heights):
+        for row in rows if k % 2 == 0 else rows[::-1]:
+            for end in ends:
+                corner = np.empty(3)
+                corner[along], corner[across], corner[2] = end, row, height
+                corners.append(corner)
+            ends = ends[::-1]
+    return resample(np.array(corners), n)
+
+
+def circles(center: Vector3, radii: Sequence[float], laps: int, n: int) -> tuple[Points, Scalars]:
+    """Drive circles about a point, one radius after another, at constant height.
+
+    Parameters
+    ----------
+    center : (3,) array, m
+        Common centre; its z is the height.
+    radii : sequence of float, m
+        One per circle.
+    laps : int
+        Rounds on each circle.
+    n : int
+        Number of points, at equal distances along the drive.
+
+    Returns
+    -------
+    positions : (n, 3) array, m
+        Points in the order they are passed.
+    heading : (n,) array, rad
+        Angle of the direction of travel from x.
+    """
+    angle = np.linspace(0, 2 * np.pi * laps, 180 * laps + 1)
+    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), 0 * angle]) for r in radii]
+    positions = resample(np.concatenate(rings) + center, n)
+    return positions, heading_along(positions)
+
+
+def around_loop(size: tuple[float, float], corner_radius: float, s: Scalars) -> tuple[Points, Scalars]:
+    """Points and headings on a rectangle with rounded corners, anticlockwise from the start of its first long side.
+
+    Parameters
+    ----------
+    size : (float, float), m
+        Sides along x and y.
+    corner_radius : float, m
+        Radius of the corners.
+    s : (n,) array, m
+        Distances walked along the loop; they wrap around.
+
+    Returns
+    -------
+    positions : (n, 3) array, m
+        On the plane z = 0, the rectangle from (0, 0) to `size`.
+    heading : (n,) array, rad
+        Angle of the direction of travel from x.
+    """
+    arc = corner_radius * np.pi / 2
+    positions, heading = np.zeros((len(s), 3)), np.zeros(len(s))
+    left = np.mod(s, loop_length(size, corner_radius))
+    corner, yaw = np.array([corner_radius, 0.0]), 0.0
+    for k, side in enumerate((size[0], size[1], size[0], size[1])):
+        straight = side - 2 * corner_radius
+        end = straight + arc if k < 3 else np.inf  # rounding must not leave a point beyond the last corner
+        forward, inward = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        on_straight = (left >= 0) & (left < straight)
+        positions[on_straight, :2] = corner + left[on_straight, None] * forward
+        heading[on_straight] = yaw
+        on_arc = (left >= straight) & (left < end)
+        turned = (left[on_arc] - straight) / corner_radius
+        bend = np.sin(turned)[:, None] * forward + (1 - np.cos(turned))[:, None] * inward
+        positions[on_arc, :2] = corner + straight * forward + corner_radius * bend
+        heading[on_arc] = yaw + turned
+        corner = corner + straight * forward + corner_radius * (forward + inward)
+        left, yaw = left - straight - arc, yaw + np.pi / 2
+    return positions, heading
+
+
+def loop_length(size: tuple[float, float], corner_radius: float) -> float:
+    """Length of the loop of `around_loop`, m."""
+    return 2 * (size[0] + size[1]) - (8 - 2 * np.pi) * corner_radius
+
+
+def heading_along(positions: Points) -> Scalars:
+    """Angle from x of the direction of travel at each point of a path: (n,), rad."""
+    step = np.gradient(positions[:, :2], axis=0)
+    return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
+
+
+def times_along(positions: Points, speed: float) -> Scalars:
+    """Times of passing each point at constant speed, starting at 0: (n,), s."""
+    return _walked(positions) / speed
+
+
+def smooth_noise(n: int, width: int, sd: float, rng: np.random.Generator) -> Scalars:
+    """Wander of an unsteady hand: Gaussian noise without steps.
+
+    Parameters
+    ----------
+    n : int
+        Number of values.
+    width : int
+        Standard deviation of the smoothing window, samples.
+    sd : float
+        Standard deviation of the values over the whole series (its own unit).
+    rng : numpy Generator
+        Source of randomness.
+
+    Returns
+    -------
+    (n,) array
+        The series.
+    """
+    smooth = gaussian_filter1d(rng.standard_normal(n), width, mode="wrap")
+    return np.asarray(sd * smooth / max(float(np.std(smooth)), np.finfo(float).tiny))
+
+
+def _walked(positions: Points) -> Scalars:
+    """Distance walked up to each point, m."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])

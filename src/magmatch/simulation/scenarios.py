@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The named scenarios: which sources stand where, how both sensors are carried, and the frames of the surveys."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.errors import ConfigurationError
+from magmatch.geometry import random_transform
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.magnets import Source
+from magmatch.simulation.paths import (
+    SensorPath,
+    around_loop,
+    boustrophedon,
+    circles,
+    heading_along,
+    loop_length,
+    smooth_noise,
+    times_along,
+    uniform_in_box,
+)
+from magmatch.simulation.scene import Scene, Streams
+from magmatch.simulation.structures import (
+    along_corridor,
+    around_box,
+    calibrated,
+    inside_box,
+    is_clear,
+    rearranged,
+    under_table,
+)
+from magmatch.typing import Points, Scalars, Vector3
+
+TABLE_SIZE = (2.0, 1.5)  # m; 3 m^2 as published
+TABLE_MAGNET_DEPTH = 0.06  # m under the surface: top and spacer; features as wide as the rows are apart
+TABLE_HEIGHTS = (0.05, 0.10, 0.15)  # m above the surface
+ROBOT_HEIGHT = 0.05  # m above the table, as published
+LOOP_SIZE = (20.0, 10.0)  # m, sides of the corridor's centre line
+LOOP_CORNER = 1.0  # m, radius a robot turns with
+CORRIDOR_HALF_WIDTH = 1.0  # m
+CORRIDOR_STRETCH = 25.0  # m walked twice; longer than a side, so that it always holds a corner
+INSIDE_CLEARANCE = 0.15  # m between a sample and the furniture it passes
+N_PROBES = 300
+
+Builder = Callable[[SimulationConfig, Streams], Scene]
+
+
+def build_scene(scenario: str, config: SimulationConfig, streams: Streams) -> Scene:
+    """Build a named scenario.
+
+    Parameters
+    ----------
+    scenario : str
+        One of `SCENARIOS`.
+    config : SimulationConfig
+        Settings.
+    streams : Streams
+        Sources of randomness.
+
+    Returns
+    -------
+    Scene
+        All that is true, nothing measured.
+
+    Raises
+    ------
+    ConfigurationError
+        No such scenario, or a setting that does not fit it.
+    """
+    if scenario not in SCENARIOS:
+        msg = f"no scenario '{scenario}'; there are {', '.join(SCENARIOS)}"
+        raise ConfigurationError(msg)
+    scene = SCENARIOS[scenario](config, streams)
+    if not config.moved_sources:
+        return scene
+    samples = np.concatenate([scene.base_path.positions, scene.target_path.positions])
+    moved = rearranged(scene.target_sources, config.moved_sources, samples, config.clearance, streams.moves)
+    # Where most of a place is gone, refusing is right.
+    return replace(scene, target_sources=tuple(moved), accept=scene.accept and config.moved_sources <= 0.5)
+
+
+def _room(
+    config: SimulationConfig,
+    streams: Streams,
+    frame: RigidTransform | str,
+    *,
+    overlap: float = 1.0,
+    n_inside: int = 0,
+) -> Scene:
+    """Build a room with structures around it (and in it), both surveys random samples of a box."""
+    overlap = overlap if config.overlap is None else config.overlap
+    sides = np.array(config.room_size)
+    shift = np.array([(1 - overlap) * sides[0], 0.0, 0.0])
+    low = -(sides + shift) / 2
+    furniture = inside_box(low, -low, n_inside, streams.sources)
+    sources = around_box(low, -low, config.clearance, streams.sources) + furniture
+    probes = _samples(low, -low, furniture, N_PROBES, streams.probes)
+    sources = calibrated(sources, probes, config.anomaly_sd)
+    base = SensorPath(_samples(low, low + sides, furniture, config.n_samples, streams.base))
+    target = SensorPath(_samples(low + shift, -low, furniture, config.n_samples, streams.target))
+    return _scene(config, streams, sources, base, target, frame)
+
+
+def _room_turned(axis: str, angle_deg: float) -> Builder:
+    """Build the published office: the target's axes turned by a known angle, its origin half a metre away."""
+
+    def build(config: SimulationConfig, streams: Streams) -> Scene:
+        offset = streams.frames.uniform(-0.5, 0.5, 3)
+        rotation = Rotation.from_euler(axis, angle_deg, degrees=True)
+        return _room(config, streams, RigidTransform.from_components(offset, rotation).inv())
+
+    return build
+
+
+def _office_random(config: SimulationConfig, streams: Streams) -> Scene:
+    return _room(config, streams, "any")
+
+
+def _office_overlap(config: SimulationConfig, streams: Streams) -> Scene:
+    return _room(config, streams, "any", overlap=0.5)
+
+
+def _office_inside(config: SimulationConfig, streams: Streams) -> Scene:
+    return _room(config, streams, "any", n_inside=5)
+
+
+def _nowhere(config: SimulationConfig, streams: Streams) -> Scene:
+    """Two rooms of one kind that are different places: there is nothing to find."""
+    scene = _room(config, streams, "any")
+    high = np.array(config.room_size) / 2
+    others = around_box(-high, high, config.clearance, streams.elsewhere)
+    others = calibrated(others, uniform_in_box(-high, high, N_PROBES, streams.probes), config.anomaly_sd)
+    return replace(scene, target_sources=tuple(others), accept=False)
+
+
+def _uniform(config: SimulationConfig, streams: Streams) -> Scene:
+    """Earth's field and noise only: any translation and any turn about the field explains the data."""
+    high = np.array(config.room_size) / 2
+    base = SensorPath(uniform_in_box(-high, high, config.n_samples, streams.base))
+    target = SensorPath(uniform_in_box(-high, high, config.n_samples, streams.target))
+    return replace(_scene(config, streams, [], base, target, "any"), accept=False)
+
+
+def _repeated(config: SimulationConfig, streams: Streams) -> Scene:
+    """Three equal rooms in a row for the base, the middle one for the target: three answers are equally good."""
+    high = np.array(config.room_size) / 2
+    pattern = around_box(-high, high, config.clearance, streams.sources, faces=(2, 3, 4, 5))
+    # Copies beyond the base's ends, so that the row's own ends do not tell the rooms apart.
+    steps = [np.array([2 * high[0] * k, 0.0, 0.0]) for k in range(-4, 5)]
+    sources = [replace(source, center=source.center + step) for step in steps for source in pattern]
+    sources = calibrated(sources, uniform_in_box(-high, high, N_PROBES, streams.probes), config.anomaly_sd)
+    three = high * (3.0, 1.0, 1.0)
+    base = SensorPath(uniform_in_box(-three, three, config.n_samples, streams.base))
+    target = SensorPath(uniform_in_box(-high, high, config.n_samples, streams.target))
+    return replace(_scene(config, streams, sources, base, target, "any"), accept=False)
+
+
+def _planar(config: SimulationConfig, streams: Streams) -> Scene:
+    """Two planes 0.1 m apart, held to a centimetre."""
+    scene = _room(config, streams, "any")
+
+    def flattened(path: SensorPath, height: float, rng: np.random.Generator) -> SensorPath:
+        z = height + 0.01 * rng.uniform(-1, 1, len(path.positions))
+        return SensorPath(np.column_stack([path.positions[:, :2], z]))
+
+    return replace(
+        scene,
+        base_path=flattened(scene.base_path, -0.05, streams.base),
+        target_path=flattened(scene.target_path, 0.05, streams.target),
+    )
+
+
+def _table(config: SimulationConfig, streams: Streams) -> Scene:
+    """A table swept along its length for the base and across it for the target, with the sensor held askew.
+
+    The target's frame is its first sensor pose, so the truth is that pose in the table's frame.
+    """
+    askew = Rotation.from_euler("ZY", [20.0, 20.0], degrees=True)
+    base = _hand_held_sweep(0, Rotation.identity(), config.n_samples, streams.base)
+    target = _hand_held_sweep(1, askew, config.n_samples, streams.target)
+    return _scene(config, streams, _magnets(streams), base, target, "first_pose")
+
+
+def _table_robot(config: SimulationConfig, streams: Streams) -> Scene:
+    """A robot drives circles near the table's centre at a fixed height, to be found in the table's map."""
+    base = _hand_held_sweep(0, Rotation.identity(), config.n_samples, streams.base)
+    center = np.array([*streams.target.uniform(-0.1, 0.1, 2), ROBOT_HEIGHT])
+    positions, heading = circles(center, (0.25, 0.4, 0.55), 2, config.n_samples)
+    target = SensorPath(positions, times_along(positions, 0.2), _upright(heading))
+    return _scene(config, streams, _magnets(streams), base, target, "any")
+
+
+def _corridor(config: SimulationConfig, streams: Streams) -> Scene:
+    """A stretch of a corridor loop walked twice, 0.1 to 0.4 m apart, by dead reckoning in two frames."""
+    length = loop_length(LOOP_SIZE, LOOP_CORNER)
+
+    def place(s: Scalars) -> tuple[Points, Scalars]:
+        return around_loop(LOOP_SIZE, LOOP_CORNER, s)
+
+    sources = along_corridor(place, length, CORRIDOR_HALF_WIDTH, streams.sources)
+    start, phase = streams.sources.uniform(0, length), streams.sources.uniform(0, 2 * np.pi)
+
+    def walk(side: float, begin: float, end: float) -> SensorPath:
+        s = np.linspace(begin, end, config.n_samples)
+        positions, heading = place(start + s)
+        apart = 0.25 + 0.15 * np.sin(2 * np.pi * s / 12 + phase)
+        positions += (side * apart / 2)[:, None] * np.column_stack([-np.sin(heading), np.cos(heading), 0 * s])
+        positions[:, 2] = 0.5
+        return SensorPath(positions, times_along(positions, 0.5), _upright(heading_along(positions)))
+
+    base = walk(-1.0, 0.0, CORRIDOR_STRETCH)
+    early, late = streams.target.uniform(0, 1, 2)
+    target = walk(1.0, early, CORRIDOR_STRETCH - late)
+    probes, _ = place(start + np.linspace(0, CORRIDOR_STRETCH, N_PROBES))
+    probes[:, 2] = 0.5
+    sources = [source for source in sources if is_clear([source], probes, 0.5).all()]
+    sources = calibrated(sources, probes, config.anomaly_sd)
+    scene = _scene(config, streams, sources, base, target, "yaw")
+    return replace(scene, T_base_world=_frame("yaw", base, streams.frames), is_blind=True)
+
+
+def _scene(
+    config: SimulationConfig,
+    streams: Streams,
+    sources: list[Source],
+    base: SensorPath,
+    target: SensorPath,
+    frame: RigidTransform | str,
+) -> Scene:
+    """Put a scene together: the base's frame is the world, the target's the scenario's choice or the config's."""
+    if config.target_frame != "scenario":
+        frame = config.target_frame
+    T_target_world = _frame(frame, target, streams.frames) if isinstance(frame, str) else frame
+    everything = tuple(sources)
+    T_base_world = RigidTransform.identity()
+    earth_field = np.array(config.earth_field)
+    return Scene(everything, everything, base, target, T_base_world, T_target_world, earth_field)
+
+
+def _frame(kind: str, path: SensorPath, rng: np.random.Generator) -> RigidTransform:
+    """Draw a survey frame: takes world coordinates to it."""
+    if kind == "yaw":
+        turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
+        return RigidTransform.from_components(rng.uniform(-5, 5, 3), turn)
+    if kind == "any":
+        return random_transform(rng)
+    if path.orientations is None:
+        msg = "target_frame 'first_pose' needs a scenario whose target is a path: table, table-robot or corridor"
+        raise ConfigurationError(msg)
+    return RigidTransform.from_components(path.positions[0], path.orientations[0]).inv()
+
+
+def _samples(low: Vector3, high: Vector3, furniture: list[Source], n: int, rng: np.random.Generator) -> Points:
+    """Random points of a box that keep off its furniture."""
+    points = uniform_in_box(low, high, n, rng)
+    while not (free := is_clear(furniture, points, INSIDE_CLEARANCE)).all():
+        points[~free] = uniform_in_box(low, high, int((~free).sum()), rng)
+    return points
+
+
+def _magnets(streams: Streams) -> list[Source]:
+    """Draw the magnets of the table."""
+    return under_table(TABLE_SIZE, TABLE_MAGNET_DEPTH, int(streams.sources.integers(10, 21)), streams.sources)
+
+
+def _hand_held_sweep(along: int, held: Rotation, n: int, rng: np.random.Generator) -> SensorPath:
+    """Sweep the table in rows by hand: centimetre wander and two degrees of wobble about how the sensor is held."""
+    high = np.array([*TABLE_SIZE, 0.0]) / 2
+    positions = boustrophedon(-high, high, TABLE_HEIGHTS, 0.1, along, n)
+    positions += np.column_stack([smooth_noise(n, 10, sd, rng) for sd in (0.01, 0.01, 0.005)])
+    wobble = np.column_stack([smooth_noise(n, 15, np.deg2rad(2), rng) for _ in range(3)])
+    # The first pose defines the target's frame: held exactly as the scenario says.
+    return SensorPath(positions, times_along(positions, 0.25), held * Rotation.from_rotvec(wobble - wobble[0]))
+
+
+def _upright(heading: Scalars) -> Rotation:
+    """Orientation of a sensor that looks where it drives, z up."""
+    return Rotation.from_euler("z", heading[:, None])
+
+
+SCENARIOS: dict[str, Builder] = {
+    "office": _room_turned("z", 30.0),
+    "office-z30": _room_turned("z", 30.0),
+    "office-x30": _room_turned("x", -30.0),
+    "office-random": _office_random,
+    "office-overlap": _office_overlap,
+    "office-inside": _office_inside,
+    "planar": _planar,
+    "table": _table,
+    "table-robot": _table_robot,
+    "corridor": _corridor,
+    "repeated": _repeated,
+    "nowhere": _nowhere,
+    "uniform": _uniform,
+}

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A scenario before anything is measured, and the random streams it is drawn from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.errors import ConfigurationError
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.simulation.magnets import Source, field_of
+from magmatch.simulation.paths import SensorPath
+from magmatch.typing import Points, Vector3, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scene:
+    """A scenario before anything is measured: all that is true.
+
+    Attributes
+    ----------
+    base_sources, target_sources : tuple of Source
+        What stood in the world at either survey; the same unless something moved.
+    base_path, target_path : SensorPath
+        True sensor poses, world frame.
+    T_base_world, T_target_world : RigidTransform
+        Take world coordinates to either survey's frame.
+    earth_field : (3,) array, T
+        World frame.
+    accept : bool
+        Whether a correct program accepts a registration here.
+    is_blind : bool
+        Whether poses come from dead reckoning, and so drift.
+    """
+
+    base_sources: tuple[Source, ...]
+    target_sources: tuple[Source, ...]
+    base_path: SensorPath
+    target_path: SensorPath
+    T_base_world: RigidTransform
+    T_target_world: RigidTransform
+    earth_field: Vector3
+    accept: bool = True
+    is_blind: bool = False
+
+    @property
+    def T_base_target(self) -> RigidTransform:
+        """Exact ground truth."""
+        return self.T_base_world * self.T_target_world.inv()
+
+    def base_field(self, p_base: Points) -> Vectors:
+        """Return the true, noise-free field at the time of the base survey.
+
+        Parameters
+        ----------
+        p_base : (n, 3) array, m
+            Base frame.
+
+        Returns
+        -------
+        (n, 3) array, T
+            Base frame, Earth's field included.
+        """
+        p_world = transform_points(p_base, self.T_base_world.inv())
+        return rotate_vectors(field_of(self.base_sources, p_world) + self.earth_field, self.T_base_world)
+
+
+class Streams:
+    """One independent random stream per cause, so that changing one setting leaves all else as it was.
+
+    Parameters
+    ----------
+    seed : int
+        Not negative.
+    """
+
+    def __init__(self, seed: int) -> None:
+        if seed < 0:
+            msg = f"the seed must not be negative, got {seed}"
+            raise ConfigurationError(msg)
+        names = ("sources", "elsewhere", "moves", "base", "target", "frames", "base_errors", "target_errors")
+        children = np.random.SeedSequence(seed).spawn(len(names) + 1)
+        self.probes = np.random.default_rng(children.pop())
+        (
+            self.sources, self.elsewhere, self.moves, self.base, self.target,
+            self.frames, self.base_errors, self.target_errors,
+        ) = map(np.random.default_rng, children)  # fmt: skip

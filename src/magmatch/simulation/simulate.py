@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: a named scenario in, two surveys and the exact truth between them out."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+import magmatch
+from magmatch.atomic import atomic_write
+from magmatch.data.survey import Survey
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.magnets import Source, field_of
+from magmatch.simulation.paths import SensorPath
+from magmatch.simulation.scenario import SimulatedPair
+from magmatch.simulation.scenarios import build_scene
+from magmatch.simulation.scene import Streams
+from magmatch.typing import Points, Vector3, Vectors
+
+
+def simulate(scenario: str, seed: int = 0, config: SimulationConfig | None = None) -> SimulatedPair:
+    """Two surveys of a named scenario, each in its own frame, and the exact transform between them.
+
+    Parameters
+    ----------
+    scenario : str
+        One of `magmatch.simulation.scenarios.SCENARIOS`, such as ``'office'``, ``'table'`` or ``'nowhere'``.
+    seed : int
+        Same scenario, seed and config give the same numbers bit for bit; the noise of base and target differs.
+    config : SimulationConfig, optional
+        Settings; the defaults suit every scenario.
+
+    Returns
+    -------
+    SimulatedPair
+        Base, target, ``T_base_target`` and whether a correct program accepts a registration.
+
+    Raises
+    ------
+    ConfigurationError
+        No such scenario (the message lists them), or a setting that does not fit it.
+    MissingExtraError
+        Magpylib is not installed.
+
+    Examples
+    --------
+    >>> pair = simulate("uniform", seed=1, config=SimulationConfig(n_samples=10))
+    >>> len(pair.target), pair.accept
+    (10, False)
+    """
+    config = config or SimulationConfig()
+    streams = Streams(seed)
+    scene = build_scene(scenario, config, streams)
+    drift = config.pose_drift if scene.is_blind else 0.0
+    as_base = config.model_copy(update={"bias": (0.0, 0.0, 0.0), "scale": 0.0, "pose_drift": drift})
+    as_target = config.model_copy(update={"pose_drift": drift})
+    base = _measure(scene.base_path, scene.base_sources, scene.earth_field, as_base, streams.base_errors)
+    target = _measure(scene.target_path, scene.target_sources, scene.earth_field, as_target, streams.target_errors)
+    return SimulatedPair(
+        scenario=scenario,
+        seed=seed,
+        base=replace(base.transformed(scene.T_base_world, "base"), name=f"{scenario} base"),
+        target=replace(target.transformed(scene.T_target_world, "target"), name=f"{scenario} target"),
+        T_base_target=scene.T_base_target,
+        accept=scene.accept,
+        config=config,
+    )
+
+
+def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
+    """Write a pair as ``base.csv``, ``target.csv`` and ``truth.json``, each whole or not at all.
+
+    Parameters
+    ----------
+    pair : SimulatedPair
+        What `simulate` returned.
+    folder : path
+        Created if missing. The truth is written last: where it stands, the surveys are complete.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    truth = {
+        "T_base_target": pair.T_base_target.as_matrix().tolist(),
+        "accept": pair.accept,
+        "scenario": pair.scenario,
+        "seed": pair.seed,
+        "version": magmatch.__version__,
+        "config": pair.config.model_dump(mode="json"),
+    }
+    pair.base.save(folder / "base.csv")
+    pair.target.save(folder / "target.csv")
+    with atomic_write(folder / "truth.json") as stream:
+        stream.write(json.dumps(truth, indent=2).encode() + b"\n")
+
+
+def read_truth(path: str | Path) -> tuple[RigidTransform, bool]:
+    """Read ``truth.json``.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    T_base_target : RigidTransform
+        Exact ground truth.
+    accept : bool
+        Whether a correct program accepts a registration.
+    """
+    truth = json.loads(Path(path).read_text(encoding="utf-8"))
+    return RigidTransform.from_matrix(np.array(truth["T_base_target"])), bool(truth["accept"])
+
+
+def _measure(
+    path: SensorPath, sources: tuple[Source, ...], earth_field: Vector3, config: SimulationConfig,
+    rng: np.random.Generator,
+) -> Survey:  # fmt: skip
+    """Measure along a path, world frame: the field where the sensor is, recorded where it thinks it is."""
+    n = len(path.positions)
+    # Drawn whether used or not, so that one setting does not change the others' errors.
+    noise, pose_noise, steps = rng.standard_normal((n, 3)), rng.standard_normal((n, 3)), rng.standard_normal((n, 2))
+    field = field_of(sources, path.positions) + earth_field
+    drift, drift_sd = _drift(path.positions, steps, config.pose_drift)
+    return Survey(
+        positions=path.positions + config.pose_noise_sd * pose_noise + drift,
+        field=_as_read(field, path, config) + config.noise_sd * noise,
+        times=path.times,
+        orientations=path.orientations,
+        pose_sd=float(np.hypot(config.pose_noise_sd, drift_sd)),
+    )
+
+
+def _as_read(field: Vectors, path: SensorPath, config: SimulationConfig) -> Vectors:
+    """Apply the sensor's scale and bias, which live in its own frame; result in the world frame."""
+    bias = np.array(config.bias)
+    turned = bias if path.orientations is None else path.orientations.apply(bias)
+    return (1 + config.scale) * field + turned
+
+
+def _drift(positions: Points, steps: np.ndarray, rate: float) -> tuple[Points, float]:
+    """Random walk of horizontal positions about its own mean, which the frame takes up, and its mean deviation."""
+    walked = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
+    walk = np.cumsum(rate * np.sqrt(walked)[:, None] * steps, axis=0)
+    walk -= walk.mean(axis=0)
+    # The variance of a random walk of length L about its own mean is L / 6 on average.
+    return np.column_stack([walk, np.zeros(len(walk))]), rate * float(np.sqrt(walked.sum() / 6))
