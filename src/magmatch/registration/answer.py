@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From judged poses to the result in the surveys' own frames."""
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -75,6 +77,7 @@ def by_evidence(
         # A unique answer has no alternatives; a refusal shows what was considered, best first.
         alternatives=() if is_accepted else tuple(Alternative(T) for T in others),
         degenerate_directions=free,
+        sensor=_sensor(best, target),
         residual=best.residual if np.isfinite(best.residual) else None,
         fitness=_fitness(base, target, best),
         n_inliers=best.n_good,
@@ -133,8 +136,23 @@ def _to_surveys(T: RigidTransform, base: PreparedMap, target: PreparedMap) -> Ri
 def _fitness(base: PreparedMap, target: PreparedMap, best: PoseEvidence) -> float | None:
     T = best.pose.T_base_target
     expected, _, _, is_known = base.raster.lookup(transform_points(target.samples, T))
-    aligned = rotate_vectors(target.sample_field, T)
+    aligned = rotate_vectors(best.pose.sensor.correct(target.sample_field), T)
     return mean_misalignment(aligned[is_known], expected[is_known]) if is_known.any() else None
+
+
+def _sensor(best: PoseEvidence, target: PreparedMap) -> dict[str, Any] | None:
+    """Estimated difference of the magnetometers in the target's survey axes; None where it was not estimated."""
+    sensor = best.pose.sensor
+    if not len(sensor.shapes) and not sensor.bias.any():
+        return None
+    R = target.T_map_model.rotation.as_matrix()
+    gain = R @ sensor.gain @ R.T
+    return {
+        "bias": [float(c) for c in R @ sensor.bias],
+        "scale": float(np.trace(gain) / 3),
+        "gain": [[float(g) for g in row] for row in gain],
+        "prior_sd": [float(s) for s in best.pose.sensor_sd],
+    }
 
 
 def _links(target: PreparedMap, T_base_target: RigidTransform, best: PoseEvidence) -> Links:

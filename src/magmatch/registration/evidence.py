@@ -85,7 +85,7 @@ def weigh_pose(base: PreparedMap, target: PreparedMap, pose: RefinedPose) -> Pos
     noise_variance = base.noise_sd**2 + target.noise_sd**2
     deviation = target.sample_field - np.median(target.sample_field, axis=0)
     field_variance = max(float(np.median((deviation**2).sum(axis=1))) / MEDIAN_CHI2_3, noise_variance)
-    residual = rotate_vectors(target.sample_field, T) - expected
+    residual = rotate_vectors(pose.sensor.correct(target.sample_field), T) - expected
     cells, counts = _cells(y[is_known], lengthscale)
     r2 = _cell_mean_power(residual[is_known], cells, counts)
     n2 = _cell_mean_power(deviation[is_known], cells, counts)
