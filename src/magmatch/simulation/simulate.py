@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-import magmatch
+from magmatch import __version__
 from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
 from magmatch.simulation.config import SimulationConfig
@@ -86,7 +86,7 @@ def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
         "accept": pair.accept,
         "scenario": pair.scenario,
         "seed": pair.seed,
-        "version": magmatch.__version__,
+        "version": __version__,
         "config": pair.config.model_dump(mode="json"),
     }
     pair.base.save(folder / "base.csv")
