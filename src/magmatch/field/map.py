@@ -55,8 +55,8 @@ class FieldMap:
     config : FieldConfig
         How the map was made.
     fitted_samples : Survey or None
-        The samples in the model's frame as they were fitted; None while going back from the map frame gives the
-        same, kept once the map is carried to another frame, since going back would round.
+        The samples in the model's frame as they were fitted; None while turning them there again gives the same,
+        kept once the map was carried to another frame or saved, since turning back would round.
     """
 
     survey: Survey
@@ -178,12 +178,11 @@ class FieldMap:
         -------
         FieldMap
         """
-        fitted = self.fitted_samples
         return replace(
             self,
             survey=self.survey.transformed(T_new_map),
             T_map_model=T_new_map * self.T_map_model,
-            fitted_samples=self.survey.transformed(self.T_map_model.inv()) if fitted is None else fitted,
+            fitted_samples=self._fitted(),
         )
 
     def save(self, path: str | Path) -> None:
@@ -205,7 +204,7 @@ class FieldMap:
             self.config,
             self.hyperparameters,
             self.posterior.weights,
-            self.fitted_samples,
+            self._fitted(),
         ).write(path)
 
     @classmethod
@@ -229,6 +228,12 @@ class FieldMap:
         """
         record = MapRecord.read(path)
         return cls(record.survey, record.refit(path), record.T_map_model, record.config, record.fitted_samples)
+
+    def _fitted(self) -> Survey:
+        """Samples in the model's frame, to the bit as they were fitted."""
+        if self.fitted_samples is not None:
+            return self.fitted_samples
+        return self.survey.transformed(self.T_map_model.inv())
 
     def _to_model(self, points: Points) -> Points:
         return transform_points(np.asarray(points, dtype=np.float64), self.T_map_model.inv())

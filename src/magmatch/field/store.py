@@ -53,8 +53,9 @@ class MapRecord:
         Resolved numbers of the prior.
     weights : (m,) array
         Posterior mean of the weights.
-    fitted_samples : Survey or None
-        Samples in the model's frame where going back from the map frame would round (see `FieldMap`).
+    fitted_samples : Survey
+        The same samples in the model's frame, exactly as they were fitted: to turn them there again would round
+        differently on another machine, and a basis laid over the samples may jump by a node for it.
     """
 
     survey: Survey
@@ -62,7 +63,7 @@ class MapRecord:
     config: FieldConfig
     hyperparameters: Hyperparameters
     weights: Scalars
-    fitted_samples: Survey | None = None
+    fitted_samples: Survey
 
     def __post_init__(self) -> None:
         for name, value in self._numbers().items():
@@ -74,7 +75,7 @@ class MapRecord:
             msg = f"expected positive lengthscale, signal_sd, noise_sd and spacing, got {h}"
             raise ValueError(msg)
         with np.errstate(over="ignore", invalid="ignore"):
-            extent = np.ptp(self.samples_to_fit().positions, axis=0)
+            extent = np.ptp(self.fitted_samples.positions, axis=0)
             n_nodes = float(np.prod(extent / h.spacing + 2 * MARGIN_NODES))
         if not n_nodes <= MAX_NODES:
             msg = (
@@ -86,20 +87,12 @@ class MapRecord:
         """All numbers that must be finite."""
         survey = self.survey
         numbers = {"positions": survey.positions, "field": survey.field, "pose_sd": survey.pose_sd}
+        numbers |= {"model_positions": self.fitted_samples.positions, "model_field": self.fitted_samples.field}
         numbers |= {"weights": self.weights, "T_map_model": self.T_map_model.as_matrix()}
         numbers |= self.hyperparameters.as_dict()
         if survey.times is not None:
             numbers["times"] = survey.times
-        if self.fitted_samples is not None:
-            numbers["model_positions"] = self.fitted_samples.positions
-            numbers["model_field"] = self.fitted_samples.field
         return numbers
-
-    def samples_to_fit(self) -> Survey:
-        """Samples in the model's frame, exactly as they were fitted."""
-        if self.fitted_samples is not None:
-            return self.fitted_samples
-        return self.survey.transformed(self.T_map_model.inv())
 
     def refit(self, path: str | Path) -> Posterior:
         """Fit the samples again and make sure that the field is the one that was saved.
@@ -118,12 +111,11 @@ class MapRecord:
         DataFormatError
             The samples cannot be fitted, or give another field.
         """
-        samples = self.samples_to_fit()
         try:
-            posterior = fit_posterior(samples, self.hyperparameters, self.config)
+            posterior = fit_posterior(self.fitted_samples, self.hyperparameters, self.config)
         except (ValueError, KeyError, np.linalg.LinAlgError, MagmatchError) as error:
             raise DataFormatError(path, f"its samples cannot be fitted again: {error}") from error
-        if not _is_same_field(posterior, self.weights, samples):
+        if not _is_same_field(posterior, self.weights, self.fitted_samples):
             raise DataFormatError(
                 path,
                 "entry 'weights': fitting its samples again gives another field (made by another version of "
@@ -135,13 +127,11 @@ class MapRecord:
         """Save the record; see `read`."""
         survey = self.survey
         arrays = {"positions": survey.positions, "field": survey.field, "weights": self.weights}
+        arrays |= {"model_positions": self.fitted_samples.positions, "model_field": self.fitted_samples.field}
         if survey.times is not None:
             arrays["times"] = survey.times
         if survey.orientations is not None:
             arrays["orientations"] = survey.orientations.as_quat()
-        if self.fitted_samples is not None:
-            arrays["model_positions"] = self.fitted_samples.positions
-            arrays["model_field"] = self.fitted_samples.field
         attributes = {
             "survey": {"frame": survey.frame, "name": survey.name, "pose_sd": float(survey.pose_sd)},
             # SciPy keeps a rigid transform as this very matrix, so no quaternion is needed for an exact copy.
@@ -225,9 +215,7 @@ def _survey(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Surve
     )
 
 
-def _fitted_samples(arrays: Mapping[str, np.ndarray]) -> Survey | None:
-    if "model_positions" not in arrays:
-        return None
+def _fitted_samples(arrays: Mapping[str, np.ndarray]) -> Survey:
     return Survey(_shaped(arrays, "model_positions", 2, 3), _shaped(arrays, "model_field", 2, 3), frame="model")
 
 
