@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.field.values import FieldValues
 from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error, transform_points
 from magmatch.registration.covariance import pose_covariance, to_survey_axes
-from magmatch.registration.evidence import weigh_pose
+from magmatch.registration.evidence import unrelated_field, weigh_pose
 from magmatch.registration.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
 from magmatch.registration.prepared import prepare, thin
 from magmatch.registration.raster import rasterize
@@ -148,9 +148,10 @@ def test_covariance_covers_the_error_of_repeated_surveys(make_exact_pair):
 def test_a_right_pose_has_evidence_and_a_wrong_one_has_none(prepared_pair):
     base, target, T_true = prepared_pair
     config, rng = RefinementConfig(), np.random.default_rng(0)
-    right = weigh_pose(base, target, refine(base, target, T_true, config, rng))
+    unrelated = unrelated_field(base, target)
+    right = weigh_pose(base, target, refine(base, target, T_true, config, rng), unrelated)
     elsewhere = T_true * exp_se3(np.array([0, 0, 2.0, 0.4, 0.3, 0]))
-    wrong = weigh_pose(base, target, refine(base, target, elsewhere, config, rng))
+    wrong = weigh_pose(base, target, refine(base, target, elsewhere, config, rng), unrelated)
     assert right.log_evidence > 100
     assert right.good_share > 0.95
     assert wrong.log_evidence < 10

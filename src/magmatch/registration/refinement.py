@@ -129,13 +129,16 @@ def refine(
         if not directions:
             break
         A, v = normal_equations(directions)
+        # Neighbouring residuals are not independent; unscaled they would override any prior.
+        excess = overdispersion(directions, 2 * lengthscale)
+        A, v = A / excess, v / excess
         if config.sensor.mode == "auto" and step == LEVEL_STEP:
-            level = choose_level(A, v, sensor.parameters, overdispersion(directions, 2 * lengthscale), config.sensor)
+            level = choose_level(A, v, sensor.parameters, config.sensor)
         sd = prior_sd(config.sensor, level, sensor.n_parameters)
         A[6:, 6:] += np.diag(sd**-2)
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
-        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:])
+        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
         if step > LEVEL_STEP and np.abs(xi[:6]).max() < 1e-9:
             break
     sd = prior_sd(config.sensor, level, sensor.n_parameters)

@@ -14,7 +14,7 @@ from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_evidence, by_fitness
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.config import PRESETS, RegistrationConfig
-from magmatch.registration.evidence import PoseEvidence, weigh_pose
+from magmatch.registration.evidence import PoseEvidence, unrelated_field, weigh_pose
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.invariant_search import invariant_search
 from magmatch.registration.keypoint_search import keypoint_search
@@ -126,5 +126,6 @@ def _refine_and_rank(
     """Refine the best candidates and order them by their evidence."""
     starts: list[RigidTransform] = [c.T_base_target for c in found.candidates[: config.refinement.n_candidates]]
     refined = [refine(base, target, T, config.refinement, rng) for T in starts]
-    weighed = [weigh_pose(base, target, pose) for pose in refined]
+    unrelated = unrelated_field(base, target)
+    weighed = [weigh_pose(base, target, pose, unrelated) for pose in refined]
     return sorted(weighed, key=lambda e: -e.log_evidence)

@@ -76,10 +76,11 @@ class SensorModel:
         gain = -np.einsum("kij,nj->nik", self.shapes, corrected)
         return np.concatenate([bias, gain], axis=2)
 
-    def stepped(self, step: np.ndarray) -> "SensorModel":
-        """Return the model with its parameters moved."""
-        gain = self.gain + np.einsum("k,kij->ij", step[3:], self.shapes)
-        return SensorModel(self.bias + step[:3], gain, self.shapes)
+    def stepped(self, step: np.ndarray, limit: np.ndarray | float = np.inf) -> "SensorModel":
+        """Return the model with its parameters moved, none beyond a limit."""
+        parameters = np.clip(self.parameters + step, -np.asarray(limit), limit)
+        gain = np.eye(3) + np.einsum("k,kij->ij", parameters[3:], self.shapes)
+        return SensorModel(parameters[:3], gain, self.shapes)
 
 
 def identical_sensors(mode: SensorMode) -> SensorModel:
@@ -100,21 +101,17 @@ def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
     return np.concatenate([np.full(3, config.bias_levels[level]), gain])
 
 
-def choose_level(
-    information: Matrix, gradient: np.ndarray, current: np.ndarray, overdispersion: float, config: SensorConfig
-) -> int:
+def choose_level(information: Matrix, gradient: np.ndarray, current: np.ndarray, config: SensorConfig) -> int:
     """Prior level that the data ask for, the pose marginalised.
 
     Parameters
     ----------
     information : (6 + k, 6 + k) array
-        Of pose and sensor parameters.
+        Of pose and sensor parameters, as of independent residuals.
     gradient : (6 + k,) array
         Of the log-likelihood at the current estimate.
     current : (k,) array
         Current sensor parameters.
-    overdispersion : float
-        By how much neighbouring residuals overstate the information.
     config : SensorConfig
 
     Returns
@@ -122,7 +119,7 @@ def choose_level(
     int
         Index into the levels.
     """
-    A, v = information / overdispersion, gradient / overdispersion
+    A, v = information, gradient
     pose, sensor = slice(0, 6), slice(6, len(A))
     gain = A[sensor, pose] @ np.linalg.pinv(A[pose, pose], rcond=1e-10, hermitian=True)
     schur = A[sensor, sensor] - gain @ A[pose, sensor]

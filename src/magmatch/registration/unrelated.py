@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a target's field would look like if the base had nothing to do with it: a smooth random field of its own.
+
+Cell means of the target's samples are explained by a rational-quadratic field around a free constant, its
+lengthscale and strength the most likely ones for this very survey. That gives the null hypothesis its best chance,
+and counts a smooth field, whose cells are not independent, for what it is worth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+
+from magmatch.typing import Matrix, Points, Scalars, Vectors
+
+# More cells than this add cost, not certainty.
+MAX_CELLS = 250
+# Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
+LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
+STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
+# Share of cells that may disagree although the pose is right (moved objects).
+OUTLIER_SHARE = 0.05
+# Share of the field that the base may leave unexplained, as variance; residuals are as smooth as the field.
+UNEXPLAINED = np.geomspace(1e-4, 1.0, 13)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CellMeans:
+    """Samples averaged over cubic cells of the target.
+
+    Attributes
+    ----------
+    cell : (n,) int array
+        Which cell each sample belongs to; negative where its cell is left out.
+    counts : (c,) array
+    centers : (c, 3) array, m
+    """
+
+    cell: np.ndarray
+    counts: Scalars
+    centers: Points
+
+    def mean(self, values: Matrix) -> Matrix:
+        """Average rows over the cells: (c, k)."""
+        kept = self.cell >= 0
+        return np.stack(
+            [
+                np.bincount(self.cell[kept], column[kept], len(self.counts)) / np.maximum(self.counts, 1)
+                for column in np.atleast_2d(values.T)
+            ],
+            axis=1,
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class UnrelatedField:
+    """Covariance of the cells' field under the null hypothesis.
+
+    Attributes
+    ----------
+    cells : CellMeans
+    field : (c, 3) array, T
+        Mean field of each cell.
+    covariance : (c, c) array, T^2
+        Of one component between cells, noise left out.
+    noise : (c,) array, T^2
+        Variance of one component of each cell's mean.
+    """
+
+    cells: CellMeans
+    field: Vectors
+    covariance: Matrix
+    noise: Scalars
+
+    def log_likelihood(self, rows: np.ndarray) -> float:
+        """Log-likelihood of the field of some cells, its constant given for free."""
+        return _with_free_constant(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise[rows])
+
+    def log_likelihood_of_residual(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
+        """Log-likelihood of what a pose leaves unexplained in some cells, at the most likely unexplained share.
+
+        Parameters
+        ----------
+        residual : (r, 3) array, T
+            Of the cells in ``rows``.
+        extra : (r,) array, T^2
+            Further variance of each cell (the base map's spread).
+        rows : (r,) int array
+
+        Returns
+        -------
+        log_likelihood : float, nats
+        unexplained : float
+            Share of the field's variance.
+        """
+        K, noise = self.covariance[np.ix_(rows, rows)], self.noise[rows] + extra
+        r2 = (residual**2).sum(axis=1)
+        found = []
+        for share in UNEXPLAINED:
+            expected = share * np.diag(K) + noise
+            # A cell that disagrees grossly (something moved) falls back to the unrelated field, at a price.
+            is_outlier = r2 > 16 * expected
+            widened = noise + np.where(is_outlier, np.diag(K), 0.0)
+            price = is_outlier.sum() * np.log(OUTLIER_SHARE)
+            found.append(gaussian_log_likelihood(residual, share * K, widened) + price)
+        best = int(np.argmax(found))
+        return float(found[best]), float(UNEXPLAINED[best])
+
+
+def average_cells(positions: Points, side: float) -> CellMeans:
+    """Cut samples into cubic cells; where there are too many, an even choice of them.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m
+    side : float, m
+
+    Returns
+    -------
+    CellMeans
+    """
+    _, cell, counts = np.unique(
+        np.floor(positions / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    cell = cell.ravel()
+    chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_CELLS)).astype(np.int64))
+    renamed = np.full(len(counts), -1)
+    renamed[chosen] = np.arange(len(chosen))
+    means = CellMeans(renamed[cell], counts[chosen].astype(np.float64), np.zeros((0, 3)))
+    return CellMeans(means.cell, means.counts, means.mean(positions))
+
+
+def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> UnrelatedField:
+    """Most likely smooth random field for the target's cells.
+
+    Parameters
+    ----------
+    cells : CellMeans
+    field : (c, 3) array, T
+        Mean field of each cell.
+    noise : (c,) array, T^2
+        Variance of one component of each mean.
+    lengthscale : float, m
+        Of the target's map.
+
+    Returns
+    -------
+    UnrelatedField
+    """
+    distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
+    variance = max(float(field.var(axis=0).mean()), float(noise.min()))
+    best, covariance = -np.inf, np.zeros_like(distance2)
+    for factor in LENGTHSCALES:
+        # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
+        correlation = 1 / (1 + distance2 / (2 * (factor * lengthscale) ** 2))
+        for strength in STRENGTHS:
+            K = strength**2 * variance * correlation
+            log_likelihood = _with_free_constant(field, K, noise)
+            if log_likelihood > best:
+                best, covariance = log_likelihood, K
+    return UnrelatedField(cells, field, covariance, noise)
+
+
+def gaussian_log_likelihood(values: Vectors, K: Matrix, noise: Scalars) -> float:
+    """Log density of three independent components, each with covariance ``K + diag(noise)``; constants left out."""
+    L = cholesky(K + np.diag(noise + 1e-9 * np.trace(K) / len(K)), lower=True, check_finite=False)
+    z = solve_triangular(L, values, lower=True, check_finite=False)
+    return float(-0.5 * (z**2).sum() - 3 * np.log(np.diag(L)).sum())
+
+
+def _with_free_constant(values: Vectors, K: Matrix, noise: Scalars) -> float:
+    L = cholesky(K + np.diag(noise + 1e-9 * np.trace(K) / len(K)), lower=True, check_finite=False)
+    z = solve_triangular(L, values, lower=True, check_finite=False)
+    one = solve_triangular(L, np.ones(len(values)), lower=True, check_finite=False)
+    z -= np.outer(one, one @ z / (one @ one))
+    return float(-0.5 * (z**2).sum() - 3 * np.log(np.diag(L)).sum())
