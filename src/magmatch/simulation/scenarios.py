@@ -35,7 +35,8 @@ from magmatch.simulation.structures import (
 from magmatch.typing import Points, Scalars, Vector3
 
 TABLE_SIZE = (2.0, 1.5)  # m; 3 m^2 as published
-TABLE_MAGNET_DEPTH = 0.06  # m under the surface: top and spacer; features as wide as the rows are apart
+TABLE_MAGNET_DEPTH = 0.08  # m under the surface: top and spacer, so that rows resolve what lies under them
+TABLE_ROW_SPACING = 0.07  # m
 TABLE_HEIGHTS = (0.05, 0.10, 0.15)  # m above the surface
 ROBOT_HEIGHT = 0.05  # m above the table, as published
 LOOP_SIZE = (20.0, 10.0)  # m, sides of the corridor's centre line
@@ -269,7 +270,7 @@ def _magnets(streams: Streams) -> list[Source]:
 def _hand_held_sweep(along: int, held: Rotation, n: int, rng: np.random.Generator) -> SensorPath:
     """Sweep the table in rows by hand: centimetre wander and two degrees of wobble about how the sensor is held."""
     high = np.array([*TABLE_SIZE, 0.0]) / 2
-    positions = boustrophedon(-high, high, TABLE_HEIGHTS, 0.1, along, n)
+    positions = boustrophedon(-high, high, TABLE_HEIGHTS, TABLE_ROW_SPACING, along, n)
     positions += np.column_stack([smooth_noise(n, 10, sd, rng) for sd in (0.01, 0.01, 0.005)])
     wobble = np.column_stack([smooth_noise(n, 15, np.deg2rad(2), rng) for _ in range(3)])
     # The first pose defines the target's frame: held exactly as the scenario says.
