@@ -2,46 +2,17 @@
 """The last noun: what registration found, how sure it is, and why it refused when it did."""
 
 from dataclasses import dataclass, field
-from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.registration.parts import Alternative, DegenerateDirection, Links, Status
+from magmatch.registration.serialization import document_of, read_json, write_json
+from magmatch.registration.validation import fields_of
 
-class Status(StrEnum):
-    """Why a registration was accepted or not."""
-
-    ACCEPTED = "accepted"
-    AMBIGUOUS = "ambiguous"  # another pose explains the data nearly as well
-    DEGENERATE = "degenerate"  # the data leave a direction free
-    NO_OVERLAP = "no_overlap"  # the surveys do not cover a common region
-    UNINFORMATIVE = "uninformative"  # the field has too little structure to tell places apart
-    INCONSISTENT = "inconsistent"  # the best pose found does not explain the field
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """Another pose that explains the data, with its probability (None where not computed)."""
-
-    T_base_target: RigidTransform
-    probability: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class DegenerateDirection:
-    """A direction of the tangent space that the data do not fix: unit 6-vector in target axes, and words."""
-
-    xi: np.ndarray
-    words: str
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Links:
-    """Corresponding points that support the answer, for pictures: row i of one belongs to row i of the other."""
-
-    base: np.ndarray  # (k, 3), m, base frame
-    target: np.ndarray  # (k, 3), m, target frame
+__all__ = ["Alternative", "DegenerateDirection", "Links", "RegistrationResult", "Status"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,3 +77,42 @@ class RegistrationResult:
     def is_accepted(self) -> bool:
         """Whether a transform is given."""
         return self.status is Status.ACCEPTED
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the result says, in lists, numbers and words, keys and order as in the file."""
+        return document_of(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the result as JSON (layout in ``docs/conventions.md``), whole or not at all.
+
+        Parameters
+        ----------
+        path : path
+            Where; an existing file is replaced.
+
+        Raises
+        ------
+        DataFormatError
+            The folder does not exist.
+        """
+        write_json(path, self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> "RegistrationResult":
+        """Read a result; saving it again gives the same bytes.
+
+        Parameters
+        ----------
+        path : path
+            A file that `save` wrote, or JSON of the same layout from elsewhere.
+
+        Returns
+        -------
+        RegistrationResult
+
+        Raises
+        ------
+        DataFormatError
+            Not such a file, or one of its values cannot be; names the key.
+        """
+        return cls(**fields_of(read_json(path), path))

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One number that stands for a survey's content, to tell later whether it is still the same."""
+
+import hashlib
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+
+
+def hash_survey(survey: Survey) -> str:
+    """SHA-256 of a survey's samples, whatever file they came from.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its name and the name of its frame do not count.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Notes
+    -----
+    Positions, field, times and ``pose_sd`` count to the last bit. Orientations count as float32, either sign:
+    reading quaternions from text brings them to unit length once more, which changes their last bits.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> hash_survey(Survey(np.zeros((1, 3)), np.full((1, 3), 1e-5)))[:8]
+    '737c5ed9'
+    """
+    digest = hashlib.sha256(b"magmatch.survey/1")
+    parts: dict[str, np.ndarray] = {"positions": survey.positions, "field": survey.field}
+    if survey.times is not None:
+        parts["times"] = survey.times
+    if survey.orientations is not None:
+        parts["orientations"] = survey.orientations.as_quat(canonical=True).astype("<f4")
+    parts["pose_sd"] = np.array([survey.pose_sd])
+    for name, values in parts.items():
+        # Adding zero takes the sign off negative zeros, which text need not keep.
+        block = np.ascontiguousarray(values + 0.0)
+        kind = "<f4" if block.dtype == np.float32 else "<f8"
+        digest.update(f"{name} {block.shape} {kind};".encode())
+        digest.update(block.astype(kind).tobytes())
+    return digest.hexdigest()
