@@ -7,6 +7,7 @@ and counts a smooth field, whose cells are not independent, for what it is worth
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -15,14 +16,16 @@ from scipy.spatial.distance import cdist
 from magmatch.typing import Matrix, Points, Scalars, Vectors
 
 # More cells than this add cost, not certainty.
-MAX_CELLS = 250
+MAX_CELLS = 150
 # Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
 LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
 STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
 # Share of cells that may disagree although the pose is right (moved objects).
 OUTLIER_SHARE = 0.05
 # Share of the field that the base may leave unexplained, as variance; residuals are as smooth as the field.
-UNEXPLAINED = np.geomspace(1e-4, 1.0, 13)
+UNEXPLAINED = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0)
+# Rough part of what is not modelled (jitter of poses in a steep field), in the cells' standard deviation.
+ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,16 +69,21 @@ class UnrelatedField:
         Of one component between cells, noise left out.
     noise : (c,) array, T^2
         Variance of one component of each cell's mean.
+    roughness : float, T^2
+        Further variance that follows no smooth field.
     """
 
     cells: CellMeans
     field: Vectors
     covariance: Matrix
     noise: Scalars
+    roughness: float
 
     def log_likelihood(self, rows: np.ndarray) -> float:
         """Log-likelihood of the field of some cells, its constant given for free."""
-        return _with_free_constant(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise[rows])
+        return _with_free_constant(
+            self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise[rows] + self.roughness
+        )
 
     def log_likelihood_of_residual(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
         """Log-likelihood of what a pose leaves unexplained in some cells, at the most likely unexplained share.
@@ -95,17 +103,17 @@ class UnrelatedField:
             Share of the field's variance.
         """
         K, noise = self.covariance[np.ix_(rows, rows)], self.noise[rows] + extra
-        r2 = (residual**2).sum(axis=1)
-        found = []
-        for share in UNEXPLAINED:
-            expected = share * np.diag(K) + noise
+        r2, variance = (residual**2).sum(axis=1), float(self.field.var(axis=0).mean())
+        best, best_share = -np.inf, 1.0
+        for share, rough in product(UNEXPLAINED, ROUGHNESS):
+            N = noise + rough**2 * variance
             # A cell that disagrees grossly (something moved) falls back to the unrelated field, at a price.
-            is_outlier = r2 > 16 * expected
-            widened = noise + np.where(is_outlier, np.diag(K), 0.0)
+            is_outlier = r2 > 16 * (share * np.diag(K) + N)
             price = is_outlier.sum() * np.log(OUTLIER_SHARE)
-            found.append(gaussian_log_likelihood(residual, share * K, widened) + price)
-        best = int(np.argmax(found))
-        return float(found[best]), float(UNEXPLAINED[best])
+            found = price + gaussian_log_likelihood(residual, share * K, N + np.where(is_outlier, np.diag(K), 0.0))
+            if found > best:
+                best, best_share = found, share + rough**2
+        return float(best), min(1.0, best_share)
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
@@ -151,15 +159,14 @@ def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, length
     distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
     variance = max(float(field.var(axis=0).mean()), float(noise.min()))
     best, covariance = -np.inf, np.zeros_like(distance2)
-    for factor in LENGTHSCALES:
+    rough = 0.0
+    for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS[:5]):
         # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-        correlation = 1 / (1 + distance2 / (2 * (factor * lengthscale) ** 2))
-        for strength in STRENGTHS:
-            K = strength**2 * variance * correlation
-            log_likelihood = _with_free_constant(field, K, noise)
-            if log_likelihood > best:
-                best, covariance = log_likelihood, K
-    return UnrelatedField(cells, field, covariance, noise)
+        K = strength**2 * variance / (1 + distance2 / (2 * (factor * lengthscale) ** 2))
+        log_likelihood = _with_free_constant(field, K, noise + roughness**2 * variance)
+        if log_likelihood > best:
+            best, covariance, rough = log_likelihood, K, roughness**2 * variance
+    return UnrelatedField(cells, field, covariance, noise, rough)
 
 
 def gaussian_log_likelihood(values: Vectors, K: Matrix, noise: Scalars) -> float:
