@@ -89,7 +89,9 @@ def main() -> None:
         start = time.perf_counter()
         result = mm.register(pair.base, target, PRESETS[arguments.preset])
         seconds = time.perf_counter() - start
-        best = result.T_base_target or (result.alternatives[0].T_base_target if result.alternatives else None)
+        best = result.T_base_target
+        if best is None and result.alternatives:
+            best = result.alternatives[0].T_base_target
         distance, angle = transform_error(best, T_base_target, target.centroid) if best else (np.inf, np.inf)
         is_right = distance <= pair.max_m and np.degrees(angle) <= pair.max_deg
         outcome.setdefault(pair.group, []).append(bool(is_right and result.is_accepted))

@@ -42,7 +42,9 @@ def run(scenario: str, preset: str, seed: int) -> tuple[float, float, float, flo
     start = time.perf_counter()
     result = mm.register(pair.base, pair.target, PRESETS[preset])
     seconds = time.perf_counter() - start
-    best = result.T_base_target or (result.alternatives[0].T_base_target if result.alternatives else None)
+    best = result.T_base_target
+    if best is None and result.alternatives:
+        best = result.alternatives[0].T_base_target
     if best is None:
         return float(result.is_accepted), np.inf, 180.0, seconds
     distance, angle = transform_error(best, pair.T_base_target, pair.target.centroid)
