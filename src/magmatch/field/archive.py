@@ -12,14 +12,16 @@ import re
 import struct
 import zipfile
 from collections.abc import Mapping
+from io import BytesIO
 from itertools import product
 from pathlib import Path
-from typing import Any, BinaryIO, TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from magmatch import __version__
 from magmatch.atomic import atomic_write
+from magmatch.data.table import read_bytes
 from magmatch.errors import DataFormatError
 
 # A group of its own, so that any Zarr reader can list the file without stumbling over it.
@@ -31,6 +33,7 @@ ROWS_PER_CHUNK = 65_536
 CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}]
 CHUNK_KEYS = {"name": "default", "configuration": {"separator": "/"}}
 CRC_BYTES = 4
+END_BYTES = 22
 # The oldest time a zip can state: the bytes shall not depend on when they were written.
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ENTRY_NAME = re.compile(r"(?:[a-z_]+/)?zarr\.json|[a-z_]+/c(?:/[0-9]{1,9}){1,3}")
@@ -125,34 +128,32 @@ def read_archive(path: str | Path, schema: str) -> tuple[dict[str, Any], dict[st
     DataFormatError
         No such file, another type of file or layout, a damaged, missing or foreign entry; names the entry.
     """
-    if not Path(path).is_file():
-        raise DataFormatError(path, "no such file" if not Path(path).exists() else "is not a file")
-    with Path(path).open("rb") as stream:
-        _check_outside(path, stream)
-        try:
-            with zipfile.ZipFile(stream) as archive:
-                entries = _verified_entries(path, archive, schema)
-        except ZIP_ERRORS as error:
-            if isinstance(error, DataFormatError):
-                raise
-            raise DataFormatError(path, f"is a damaged zip archive: {_one_line(error)}") from None
+    content = read_bytes(path, MAX_BYTES + 1)
+    _check_outside(path, content)
+    try:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            entries = _verified_entries(path, archive, schema)
+    except ZIP_ERRORS as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, f"is a damaged zip archive: {_one_line(error)}") from None
     arrays = {}
     for name in sorted({n.split("/")[0] for n in entries if "/" in n}):
         _check_array(path, name, entries)
         arrays[name] = _decode(path, name, entries)
-    return _parse(path, "zarr.json", entries["zarr.json"]).get("attributes", {}), arrays
+    attributes = _parse(path, "zarr.json", entries["zarr.json"]).get("attributes")
+    if not isinstance(attributes, dict):
+        raise DataFormatError(path, "entry 'zarr.json' has no attributes")
+    return attributes, arrays
 
 
-def _check_outside(path: str | Path, stream: BinaryIO) -> None:
+def _check_outside(path: str | Path, content: bytes) -> None:
     """Size and both ends of the file, before anything in it is believed."""
-    n_bytes = stream.seek(0, 2)
-    if n_bytes > MAX_BYTES:
-        raise DataFormatError(path, f"is {n_bytes} bytes long, expected at most {MAX_BYTES}")
-    stream.seek(0)
-    if stream.read(4) != b"PK\x03\x04":
+    if len(content) > MAX_BYTES:
+        raise DataFormatError(path, f"is larger than any saved map ({MAX_BYTES} bytes)")
+    if not content.startswith(b"PK\x03\x04"):
         raise DataFormatError(path, "is not a saved map (expected a zip archive)")
-    stream.seek(max(n_bytes - 22, 0))
-    tail = stream.read(22)
+    tail = content[-END_BYTES:]
     # A fixed-length end record without comment; a large directory would cost memory before it can be checked.
     if not tail.startswith(b"PK\x05\x06") or int.from_bytes(tail[12:16], "little") > MAX_ENTRIES * 200:
         raise DataFormatError(path, "has no zip directory at its end (cut off while writing or copying?)")

@@ -160,10 +160,13 @@ class MapRecord:
             Not a map, damaged, or of another version; names the entry.
         """
         attributes, arrays = read_archive(path, SCHEMA)
+        for name in ("survey", "T_map_model", "config", "hyperparameters"):
+            if name not in attributes:
+                raise DataFormatError(path, f"entry 'zarr.json': attribute '{name}' is missing")
         try:
             return cls(
                 survey=_survey(attributes["survey"], arrays),
-                T_map_model=transform_from_matrix(_numbers_of(attributes["T_map_model"])),
+                T_map_model=_transform(attributes["T_map_model"]),
                 config=FieldConfig.model_validate(attributes["config"]),
                 hyperparameters=_hyperparameters(attributes["hyperparameters"]),
                 weights=_shaped(arrays, "weights", 1),
@@ -190,7 +193,7 @@ def _is_same_field(posterior: Posterior, weights: Scalars, samples: Survey) -> b
     return bool(np.abs(change).max() <= REFIT_TOLERANCE * posterior.hyperparameters.noise_sd)
 
 
-def _survey(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Survey:
+def _survey(about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
     """Samples of a saved map, map frame."""
     orientations = None
     if "orientations" in arrays:
@@ -200,8 +203,8 @@ def _survey(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Surve
             raise ValueError(msg)
         # Unit already; to normalise once more would change their last bits.
         orientations = Rotation(quaternions, normalize=False)
-    frame, name, pose_sd = about["frame"], about["name"], about["pose_sd"]
-    if not (isinstance(frame, str) and isinstance(name, str) and isinstance(pose_sd, int | float) and pose_sd >= 0):
+    frame, name, pose_sd = (_at(about, key) for key in ("frame", "name", "pose_sd"))
+    if not (isinstance(frame, str) and isinstance(name, str) and _is_number(pose_sd) and pose_sd >= 0):
         msg = "entry 'zarr.json', survey: expected frame and name in words and pose_sd in metres"
         raise ValueError(msg)
     return Survey(
@@ -219,11 +222,11 @@ def _fitted_samples(arrays: Mapping[str, np.ndarray]) -> Survey:
     return Survey(_shaped(arrays, "model_positions", 2, 3), _shaped(arrays, "model_field", 2, 3), frame="model")
 
 
-def _hyperparameters(about: Mapping[str, Any]) -> Hyperparameters:
+def _hyperparameters(about: Any) -> Hyperparameters:
     """Every number by name, none missing, none unknown."""
     expected = {f.name for f in fields(Hyperparameters)}
-    if not isinstance(about, dict) or about.keys() != expected:
-        msg = f"entry 'zarr.json', hyperparameters: expected {', '.join(sorted(expected))}"
+    if not isinstance(about, dict) or about.keys() != expected or not all(map(_is_number, about.values())):
+        msg = f"entry 'zarr.json', hyperparameters: expected numbers for {', '.join(sorted(expected))}"
         raise ValueError(msg)
     return Hyperparameters(**{name: float(value) for name, value in about.items()})
 
@@ -238,9 +241,22 @@ def _shaped(arrays: Mapping[str, np.ndarray], name: str, n_axes: int, n_columns:
     return array
 
 
-def _numbers_of(value: Any) -> np.ndarray:
-    """4x4 numbers from nested lists."""
-    if not (isinstance(value, list) and all(isinstance(row, list) and len(row) == 4 for row in value)):
-        msg = "entry 'zarr.json', T_map_model: expected a 4x4 matrix"
-        raise ValueError(msg)
-    return np.array(value, dtype=np.float64)
+def _transform(value: Any) -> RigidTransform:
+    """Rigid motion from nested lists."""
+    is_matrix = isinstance(value, list) and all(isinstance(row, list) and len(row) == 4 for row in value)
+    try:
+        if is_matrix and all(_is_number(number) for row in value for number in row):
+            return transform_from_matrix(np.array(value, dtype=np.float64))
+        found = "expected a 4x4 matrix of numbers"
+    except ValueError as error:
+        found = str(error)
+    msg = f"entry 'zarr.json', T_map_model: {found}"
+    raise ValueError(msg)
+
+
+def _at(value: Any, key: str) -> Any:
+    return value.get(key) if isinstance(value, dict) else None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

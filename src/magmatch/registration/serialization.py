@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.atomic import atomic_write
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
+from magmatch.data.table import read_bytes
 from magmatch.errors import DataFormatError
 from magmatch.geometry import transform_from_matrix
 from magmatch.registration.parts import Links
@@ -155,12 +156,11 @@ def read_json(path: str | Path) -> dict[str, Any]:
     DataFormatError
         No such file, not JSON, another schema, or changed after it was written.
     """
-    if not Path(path).is_file():
-        raise DataFormatError(path, "no such file" if not Path(path).exists() else "is not a file")
-    if Path(path).stat().st_size > MAX_BYTES:
+    content = read_bytes(path, MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
         raise DataFormatError(path, f"is larger than any registration result ({MAX_BYTES} bytes)")
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse, parse_float=_finite)
         # Files from elsewhere need not have a checksum.
         is_changed = isinstance(document, dict) and document.get("checksum") not in (None, checksum(document))
