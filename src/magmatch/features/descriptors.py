@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Histograms of Oriented Vectors (HOV): what the field around a keypoint looks like from its local frame."""
+
+import numpy as np
+
+from magmatch.typing import Matrix, Tensors, Vectors
+
+N_AZIMUTH, N_ELEVATION, N_COMPONENT = 20, 10, 20
+N_DIMENSIONS = N_AZIMUTH + N_ELEVATION + 3 * N_COMPONENT
+# Support vectors held in memory at once.
+CHUNK = 1_000_000
+# The component range covers this share of the data, so that one strong magnet does not empty the other bins.
+RANGE_QUANTILE = 0.98
+
+
+def component_range(field: Vectors) -> float:
+    """Half range of the component histograms, scaled to the data.
+
+    Parameters
+    ----------
+    field : (n, 3) array, T
+        Measured vectors; maps that are to be compared must share the largest of their ranges.
+
+    Returns
+    -------
+    float, T
+        What 98 % of the vectors' norms do not exceed.
+    """
+    norm = np.linalg.norm(field, axis=1)
+    return max(float(np.quantile(norm, RANGE_QUANTILE)), np.finfo(float).tiny)
+
+
+def histograms_of_oriented_vectors(
+    field: Vectors, neighbours: np.ndarray, frames: Tensors, half_range: float
+) -> Matrix:
+    """Describe the support vectors of each keypoint in its local frame.
+
+    Parameters
+    ----------
+    field : (n, 3) array, T, map frame
+        Field at all points of X*.
+    neighbours : (k, s) int array
+        Rows of each keypoint's support, -1 where there is none; the keypoint itself left out (its own vector lies
+        along z in its own frame: no azimuth, and components on the edge of a bin).
+    frames : (k, 3, 3) array
+        Columns are the axes of the local frames.
+    half_range : float, T
+        Of the component histograms; values outside +-half_range are discarded.
+
+    Returns
+    -------
+    (k, 90) array
+        Azimuth (20 bins of 18 deg), elevation (10 of 18 deg), then x, y and z (20 bins each over +-range), as
+        shares of the support vectors, so that supports cut by the region's edge stay comparable.
+    """
+    descriptors = np.zeros((len(frames), N_DIMENSIONS))
+    step = max(CHUNK // max(neighbours.shape[1], 1), 1)
+    for start in range(0, len(frames), step):
+        part = slice(start, start + step)
+        is_there = neighbours[part] >= 0
+        local = np.einsum("ksc,kca->ksa", field[neighbours[part]], frames[part])
+        azimuth = np.arctan2(local[..., 1], local[..., 0]) / (2 * np.pi) + 0.5
+        elevation = np.arctan2(local[..., 2], np.hypot(local[..., 0], local[..., 1])) / np.pi + 0.5
+        shares = [
+            _histogram(np.minimum(azimuth, np.nextafter(1.0, 0)), is_there, N_AZIMUTH),
+            _histogram(np.minimum(elevation, np.nextafter(1.0, 0)), is_there, N_ELEVATION),
+            *(_histogram(local[..., a] / (2 * half_range) + 0.5, is_there, N_COMPONENT) for a in range(3)),
+        ]
+        descriptors[part] = np.hstack(shares) / np.maximum(is_there.sum(axis=1), 1)[:, None]
+    return descriptors
+
+
+def _histogram(position: np.ndarray, is_there: np.ndarray, n_bins: int) -> Matrix:
+    """Counts per row of positions in [0, 1): (k, s) to (k, n_bins)."""
+    k = len(position)
+    counts = is_there & (position >= 0) & (position < 1)
+    bins = (np.clip(position, 0, 1) * n_bins).astype(np.int64) + n_bins * np.arange(k)[:, None]
+    return np.bincount(bins[counts], minlength=k * n_bins).reshape(k, n_bins).astype(np.float64)

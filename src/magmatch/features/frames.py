@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Local reference frames: axes at each keypoint that turn with the field around it."""
+
+import numpy as np
+
+from magmatch.typing import Mask, Scalars, Tensors, Vectors
+
+# Support vectors held in memory at once.
+CHUNK = 1_000_000
+
+
+def local_frames(
+    field: Vectors,
+    keypoint_rows: np.ndarray,
+    neighbours: np.ndarray,
+    distance: Scalars,
+    frame_sd: float,
+) -> tuple[Tensors, Scalars]:
+    """Frames whose z-axis follows the field and whose x-axis follows the field around.
+
+    Parameters
+    ----------
+    field : (n, 3) array, T, map frame
+        Field at all points of X*.
+    keypoint_rows : (k,) int array
+        Which of them are keypoints.
+    neighbours : (k, s) int array
+        Rows of each keypoint's support, -1 where there is none.
+    distance : (s,) array
+        Distance of each column of the support, spacings.
+    frame_sd : float
+        Standard deviation of the Gaussian weights, spacings.
+
+    Returns
+    -------
+    frames : (k, 3, 3) array
+        Columns are the axes x, y, z in the map frame: takes local-frame coordinates to map coordinates.
+    strength : (k,) array
+        Length of the weighted sum of projected vectors over the weighted sum of their lengths; near 0 the x-axis
+        is noise, and 0 where there is no frame.
+
+    Notes
+    -----
+    ``z = B/|B|`` at the keypoint; ``x`` is the direction of ``sum_s w_s (I - z z^T) B_s``,
+    ``w_s = exp(-d_s^2 / 2 frame_sd^2)``; ``y = z x x``.
+    """
+    own = field[keypoint_rows]
+    z = _unit(own)
+    weight = np.exp(-0.5 * (distance / frame_sd) ** 2)
+    total, lengths = np.zeros((len(own), 3)), np.zeros(len(own))
+    step = max(CHUNK // max(neighbours.shape[1], 1), 1)
+    for start in range(0, len(own), step):
+        part = slice(start, start + step)
+        vectors = np.where(neighbours[part, :, None] >= 0, field[neighbours[part]], 0.0)
+        lateral = vectors - np.einsum("ksc,kc->ks", vectors, z[part])[..., None] * z[part, None, :]
+        total[part] = np.einsum("s,ksc->kc", weight, lateral)
+        lengths[part] = np.einsum("s,ks->k", weight, np.linalg.norm(lateral, axis=2))
+    # Once more, so that the axes are orthogonal to rounding where the sum nearly cancels.
+    total -= np.einsum("kc,kc->k", total, z)[:, None] * z
+    x = _unit(total)
+    tiny = np.finfo(float).tiny
+    strength: Scalars = np.linalg.norm(total, axis=1) / np.maximum(lengths, tiny)
+    strength[np.linalg.norm(own, axis=1) < tiny] = 0.0
+    return np.stack([x, np.cross(z, x), z], axis=2), strength
+
+
+def is_defined(strength: Scalars, minimum: float) -> Mask:
+    """Whether a frame's x-axis is more than noise."""
+    defined: Mask = strength > minimum
+    return defined
+
+
+def _unit(vectors: Vectors) -> Vectors:
+    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
+    return unit

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keypoints: where the magnitude of the field curves strongly and the map is sure of it."""
+
+import numpy as np
+
+from magmatch.features.config import FeatureConfig
+from magmatch.features.grids import InferencePoints
+from magmatch.field.map import FieldMap
+from magmatch.field.values import FieldValues
+from magmatch.typing import Indices, Scalars, Tensors
+
+
+def magnitude_hessian(values: FieldValues) -> Tensors:
+    """Second derivatives of the magnitude of the field.
+
+    Parameters
+    ----------
+    values : FieldValues
+        Field, gradient and second derivatives at n points.
+
+    Returns
+    -------
+    (n, 3, 3) array, T/m^2
+        NaN where the field vanishes.
+
+    Notes
+    -----
+    With n = norm(B) and the derivative d_i along axis i,
+    ``d_ij n = (d_i B . d_j B) / n - (B . d_i B)(B . d_j B) / n^3 + (B . d_ij B) / n``; the printed equation has
+    ``d_ij |B|`` on its right-hand side too, and an outer product where the second term's numbers stand.
+    """
+    if values.gradient is None or values.second is None:
+        msg = "the Hessian of |B| needs field values of order 2"
+        raise ValueError(msg)
+    B, G = values.field, values.gradient
+    n = np.linalg.norm(B, axis=1)
+    n = np.where(n > 0, n, np.nan)[:, None, None]
+    along = np.einsum("na,nai->ni", B, G)
+    hessian: Tensors = (
+        np.swapaxes(G, 1, 2) @ G / n
+        - along[:, :, None] * along[:, None, :] / n**3
+        + np.einsum("na,naij->nij", B, values.second) / n
+    )
+    return hessian
+
+
+def curvature_response(values: FieldValues, determinant: str) -> Scalars:
+    """Determinant of the Hessian of the magnitude, signed so that what is looked for is positive.
+
+    Parameters
+    ----------
+    values : FieldValues
+        Of order 2.
+    determinant : str
+        As in `FeatureConfig.determinant`.
+
+    Returns
+    -------
+    (n,) array, T^3/m^6
+        NaN where the field vanishes.
+    """
+    doh: Scalars = np.linalg.det(magnitude_hessian(values))
+    signed: dict[str, Scalars] = {"positive": doh, "negative": -doh, "both": np.abs(doh)}
+    return signed[determinant]
+
+
+def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scalars, config: FeatureConfig) -> Indices:
+    """Points of X* with more than the mean response whose field is known well.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+        Gives the variance of the candidates.
+    points : InferencePoints
+    response : (n,) array
+        See `curvature_response`.
+    config : FeatureConfig
+
+    Returns
+    -------
+    (k,) int array
+        Rows of ``points``, increasing.
+    """
+    if not np.isfinite(response).any():
+        return np.zeros(0, dtype=np.int64)
+    rows = np.flatnonzero(response > np.nanmean(response)).astype(np.int64)
+    if config.suppression_radius:
+        rows = rows[_is_strongest(points, response, rows, config.suppression_radius)]
+    if not len(rows):
+        return rows
+    variance = np.trace(field_map.covariance(points.positions[rows]), axis1=1, axis2=2) / 3
+    # A hair of slack, so that equal variances do not part by rounding.
+    limit = np.quantile(variance, config.variance_quantile) * (1 + 1e-9)
+    kept: Indices = rows[variance <= limit]
+    return kept
+
+
+def _is_strongest(points: InferencePoints, response: Scalars, rows: Indices, radius: float) -> np.ndarray:
+    """Whether no neighbour within the radius responds more."""
+    neighbours, _ = points.support(rows, radius)
+    others = np.where(neighbours >= 0, response[neighbours], -np.inf)
+    is_strongest: np.ndarray = response[rows] >= np.nanmax(others, axis=1)
+    return is_strongest
