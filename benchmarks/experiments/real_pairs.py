@@ -92,7 +92,9 @@ def main() -> None:
         best = result.T_base_target
         if best is None and result.alternatives:
             best = result.alternatives[0].T_base_target
-        distance, angle = transform_error(best, T_base_target, target.centroid) if best else (np.inf, np.inf)
+        distance, angle = np.inf, np.inf
+        if best is not None:
+            distance, angle = transform_error(best, T_base_target, target.centroid)
         is_right = distance <= pair.max_m and np.degrees(angle) <= pair.max_deg
         outcome.setdefault(pair.group, []).append(bool(is_right and result.is_accepted))
         print(

@@ -79,7 +79,8 @@ def inside_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) ->
     sources: list[Source] = []
     for _ in range(n):
         size = rng.uniform((0.2, 0.2, 0.2), (0.5, 0.5, 0.6))
-        margin = np.minimum(np.hypot(size[0], size[1]) / 2, (high - low) / 2)
+        reach = np.hypot(size[0], size[1])
+        margin = np.minimum(np.array([reach, reach, size[2]]), high - low) / 2
         rotation = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
         sources.append(Box(rng.uniform(low + margin, high - margin), size, _polarization(rotation, rng), rotation))
     return sources

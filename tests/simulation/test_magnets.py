@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sources against the dipole formula and against Maxwell's equations."""
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import constants
+from scipy.spatial.transform import Rotation
+
+from magmatch.errors import MissingExtraError
+from magmatch.simulation.magnets import Box, Cylinder, Dipole, distance_to, field_of, strengthened
+
+MU0 = constants.mu_0
+SETTINGS = settings(deadline=None, derandomize=True, max_examples=20)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def dipole_formula(center, moment, points):
+    r = points - center
+    d = np.linalg.norm(r, axis=1, keepdims=True)
+    return MU0 / (4 * np.pi) * (3 * r * (r @ moment)[:, None] / d**5 - moment / d**3)
+
+
+def directions(rng, n=50):
+    u = rng.standard_normal((n, 3))
+    return u / np.linalg.norm(u, axis=1, keepdims=True)
+
+
+def some_sources(rng):
+    turns = Rotation.random(2, rng=rng)
+    return [
+        Box(rng.normal(size=3), rng.uniform(0.1, 0.5, 3), rng.normal(size=3) * 1e-3, turns[0]),
+        Cylinder(rng.normal(size=3), 0.2, 0.6, rng.normal(size=3) * 1e-3, turns[1]),
+        Dipole(rng.normal(size=3), rng.normal(size=3)),
+    ]
+
+
+@SETTINGS
+@given(seeds)
+def test_dipole_follows_its_formula(seed):
+    rng = np.random.default_rng(seed)
+    center, moment, points = rng.normal(size=3), rng.normal(size=3), rng.normal(size=(20, 3)) + 3
+    expected = dipole_formula(center, moment, points)
+    np.testing.assert_allclose(
+        field_of([Dipole(center, moment)], points), expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max()
+    )
+
+
+@SETTINGS
+@given(seeds)
+def test_cuboid_seen_from_afar_is_a_dipole(seed):
+    rng = np.random.default_rng(seed)
+    size, polarization, turn = rng.uniform(0.02, 0.05, 3), rng.normal(size=3), Rotation.random(rng=rng)
+    center = rng.normal(size=3)
+    points = center + 2.0 * directions(rng)
+    expected = dipole_formula(center, turn.apply(polarization) * size.prod() / MU0, points)
+    error = np.linalg.norm(field_of([Box(center, size, polarization, turn)], points) - expected, axis=1)
+    # The first correction is of the order (half diagonal / distance)^2, here below (0.043 / 2)^2.
+    assert (error < 5e-4 * np.linalg.norm(expected, axis=1).max()).all()
+
+
+@SETTINGS
+@given(seeds)
+def test_cylinder_seen_from_afar_is_a_dipole(seed):
+    rng = np.random.default_rng(seed)
+    polarization, turn, center = rng.normal(size=3), Rotation.random(rng=rng), rng.normal(size=3)
+    points = center + 2.0 * directions(rng)
+    expected = dipole_formula(center, turn.apply(polarization) * np.pi * 0.015**2 * 0.04 / MU0, points)
+    error = np.linalg.norm(field_of([Cylinder(center, 0.03, 0.04, polarization, turn)], points) - expected, axis=1)
+    assert (error < 5e-4 * np.linalg.norm(expected, axis=1).max()).all()
+
+
+def test_correction_to_the_dipole_falls_with_the_square_of_the_distance(rng):
+    box = Box(np.zeros(3), np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 1.0]), Rotation.identity())
+    moment = box.polarization * box.size.prod() / MU0
+    u = directions(rng)
+    errors = []
+    for distance in (2.0, 4.0):
+        expected = dipole_formula(box.center, moment, distance * u)
+        errors.append(np.abs(field_of([box], distance * u) - expected).max() / np.abs(expected).max())
+    # 4 up to the next term, (diagonal / distance)^2.
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+
+
+@SETTINGS
+@given(seeds)
+def test_field_outside_the_sources_has_no_divergence_and_no_curl(seed):
+    rng = np.random.default_rng(seed)
+    sources, h = some_sources(rng), 1e-3
+    points = 5 * directions(rng, 10)
+    steps = h * np.eye(3)
+    G = np.stack([(field_of(sources, points + s) - field_of(sources, points - s)) / (2 * h) for s in steps], axis=-1)
+    scale = np.abs(G).max()
+    # Central differences at 1e-3 m of a field that varies over metres.
+    assert np.abs(np.trace(G, axis1=1, axis2=2)).max() < 1e-5 * scale
+    assert np.abs(G - np.swapaxes(G, 1, 2)).max() < 1e-5 * scale
+
+
+@SETTINGS
+@given(seeds)
+def test_fields_of_sources_add(seed):
+    rng = np.random.default_rng(seed)
+    sources, points = some_sources(rng), rng.normal(size=(8, 3)) + 3
+    together = field_of(sources, points)
+    one_by_one = sum(field_of([source], points) for source in sources)
+    np.testing.assert_allclose(together, one_by_one, rtol=1e-12, atol=1e-12 * np.abs(together).max())
+
+
+@SETTINGS
+@given(seeds, st.floats(-10, 10))
+def test_field_is_proportional_to_strength(seed, factor):
+    rng = np.random.default_rng(seed)
+    sources, points = some_sources(rng), rng.normal(size=(5, 3)) + 3
+    field = field_of(sources, points)
+    stronger = field_of([strengthened(source, factor) for source in sources], points)
+    np.testing.assert_allclose(stronger, factor * field, rtol=1e-9, atol=1e-12 * np.abs(field).max())
+
+
+def test_many_points_in_pieces_give_the_same_field(monkeypatch, rng):
+    sources, points = some_sources(rng), rng.normal(size=(100, 3)) + 4
+    whole = field_of(sources, points)
+    monkeypatch.setattr("magmatch.simulation.magnets._PAIRS_AT_ONCE", 40)
+    np.testing.assert_allclose(field_of(sources, points), whole, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_field_has_one_row_per_point(rng, n):
+    assert field_of(some_sources(rng), np.full((n, 3), 4.0)).shape == (n, 3)
+
+
+def test_without_sources_the_field_is_zero():
+    assert not field_of([], np.ones((4, 3))).any()
+
+
+def test_without_magpylib_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "magpylib", None)
+    with pytest.raises(MissingExtraError, match=r"magmatch\[simulation\]"):
+        field_of([Dipole(np.zeros(3), np.ones(3))], np.ones((1, 3)))
+
+
+def test_distance_is_measured_to_the_surface():
+    quarter_turn = Rotation.from_euler("z", 90, degrees=True)
+    box = Box(np.zeros(3), np.array([2.0, 4.0, 6.0]), np.ones(3), quarter_turn)
+    points = np.array([[3.0, 0, 0], [0, 3, 0], [0, 0, 3.5], [5, 5, 0], [0.1, 0.1, 0.1]])
+    np.testing.assert_allclose(distance_to(box, points), [1, 2, 0.5, 5, 0], atol=1e-12)
+    can = Cylinder(np.zeros(3), 2.0, 6.0, np.ones(3), Rotation.identity())
+    np.testing.assert_allclose(distance_to(can, points), [2, 2, 0.5, np.hypot(5, 5) - 1, 0], atol=1e-12)
+    np.testing.assert_allclose(distance_to(Dipole(np.zeros(3), np.ones(3)), points[:2]), [3, 3])

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Paths: equal steps, right places, no jumps."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.simulation.paths import (
+    around_loop,
+    boustrophedon,
+    circles,
+    loop_length,
+    resample,
+    smooth_noise,
+    times_along,
+    uniform_in_box,
+)
+
+SETTINGS = settings(deadline=None, derandomize=True, max_examples=25)
+
+
+def test_uniform_samples_fill_the_box(rng):
+    low, high = np.array([-1.0, 0, 2]), np.array([1.0, 3, 2.5])
+    points = uniform_in_box(low, high, 4000, rng)
+    assert (points >= low).all()
+    assert (points <= high).all()
+    # Mean and deviation of a uniform distribution, to five standard errors.
+    sides = high - low
+    assert (np.abs(points.mean(axis=0) - (low + high) / 2) < 5 * sides / np.sqrt(12 * 4000)).all()
+    np.testing.assert_allclose(points.std(axis=0), sides / np.sqrt(12), rtol=0.05)
+
+
+def test_resampling_a_line_keeps_both_ends_and_equal_steps():
+    corners = np.array([[0.0, 0, 0], [0.3, 0, 0], [3, 0, 0]])
+    np.testing.assert_allclose(resample(corners, 7)[:, 0], np.linspace(0, 3, 7), atol=1e-12)
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_sweep_covers_the_rectangle_at_every_height(along):
+    low, high = np.array([-1.0, -0.75, 0]), np.array([1.0, 0.75, 0])
+    points = boustrophedon(low, high, (0.05, 0.1), 0.1, along, 8000)
+    for height in (0.05, 0.1):
+        level = points[np.abs(points[:, 2] - height) < 1e-9]
+        grid = np.stack(np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-0.75, 0.75, 16)), -1).reshape(-1, 1, 2)
+        nearest = np.linalg.norm(grid - level[:, :2], axis=2).min(axis=1)
+        assert nearest.max() < 0.06
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_sweep_runs_along_its_rows(along):
+    low, high = np.array([0.0, 0, 0]), np.array([2.0, 1.5, 0])
+    walked = np.abs(np.diff(boustrophedon(low, high, (0.05,), 0.1, along, 2000), axis=0)).sum(axis=0)
+    assert walked[along] > 10 * walked[1 - along]
+
+
+def test_circles_keep_radius_and_height_and_head_along_the_tangent():
+    center = np.array([0.2, -0.1, 0.05])
+    points, heading = circles(center, (0.4,), 2, 500)
+    arm = points - center
+    np.testing.assert_allclose(np.linalg.norm(arm[:, :2], axis=1), 0.4, rtol=1e-3)  # chords of 2 degrees
+    np.testing.assert_allclose(points[:, 2], 0.05, atol=1e-12)
+    tangent = np.column_stack([-arm[:, 1], arm[:, 0]]) / 0.4
+    travel = np.column_stack([np.cos(heading), np.sin(heading)])
+    assert (np.einsum("ij,ij->i", tangent, travel) > 0.99).all()
+
+
+@SETTINGS
+@given(st.floats(0, 200), st.floats(0.2, 3))
+def test_loop_has_no_jumps_and_heads_where_it_goes(start, radius):
+    size, h = (20.0, 10.0), 1e-6
+    before, heading = around_loop(size, radius, np.array([start]))
+    after, _ = around_loop(size, radius, np.array([start + h]))
+    step = (after - before)[0] / h
+    # A step of a micrometre, rounded at 1e-15 of twenty metres.
+    np.testing.assert_allclose(step, [np.cos(heading[0]), np.sin(heading[0]), 0], atol=1e-5)
+
+
+def test_loop_closes():
+    size, radius = (20.0, 10.0), 1.0
+    length = loop_length(size, radius)
+    first, _ = around_loop(size, radius, np.array([0.0]))
+    last, _ = around_loop(size, radius, np.array([length - 1e-9]))
+    np.testing.assert_allclose(first, last, atol=1e-8)
+    assert length == pytest.approx(60 - 8 + 2 * np.pi)
+
+
+def test_loop_stays_on_the_rectangle():
+    points, _ = around_loop((20.0, 10.0), 1.0, np.linspace(0, 60, 2000))
+    np.testing.assert_allclose(points.min(axis=0), [0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(points.max(axis=0), [20, 10, 0], atol=1e-6)
+
+
+def test_times_follow_the_distance():
+    np.testing.assert_allclose(times_along(np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0]]), 0.5), [0, 2, 6])
+
+
+def test_smooth_noise_has_its_deviation_and_no_steps(rng):
+    series = smooth_noise(3000, 15, 0.2, rng)
+    assert series.std() == pytest.approx(0.2)
+    assert np.abs(np.diff(series)).max() < 0.1 * 0.2 * 3
