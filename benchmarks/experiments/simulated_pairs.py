@@ -8,6 +8,8 @@ import time
 
 import numpy as np
 
+from scipy.spatial.transform import RigidTransform
+
 import magmatch as mm
 from magmatch.geometry import transform_error
 from magmatch.registration.config import PRESETS
@@ -49,6 +51,13 @@ def run(scenario: str, preset: str, seed: int) -> tuple[float, float, float, flo
         return float(result.is_accepted), np.inf, 180.0, seconds
     distance, angle = transform_error(best, pair.T_base_target, pair.target.centroid)
     return float(result.is_accepted), distance, float(np.degrees(angle)), seconds
+
+
+def best_pose(result: mm.RegistrationResult) -> RigidTransform | None:
+    """The accepted pose, or the best candidate of a refusal."""
+    if result.T_base_target is not None:
+        return result.T_base_target
+    return result.alternatives[0].T_base_target if result.alternatives else None
 
 
 if __name__ == "__main__":

@@ -92,9 +92,9 @@ def weigh_pose(base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrela
     log_ratio = explained - unrelated.log_likelihood(rows)
     # A sensor that must differ implausibly speaks against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
-    V = unexplained * np.diag(unrelated.covariance)[rows] + unrelated.noise[rows] + map_variance
     n2 = ((unrelated.field[rows] - unrelated.field.mean(axis=0)) ** 2).sum(axis=1)
     r2 = (r**2).sum(axis=1)
+    V = unrelated.noise[rows] + map_variance + np.median(r2) / MEDIAN_CHI2_3
     is_informative = n2 > 9 * V
     sample_r2 = (residual[is_known] ** 2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd[is_known] ** 2)
     return PoseEvidence(

@@ -95,7 +95,7 @@ def register_by_keypoints(
     rng = np.random.default_rng(seed)
     found = clock.time("search", keypoint_search, base_map, target_map, config.keypoints, rng)
     best = found.candidates[0].T_base_target if found.candidates else None
-    fitness = clock.time("decide", alignment_fitness, base_map, target_map.survey, best) if best else None
+    fitness = clock.time("decide", alignment_fitness, base_map, target_map.survey, best) if best is not None else None
     return by_fitness(found, fitness, config.decision)
 
 
