@@ -1,7 +1,84 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Entry point: known errors become one line on stderr and exit code 2, others exit code 1."""
+"""Entry point: the subcommands, and the boundary at which errors become one line and an exit code."""
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from magmatch import __version__
+from magmatch.cli import datasets, demo, info, map, query, register, simulate, transform, view
+from magmatch.cli.boundary import guarded
+from magmatch.cli.command import Debug, Verbose
+from magmatch.cli.narration import narrated, put
+
+EPILOG = """\b
+Examples:
+  magmatch demo
+  magmatch register base.csv target.csv --out result.json --report result.html
+  magmatch info survey.csv
+
+\b
+Exit codes:
+  0  done (register: accepted)
+  1  a fault of the machine or the program
+  2  bad input or usage, one line on stderr
+  3  registered honestly, but not accepted
+"""
+
+# In the order in which one gets to know the program.
+COMMANDS = (register, transform, map, query, info, view, simulate, datasets, demo)
 
 
-def main() -> None:
-    """Run the command line."""
-    raise SystemExit(2)
+def build_app() -> typer.Typer:
+    """Put the program together.
+
+    Returns
+    -------
+    Typer
+    """
+    app = typer.Typer(
+        name="magmatch", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EPILOG
+    )
+    app.callback()(_program)
+    for module in COMMANDS:
+        module.add_to(app)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The words after ``magmatch``; those of this process by default.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    app = build_app()
+    with narrated() as narrator:
+        return guarded(
+            lambda: app(words or ["--help"], prog_name="magmatch", standalone_mode=False, obj=narrator), narrator
+        )
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        put(f"magmatch {__version__}")
+        raise typer.Exit
+
+
+def _program(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_show_version, is_eager=True)
+    ] = False,
+    verbose: Verbose = False,
+    debug: Debug = False,
+) -> None:
+    """Register magnetic surveys: two maps of one place in, one SE(3) transform and its certainty out."""

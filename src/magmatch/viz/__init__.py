@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of surveys, maps and registrations; draws the nouns, computes nothing."""
+"""Pictures of the nouns: draws what others computed. Needs the extra 'viz'."""

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where errors end: each becomes one line on stderr and an exit code; a traceback only where asked for."""
+
+import errno
+import os
+import sys
+import traceback
+from collections.abc import Callable
+
+import typer
+
+from magmatch.cli.narration import Narrator, say
+from magmatch.errors import MagmatchError
+
+DONE, FAULT, BAD_INPUT, NOT_ACCEPTED, INTERRUPTED, READER_LEFT = 0, 1, 2, 3, 130, 141
+
+# What the user can put right (names, permissions); all other system errors are the machine's.
+USER_ERRNOS = {
+    errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EISDIR, errno.ENOTDIR, errno.EEXIST,
+    errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL,
+}  # fmt: skip
+# Base of all complaints about options and arguments, whichever version of typer raises them.
+UsageError = typer.BadParameter.__bases__[0]
+
+
+def guarded(action: Callable[[], object], narrator: Narrator) -> int:
+    """Run a command and turn whatever it raises into an exit code.
+
+    Parameters
+    ----------
+    action : callable
+        Gives an exit code, or nothing when all went well.
+    narrator : Narrator
+        Says the warnings at the end, and whether tracebacks are wanted.
+
+    Returns
+    -------
+    int
+    """
+    try:
+        outcome = action()
+        sys.stdout.flush()
+        narrator.finish()
+    except BrokenPipeError:
+        # Whoever read our output has left; keep Python from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_LEFT
+    except (KeyboardInterrupt, typer.Abort):
+        narrator.rest()
+        say("magmatch: interrupted")
+        return INTERRUPTED
+    except Exception as error:
+        narrator.rest()
+        if narrator.is_debugging:
+            traceback.print_exception(error)
+        words, code = explain(error)
+        say("magmatch: " + one_line(words))
+        return code
+    return outcome if isinstance(outcome, int) else DONE
+
+
+def explain(error: Exception) -> tuple[str, int]:
+    """What to say about an error, and the exit code it means.
+
+    Parameters
+    ----------
+    error : Exception
+        Whatever came out of a command.
+
+    Returns
+    -------
+    words : str
+    code : int
+    """
+    if isinstance(error, UsageError):
+        return _explain_usage(error), BAD_INPUT
+    if isinstance(error, MagmatchError):
+        return str(error), BAD_INPUT
+    if isinstance(error, OSError):
+        place = f"{error.filename}: " if error.filename is not None else ""
+        words = f"{place}{(error.strerror or str(error) or type(error).__name__)}"
+        return words, BAD_INPUT if error.errno in USER_ERRNOS else FAULT
+    if isinstance(error, MemoryError):
+        return f"out of memory ({error or 'no details'}); use fewer samples or a coarser map", FAULT
+    return f"internal error, {type(error).__name__}: {error} (say --debug for details, and please report it)", FAULT
+
+
+def one_line(text: str) -> str:
+    """Whatever an error says, on one line without control characters."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
+
+def _explain_usage(error: Exception) -> str:
+    """Typer's message, and where to read on."""
+    message: str = error.format_message()  # type: ignore[attr-defined]
+    command = getattr(getattr(error, "ctx", None), "command_path", "magmatch")
+    return f"{message.rstrip('.')} (see '{command} --help')"

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What all subcommands share: examples in their help, common switches, and how to read the surveys they are given."""
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from magmatch.cli.narration import Narrator
+from magmatch.data.format import SurveyFormat
+
+LAYOUT_PANEL = "How to read the survey"
+
+
+@dataclass(frozen=True, slots=True)
+class Layouts:
+    """How to read the surveys of one command, as far as its options say.
+
+    Attributes
+    ----------
+    given : dict
+        Option values by (survey, setting); survey is "" where an option speaks of all of them.
+    """
+
+    given: dict[tuple[str, str], Any]
+
+    def of(self, survey: str = "") -> SurveyFormat:
+        """Format of one survey: what is said of it alone, else of all, else the default."""
+        return SurveyFormat.model_validate(self.settings(survey))
+
+    def settings(self, survey: str = "") -> dict[str, Any]:
+        """Only what was said."""
+        general = {name: value for (of, name), value in self.given.items() if of == ""}
+        return general | {name: value for (of, name), value in self.given.items() if of == survey}
+
+
+def command(
+    app: typer.Typer, name: str, examples: Sequence[str], surveys: Sequence[str] | None = None
+) -> Callable[[Callable[..., int | None]], Callable[..., int | None]]:
+    """Make a function a subcommand.
+
+    Parameters
+    ----------
+    app : Typer
+        The program.
+    name : str
+        Name of the subcommand.
+    examples : sequence of str
+        Lines to show under its help.
+    surveys : sequence of str, optional
+        Names of the surveys it reads. The options of `SurveyFormat` are added (and once more with each name, such
+        as ``--base-field-unit``), and the function gets them as argument ``layouts``.
+
+    Returns
+    -------
+    decorator
+    """
+    epilog = "\b\nExamples:\n" + "\n".join(f"  {example}" for example in examples)
+
+    def decorate(function: Callable[..., int | None]) -> Callable[..., int | None]:
+        extra = {} if surveys is None else _layout_parameters(("", *surveys))
+        hints = get_type_hints(function, include_extras=True)
+        hints.pop("layouts", None)
+
+        @wraps(function)
+        def call(**values: Any) -> int | None:
+            values = {key: value for key, value in values.items() if key not in COMMON}
+            if surveys is not None:
+                found = {place: values.pop(key) for key, (place, _) in extra.items()}
+                values["layouts"] = Layouts({place: value for place, value in found.items() if value is not None})
+            return function(**values)
+
+        annotations = hints | {key: annotation for key, (_, annotation) in extra.items()} | COMMON
+        own = [p for p in inspect.signature(function).parameters.values() if p.name != "layouts"]
+        defaults = [_keyword(key, annotations[key], None) for key in extra]
+        defaults += [_keyword(key, annotation, False) for key, annotation in COMMON.items()]
+        as_keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in own]
+        call.__signature__ = inspect.Signature(as_keywords + defaults)  # type: ignore[attr-defined]
+        call.__annotations__ = annotations
+        help_text = inspect.cleandoc(function.__doc__ or "")
+        return app.command(name, epilog=epilog, help=help_text, no_args_is_help=False)(call)
+
+    return decorate
+
+
+def narrator_of(ctx: typer.Context) -> Narrator:
+    """The narrator of this run (a fresh one where the program is not run through `main`)."""
+    root: Any = ctx.find_root()
+    if not isinstance(root.obj, Narrator):
+        root.obj = Narrator()
+    return root.obj
+
+
+def _note_verbose(ctx: typer.Context, value: bool) -> None:
+    narrator_of(ctx).is_verbose |= value
+
+
+def _note_debug(ctx: typer.Context, value: bool) -> None:
+    narrator_of(ctx).is_debugging |= value
+
+
+Verbose = Annotated[bool, typer.Option("--verbose", help="Say each step on stderr.", callback=_note_verbose)]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.", callback=_note_debug)]
+COMMON: dict[str, Any] = {"verbose": Verbose, "debug": Debug}
+
+
+def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _layout_parameters(surveys: Sequence[str]) -> dict[str, tuple[tuple[str, str], Any]]:
+    """One option per setting of `SurveyFormat` and survey: parameter name -> ((survey, setting), annotation)."""
+    parameters: dict[str, tuple[tuple[str, str], Any]] = {}
+    for survey in surveys:
+        prefix = f"{survey}_" if survey else ""
+        for name, field in SurveyFormat.model_fields.items():
+            flag = "--" + (prefix + name).replace("_", "-")
+            words = field.description if not survey else f"The same for {survey.upper()} alone."
+            option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
+            parameters[prefix + name] = ((survey, name), Annotated[_optional(field.annotation), option])
+    return parameters
+
+
+def _optional(annotation: Any) -> Any:
+    return annotation | None if annotation is not None else None

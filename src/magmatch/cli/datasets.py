@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch datasets``: public recordings, checksum-verified."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import command
+from magmatch.cli.narration import put, say
+from magmatch.errors import ConfigurationError
+
+EXAMPLES = (
+    "magmatch datasets list",
+    "magmatch datasets fetch kok",
+    "magmatch datasets fetch cea --from ~/downloads/cea",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "datasets", EXAMPLES)(datasets)
+
+
+def datasets(
+    action: Annotated[str, typer.Argument(help="list, or fetch with a NAME.", metavar="[list|fetch]")] = "list",
+    name: Annotated[str | None, typer.Argument(help="Dataset to fetch.", metavar="[NAME]")] = None,
+    source: Annotated[
+        Path | None, typer.Option("--from", help="Copy from this folder instead of downloading.", metavar="DIR")
+    ] = None,
+) -> None:
+    """List or fetch public recordings.
+
+    What is fetched is verified; licence and citation are said, the paths of the files go to stdout.
+    """
+    from magmatch.data.datasets import DATASETS, fetch, find_dataset
+
+    if action == "list" and name is None and source is None:
+        for dataset in DATASETS.values():
+            put(f"{dataset.name:8}  {dataset.title}")
+            put(f"{'':8}  licence: {dataset.licence}\n{'':8}  cite: {dataset.citation}")
+    elif action == "fetch" and name is not None:
+        dataset = find_dataset(name)
+        for path in fetch(name, source).values():
+            put(str(path))
+        say(f"{dataset.title}\nLicence: {dataset.licence}\nPlease cite: {dataset.citation}")
+    else:
+        msg = f"datasets: expected 'list' or 'fetch NAME', found '{' '.join(w for w in (action, name) if w)}'"
+        raise ConfigurationError(msg)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch demo``: the main job on small packaged data, compared with the truth."""
+
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from magmatch.cli.boundary import DONE, NOT_ACCEPTED
+from magmatch.cli.command import command
+from magmatch.cli.narration import put, say
+from magmatch.cli.outputs import as_json, make_folder
+from magmatch.cli.registering import register_keeping_maps
+from magmatch.cli.words import tell_result
+from magmatch.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.registration.result import RegistrationResult
+
+EXAMPLES = ("magmatch demo", "magmatch demo --out demo-output", "magmatch demo --json")
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "demo", EXAMPLES)(demo)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the result and its picture.")] = Path("magmatch-demo"),
+    seed: Annotated[int, typer.Option(help="Seed of the registration.", min=0)] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> int:
+    """Register packaged surveys of an office room.
+
+    Both are simulated, so that the answer is compared with the truth.
+    """
+    make_folder(out)
+    from magmatch.data.read import read_survey
+    from magmatch.registration.config import PRESETS
+
+    with as_file(files("magmatch.data") / "samples" / "office") as folder:
+        base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
+    base_map, target_map, result = register_keeping_maps(base, target, PRESETS["default"], seed)
+    result.save(out / "result.json")
+    report: Path | None = out / "report.html"
+    try:
+        from magmatch.viz.report import write_report
+
+        write_report(out / "report.html", base_map, target_map, result)
+    except MissingExtraError as error:
+        report = None
+        say(f"No picture: {error}")
+    if json:
+        put(as_json(result.to_dict()))
+    say(f"Office room, simulated: base {len(base)} samples, target {len(target)} samples in another frame")
+    say(tell_result(result, out / "result.json", report))
+    say(_compare(result, truth, target))
+    return DONE if result.is_accepted else NOT_ACCEPTED
+
+
+def _truth(folder: Path) -> dict[str, Any]:
+    import json
+
+    content: dict[str, Any] = json.loads((folder / "truth.json").read_text())
+    return content
+
+
+def _compare(result: "RegistrationResult", truth: dict[str, Any], target: "Survey") -> str:
+    """Error against the truth, in words."""
+    import numpy as np
+    from scipy.spatial.transform import RigidTransform
+
+    from magmatch.geometry import transform_error
+
+    if result.T_base_target is None:
+        return "There is no transform to compare with the truth"
+    T_true = RigidTransform.from_matrix(np.array(truth["T_base_target"], dtype=np.float64))
+    translation, rotation = transform_error(result.T_base_target, T_true, target.centroid)
+    return f"Against the truth: {1e3 * translation:.1f} mm and {np.rad2deg(rotation):.2f} deg off"

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch info``: what a file holds."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_map, read_result
+from magmatch.cli.narration import put
+from magmatch.cli.outputs import as_json
+from magmatch.cli.words import info_table, tell_result
+
+EXAMPLES = (
+    "magmatch info survey.csv --field-unit uT",
+    "magmatch info room.map --json",
+    "magmatch info result.json",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "info", EXAMPLES, surveys=())(info)
+
+
+def info(
+    file: Annotated[
+        Path, typer.Argument(help="Survey, saved map, trajectory or registration result.", metavar="FILE")
+    ],
+    layouts: Layouts,
+    json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Show what FILE holds.
+
+    Counts, extent, units, frames, gaps and quality warnings.
+    """
+    from magmatch.data.sniff import sniff
+
+    kind = sniff(file)
+    if kind == "registration":
+        result = read_result(file)
+        put(as_json({"kind": "registration"} | result.to_dict()) if json else tell_result(result))
+        return
+    facts = {"kind": {"csv": "survey", "tum": "trajectory"}.get(kind, kind), "file": str(file)}
+    facts |= {"csv": _of_survey, "map": _of_map, "tum": _of_trajectory}[kind](file, layouts)
+    put(as_json(facts) if json else info_table(facts))
+
+
+def _of_survey(path: Path, layouts: Layouts) -> dict[str, Any]:
+    import logging
+
+    from magmatch.data.describe import describe
+    from magmatch.data.read import read_survey
+
+    layout = layouts.of()
+    # The doubts stand in the description; they need not be said twice.
+    logger = logging.getLogger("magmatch.data.read")
+    logger.disabled = True
+    try:
+        return describe(read_survey(path, layout), layout)
+    finally:
+        logger.disabled = False
+
+
+def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
+    from magmatch.data.describe import describe
+
+    field_map = read_map(path)
+    numbers = field_map.hyperparameters.as_dict()
+    return {"prior": field_map.config.prior, "hyperparameters": numbers} | describe(field_map.survey)
+
+
+def _of_trajectory(path: Path, _layouts: Layouts) -> dict[str, Any]:
+    from magmatch.data.trajectory import Trajectory
+
+    trajectory = Trajectory.load(path)
+    times, p = trajectory.times, trajectory.positions
+    return {
+        "poses": len(times),
+        "units": {"length": "m", "time": "s"},
+        "low": p.min(axis=0).tolist(),
+        "high": p.max(axis=0).tolist(),
+        "time": {"first": float(times[0]), "last": float(times[-1]), "duration": float(times[-1] - times[0])},
+    }

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files that commands take: a survey or a saved map, told by content."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magmatch.cli.command import Layouts
+from magmatch.errors import ConfigurationError, DataFormatError
+
+if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.field.map import FieldMap
+    from magmatch.registration.result import RegistrationResult
+
+
+def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Survey | FieldMap":
+    """Read a file as what it is.
+
+    Parameters
+    ----------
+    path : Path
+        A survey or a saved map.
+    layouts : Layouts
+        Options that say how to read it.
+    survey : str
+        Which of the command's surveys it is.
+
+    Returns
+    -------
+    Survey or FieldMap
+
+    Raises
+    ------
+    DataFormatError, SurveyError
+        It is neither.
+    ConfigurationError
+        A unit or frame was stated for a map, which knows its own.
+    """
+    from magmatch.data.read import read_survey
+    from magmatch.data.sniff import sniff
+
+    if sniff(path) != "map":
+        return read_survey(path, layouts.of(survey))
+    stated = [name for of, name in layouts.given if of == survey]
+    if stated and survey:
+        flag = f"--{survey}-{stated[0].replace('_', '-')}"
+        msg = f"{path} is a saved map, which knows its units and frame; leave out {flag}"
+        raise ConfigurationError(msg)
+    return read_map(path)
+
+
+def read_map(path: Path) -> "FieldMap":
+    """Read a saved map.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    FieldMap
+
+    Raises
+    ------
+    DataFormatError
+        It is something else, or damaged.
+    """
+    from magmatch.data.sniff import sniff
+    from magmatch.field.map import FieldMap
+
+    kind = sniff(path)
+    if kind != "map":
+        message = f"expected a saved map, found a {kind} file; make a map with 'magmatch map SURVEY --out MAP'"
+        raise DataFormatError(path, message)
+    return FieldMap.load(path)
+
+
+def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
+    """Read the samples of a survey, or those a saved map was made from.
+
+    Parameters
+    ----------
+    path, layouts, survey
+        As in `read_survey_or_map`.
+
+    Returns
+    -------
+    Survey
+    """
+    from magmatch.data.survey import Survey
+
+    read = read_survey_or_map(path, layouts, survey)
+    return read if isinstance(read, Survey) else read.survey
+
+
+def read_result(path: Path) -> "RegistrationResult":
+    """Read a registration result.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    RegistrationResult
+
+    Raises
+    ------
+    DataFormatError
+        It is something else.
+    """
+    from magmatch.data.sniff import sniff
+    from magmatch.registration.result import RegistrationResult
+
+    kind = sniff(path)
+    if kind != "registration":
+        message = f"expected a registration result (JSON of 'magmatch register'), found a {kind} file"
+        raise DataFormatError(path, message)
+    return RegistrationResult.load(path)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch map``: infer the field of a place and save it."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_samples
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import check_outputs
+from magmatch.cli.settings import merged, read_settings
+from magmatch.data.units import field_text
+from magmatch.errors import ConfigurationError
+
+EXAMPLES = (
+    "magmatch map room.csv --out room.map",
+    "magmatch map monday.csv tuesday.csv --field-unit uT --out room.map",
+    "magmatch map room.csv --prior divergence_free --domain 0,0,0,5,4,2 --out room.map",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "map", EXAMPLES, surveys=())(build)
+
+
+def build(
+    surveys: Annotated[
+        list[Path],
+        typer.Argument(help="Surveys (or saved maps) in one frame; several are merged.", metavar="SURVEY..."),
+    ],
+    out: Annotated[Path, typer.Option(help="Write the map here.")],
+    layouts: Layouts,
+    prior: Annotated[str, typer.Option(help="Law of the field: auto|spline|divergence_free.")] = "auto",
+    domain: Annotated[
+        str | None, typer.Option(help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; the samples' box by default.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file of field settings (lengthscale, noise_sd, ...).")
+    ] = None,
+) -> None:
+    """Build a field map from surveys and save it."""
+    from magmatch.field.build import build_map
+    from magmatch.field.config import FieldConfig
+
+    check_outputs((out,), inputs=[*surveys, *([config] if config else [])])
+    settings = FieldConfig()
+    if config is not None:
+        read = read_settings(config)
+        settings = merged(settings, read.get("field", read), config)
+    stated: dict[str, Any] = {} if prior == "auto" else {"prior": _known_prior(prior)}
+    if domain is not None:
+        stated["domain"] = parse_domain(domain)
+    settings = FieldConfig.model_validate(settings.model_dump() | stated)
+    field_map = build_map([read_samples(path, layouts) for path in surveys], settings)
+    field_map.save(out)
+    numbers = field_map.hyperparameters
+    say(
+        f"Mapped {len(field_map.survey)} samples: lengthscale {numbers.lengthscale:.3g} m, field varies by "
+        f"{field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}\nWrote the map to {out}"
+    )
+
+
+def parse_domain(text: str) -> tuple[float, ...]:
+    """Six numbers, the lower corner below the upper one."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    is_box = len(numbers) == 6 and all(
+        -1e9 < low < high < 1e9 for low, high in zip(numbers[:3], numbers[3:], strict=True)
+    )
+    if not is_box:
+        msg = f"--domain: expected X0,Y0,Z0,X1,Y1,Z1 in metres with X0 < X1, Y0 < Y1, Z0 < Z1; found '{text}'"
+        raise ConfigurationError(msg)
+    return numbers
+
+
+def _known_prior(prior: str) -> str:
+    from magmatch.field.priors import PRIORS
+
+    if prior not in PRIORS:
+        msg = f"--prior: expected one of auto, {', '.join(PRIORS)}; found '{prior}'"
+        raise ConfigurationError(msg)
+    return prior

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Places that results go to, looked at before the work and written whole after it."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from magmatch.errors import ConfigurationError, DataFormatError
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
+    """Make sure that results can be written where they shall go, before any work is done.
+
+    Parameters
+    ----------
+    outputs : iterable of Path or None
+        Files to be written; None where none was asked for.
+    inputs : iterable of Path
+        Files that are read, which no result may replace.
+
+    Raises
+    ------
+    DataFormatError
+        A folder does not exist, or the path is itself a folder.
+    ConfigurationError
+        Two results, or a result and an input, have one name.
+    OSError
+        No permission, or the disk is read-only.
+    """
+    taken = {path.resolve(): "an input" for path in inputs}
+    for path in outputs:
+        if path is None:
+            continue
+        place = path.resolve()
+        if place in taken:
+            msg = f"{path}: would be written over {taken[place]}; give it another name"
+            raise ConfigurationError(msg)
+        check_output(path)
+        if not place.exists() or place.is_file():  # two results may share a device such as /dev/stdout
+            taken[place] = "another result"
+
+
+def check_output(path: Path) -> None:
+    """Make sure that one file can be written."""
+    if path.is_dir():
+        raise DataFormatError(path, "is a folder, expected the name of a file to write")
+    if path.exists() and not path.is_file():
+        return
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise DataFormatError(path, f"the folder {folder} does not exist; create it first")
+    _try_to_write(folder, path)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for results (its parent must exist) and make sure that files can be put there."""
+    if path.exists() and not path.is_dir():
+        raise DataFormatError(path, "is a file, expected the name of a folder to write to")
+    if not path.resolve().parent.is_dir():
+        raise DataFormatError(path, f"the folder {path.resolve().parent} does not exist; create it first")
+    path.mkdir(exist_ok=True)
+    _try_to_write(path, path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    from magmatch.atomic import atomic_write
+
+    with atomic_write(path) as stream:
+        stream.write(text.encode())
+
+
+def as_json(content: dict[str, Any]) -> str:
+    """JSON for people and programs; NaN is a mistake, not a value."""
+    return json.dumps(content, indent=2, allow_nan=False)
+
+
+def _try_to_write(folder: Path, path: Path) -> None:
+    """Only trying tells: permissions, read-only disks and odd file systems all look different."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=".magmatch-", dir=folder)
+    except PermissionError:
+        raise DataFormatError(path, f"no permission to write in the folder {folder}") from None
+    os.close(handle)
+    Path(name).unlink()

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch register``: the main job."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.boundary import DONE, NOT_ACCEPTED
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_survey_or_map
+from magmatch.cli.narration import put, say
+from magmatch.cli.outputs import as_json, check_outputs
+from magmatch.cli.registering import register_keeping_maps
+from magmatch.cli.settings import registration_config
+from magmatch.cli.words import tell_result
+
+EXAMPLES = (
+    "magmatch register base.csv target.csv",
+    "magmatch register base.csv target.csv --out result.json --report result.html",
+    "magmatch register base.csv target.csv --field-unit uT --target-length-unit mm",
+    "magmatch register room.map target.csv --preset paper --json > result.json",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "register", EXAMPLES, surveys=("base", "target"))(register)
+
+
+def register(
+    base: Annotated[Path, typer.Argument(help="Survey or saved map that gives the frame.", metavar="BASE")],
+    target: Annotated[Path, typer.Argument(help="Survey or saved map to bring into that frame.", metavar="TARGET")],
+    layouts: Layouts,
+    out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a picture of the result here (HTML).")] = None,
+    preset: Annotated[
+        str, typer.Option(help="Settings to start from: default, or paper (as published).")
+    ] = "default",
+    sensor: Annotated[
+        str, typer.Option(help="What to estimate between the magnetometers: auto|none|bias|scale|full.")
+    ] = "auto",
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the preset's.")] = None,
+    seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> int:
+    """Find the transform from TARGET to BASE.
+
+    A rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none.
+
+    Exit code 0: accepted; 3: not accepted, with the reason.
+    """
+    settings = registration_config(preset, config, sensor)
+    check_outputs((out, report), inputs=[path for path in (base, target, config) if path])
+    if report is not None:
+        from magmatch.viz.plotting import require_plotly
+
+        require_plotly()
+    read = read_survey_or_map(base, layouts, "base"), read_survey_or_map(target, layouts, "target")
+    base_map, target_map, result = register_keeping_maps(*read, settings, seed)
+    if out is not None:
+        result.save(out)
+    if report is not None:
+        from magmatch.viz.report import write_report
+
+        write_report(report, base_map, target_map, result)
+    if json:
+        put(as_json(result.to_dict()))
+    say(tell_result(result, out, report))
+    return DONE if result.is_accepted else NOT_ACCEPTED

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Configuration from a preset and a YAML file; mistakes name the setting."""
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from magmatch.errors import ConfigurationError, DataFormatError
+
+if TYPE_CHECKING:
+    from magmatch.registration.config import RegistrationConfig
+
+Config = TypeVar("Config", bound=BaseModel)
+
+
+def registration_config(preset: str, path: Path | None, sensor: str = "auto") -> "RegistrationConfig":
+    """Resolve the configuration of a registration: the file's settings over the preset's.
+
+    Parameters
+    ----------
+    preset : str
+        Name of a preset.
+    path : Path, optional
+        YAML file of settings, or a registration result, whose settings are taken.
+    sensor : str
+        What to estimate between the two magnetometers.
+
+    Returns
+    -------
+    RegistrationConfig
+
+    Raises
+    ------
+    ConfigurationError
+        No such preset or sensor model.
+    DataFormatError
+        The file is no YAML, or holds a setting that is unknown or out of bounds.
+    """
+    from magmatch.registration.config import PRESETS
+
+    if preset not in PRESETS:
+        msg = f"--preset: expected one of {', '.join(PRESETS)}; found '{preset}'"
+        raise ConfigurationError(msg)
+    config = PRESETS[preset]
+    if sensor not in SENSORS:
+        msg = f"--sensor: expected one of {', '.join(SENSORS)}; found '{sensor}'"
+        raise ConfigurationError(msg)
+    if path is not None:
+        config = merged(config, read_settings(path), path)
+    return with_sensor(config, sensor)
+
+
+# What can be estimated between the two magnetometers; 'auto' leaves it to the configuration.
+SENSORS = ("auto", "none", "bias", "scale", "full")
+
+
+def with_sensor(config: "RegistrationConfig", sensor: str) -> "RegistrationConfig":
+    """State what to estimate between the two magnetometers, where it is not left to the configuration."""
+    if sensor == "auto":
+        return config
+    if not config.refinement.is_enabled and sensor != "none":
+        msg = f"--sensor {sensor}: these settings do not refine the pose, so none is estimated; say auto or none"
+        raise ConfigurationError(msg)
+    return type(config).model_validate(_over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))
+
+
+def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
+    """Put settings over a configuration.
+
+    Parameters
+    ----------
+    config : pydantic model
+        What holds where nothing is said.
+    settings : mapping
+        Nested as the configuration is.
+    path : Path
+        The file they came from, for messages.
+
+    Returns
+    -------
+    pydantic model
+        Of the same class.
+
+    Raises
+    ------
+    DataFormatError
+        Names the setting that is unknown or out of bounds.
+    """
+    try:
+        return type(config).model_validate(_over(config.model_dump(), settings))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise DataFormatError(path, _explain(type(config), first), column=place) from None
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Read a YAML file of settings, or take those of a registration result.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    DataFormatError
+        Not readable, no YAML, or no mapping.
+    """
+    import yaml
+
+    from magmatch.data.table import read_bytes, text_lines
+
+    try:
+        content = yaml.safe_load("\n".join(text_lines(path, read_bytes(path))))
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise DataFormatError(path, f"is not YAML: {error.problem or error.context}", line=line) from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, f"is not YAML: {error or 'nested too deeply'}") from None
+    if isinstance(content, dict) and str(content.get("schema", "")).startswith("magmatch.registration/"):
+        content = content.get("config")
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        message = f"expected settings as 'name: value' lines, found {type(content).__name__}"
+        raise DataFormatError(path, message)
+    return {str(key): value for key, value in content.items()}
+
+
+def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Merge nested settings; those above win."""
+    result = dict(below)
+    for key, value in above.items():
+        inner = result.get(key)
+        result[key] = _over(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+    return result
+
+
+def _explain(model: type[BaseModel], error: Mapping[str, Any]) -> str:
+    """What pydantic found, with the nearest known name for an unknown one."""
+    if error["type"] != "extra_forbidden":
+        return f"{error['msg']}, found {error['input']!r}"
+    names, place = list(model.model_fields), error["loc"]
+    for part in place[:-1]:
+        inner = model.model_fields[str(part)].annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            model, names = inner, list(inner.model_fields)
+    near = get_close_matches(str(place[-1]), names, 1)
+    return "unknown setting; " + (f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(names)}")

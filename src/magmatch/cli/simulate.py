@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch simulate``: two surveys of a known place and the truth between them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import command
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import make_folder
+
+EXAMPLES = (
+    "magmatch simulate office --out pair --seed 3",
+    "magmatch register pair/base.csv pair/target.csv",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "simulate", EXAMPLES)(simulate)
+
+
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="Name of a scenario; a wrong one lists those there are.", metavar="SCENARIO")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write base.csv, target.csv and truth.json to.")],
+    seed: Annotated[int, typer.Option(help="Same scenario and seed give the same surveys.", min=0)] = 0,
+) -> None:
+    """Write two surveys of a known place.
+
+    The folder gets base.csv, target.csv and truth.json of a named SCENARIO.
+    """
+    from magmatch.errors import ConfigurationError
+    from magmatch.simulation.scenarios import SCENARIOS
+
+    if scenario not in SCENARIOS:
+        msg = f"no scenario '{scenario}'; there are {', '.join(SCENARIOS)}"
+        raise ConfigurationError(msg)
+    make_folder(out)
+    from magmatch.simulation.simulate import simulate as run
+    from magmatch.simulation.simulate import write_pair
+
+    pair = run(scenario, seed)
+    write_pair(pair, out)
+    say(
+        f"Wrote base.csv ({len(pair.base)} samples), target.csv ({len(pair.target)}) and truth.json to {out}; "
+        f"a correct program {'accepts' if pair.accept else 'refuses'} this pair"
+    )

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch transform``: bring the target into the base's frame."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_result, read_survey_or_map
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import check_outputs
+from magmatch.errors import DataFormatError
+
+EXAMPLES = (
+    "magmatch transform target.csv --by result.json --out aligned.csv",
+    "magmatch transform target.map --by result.json --out aligned.map",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "transform", EXAMPLES, surveys=("target",))(transform)
+
+
+def transform(
+    target: Annotated[Path, typer.Argument(help="Survey or saved map.", metavar="TARGET")],
+    by: Annotated[Path, typer.Option(help="Result of 'magmatch register' (JSON).")],
+    out: Annotated[Path, typer.Option(help="Write here: CSV in tesla and metre, or a map where TARGET is one.")],
+    layouts: Layouts,
+) -> None:
+    """Write TARGET in the base's frame.
+
+    Positions move, field vectors turn.
+    A saved map stays a map, unless the name to write to ends in .csv: then its samples are written.
+    """
+    from magmatch.data.survey import Survey
+
+    check_outputs((out,), inputs=(target, by))
+    result = read_result(by)
+    if result.T_base_target is None:
+        message = f"was not accepted ({result.status}), so there is no transform to apply: {result.reason}"
+        raise DataFormatError(by, message)
+    read = read_survey_or_map(target, layouts, "target")
+    if not isinstance(read, Survey) and out.suffix.lower() != ".csv":
+        read.transformed(result.T_base_target).save(out)
+        say(f"Wrote the map in the base's frame to {out}")
+        return
+    survey = read if isinstance(read, Survey) else read.survey
+    survey.transformed(result.T_base_target, frame="base").save(out)
+    say(f"Wrote {len(survey)} samples in the base's frame to {out} (metre, tesla)")

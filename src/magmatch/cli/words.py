@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a result and a file say, in words for people."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from magmatch.registration.result import RegistrationResult
+
+
+def tell_result(result: "RegistrationResult", out: Path | None = None, report: Path | None = None) -> str:
+    """Tell a registration in a few lines.
+
+    Parameters
+    ----------
+    result : RegistrationResult
+        What was found.
+    out, report : Path, optional
+        Where it was written.
+
+    Returns
+    -------
+    str
+    """
+    lines = [f"{'Accepted' if result.is_accepted else f'Not accepted ({result.status})'}: {result.reason}"]
+    if result.T_base_target is not None:
+        lines += ["T_base_target (p_base = T p_target, metres):"]
+        lines += ["  " + " ".join(f"{v:12.6f}" for v in row) for row in result.T_base_target.as_matrix()]
+        lines += [f"  {_motion(result)}"]
+    lines += [_figures(result)]
+    lines += [f"Free direction: {d.words}" for d in result.degenerate_directions]
+    if result.seconds:
+        stages = ", ".join(f"{name} {s:.2f}" for name, s in result.seconds.items() if name != "total")
+        lines += [f"Took {result.seconds.get('total', 0.0):.2f} s ({stages})"]
+    lines += [f"Wrote the result to {out}"] if out else []
+    lines += [f"Wrote the picture to {report}"] if report else []
+    return "\n".join(lines)
+
+
+def info_table(facts: Mapping[str, Any]) -> str:
+    """Lay nested facts out as aligned lines."""
+    rows = list(_rows(facts))
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:{width}}  {text}" for name, text in rows)
+
+
+# Units of what `info` shows, by name of the fact.
+UNITS = {
+    "pose_sd": "m", "low": "m", "high": "m", "extent": "m", "path_length": "m", "median_step": "m",
+    "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
+    "first": "s", "last": "s", "duration": "s", "rate": "Hz", "longest_gap": "s",
+    "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
+}  # fmt: skip
+
+
+def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        label = (above + name).replace("_", " ")
+        if isinstance(value, Mapping):
+            rows += _rows(value, f"{above}{name} ")
+        elif name == "warnings":
+            rows += [("warning", str(w)) for w in value] or [("warnings", "none")]
+        else:
+            rows.append((label, _text(value, UNITS.get(name, ""))))
+    return rows
+
+
+def _text(value: Any, unit: str) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(_text(v, "") if unit != "uT" else f"{1e6 * v:.4g}" for v in value) + f" {unit}".rstrip()
+    if isinstance(value, float):
+        return f"{1e6 * value if unit == 'uT' else value:.6g} {unit}".rstrip()
+    return f"{value} {unit}".rstrip()
+
+
+def _motion(result: "RegistrationResult") -> str:
+    """Size of the motion, with its standard deviation where known."""
+    import numpy as np
+
+    T = result.T_base_target
+    if T is None:
+        return ""
+    text = f"turned by {np.rad2deg(T.rotation.magnitude()):.2f} deg, moved by {np.linalg.norm(T.translation):.3f} m"
+    if result.covariance is not None:
+        sd = np.sqrt(np.diag(result.covariance))
+        text += f"; sd {np.rad2deg(np.linalg.norm(sd[:3])):.2f} deg, {1e3 * np.linalg.norm(sd[3:]):.1f} mm"
+    return text
+
+
+def _figures(result: "RegistrationResult") -> str:
+    """Certainty, overlap, residual and counts on one line."""
+    parts = [] if result.probability is None else [f"probability {result.probability:.3f}"]
+    parts += [f"overlap {result.overlap:.0%}"]
+    parts += [] if result.residual is None else [f"normalised residual {result.residual:.2f}"]
+    parts += [] if result.fitness is None else [f"fitness {result.fitness:.3g}"]
+    parts += [f"{result.n_inliers} inliers of {result.n_correspondences} correspondences"]
+    if not result.is_accepted and result.alternatives:
+        parts += ["best candidate under 'alternatives' of the JSON"]
+    return ", ".join(parts)

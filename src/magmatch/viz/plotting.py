@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What all pictures share: the optional plotting library, colours, axes, and how many points are drawn."""
+
+from html import escape
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magmatch.errors import MissingExtraError
+from magmatch.typing import Indices, Points, Scalars, Vectors
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+# Okabe and Ito's colours, told apart by every kind of colour vision; marker shapes differ as well.
+BASE_COLOR, TARGET_COLOR, LINK_COLOR = "#0072B2", "#D55E00", "#009E73"
+BASE_MARKER, TARGET_MARKER = "circle", "diamond"
+FIELD_SCALE, SPREAD_SCALE = "Viridis", "Cividis"
+INK, QUIET = "#1b1f24", "#d4d9df"
+# Most samples drawn of one survey: what a phone turns smoothly, and what keeps a page small.
+MAX_DRAWN = 6000
+UT_PER_TESLA = 1e6
+
+
+def require_plotly() -> ModuleType:
+    """Import plotly's graph objects.
+
+    Returns
+    -------
+    module
+        ``plotly.graph_objects``.
+
+    Raises
+    ------
+    MissingExtraError
+        Plotly is not installed.
+    """
+    try:
+        import plotly.graph_objects as go
+    except ImportError:
+        feature = "a picture"
+        raise MissingExtraError(feature, "viz") from None
+    module: ModuleType = go
+    return module
+
+
+def thinned(n: int, n_drawn: int = MAX_DRAWN) -> Indices:
+    """Choose evenly which of n samples are drawn: increasing row numbers, all of them where they are few."""
+    rows: Indices = np.unique(np.linspace(0, n - 1, min(n, n_drawn)).round().astype(np.int64))
+    return rows
+
+
+def magnitude_ut(field: Vectors) -> Scalars:
+    """Field magnitudes in uT, for display."""
+    return UT_PER_TESLA * np.linalg.norm(field, axis=1)
+
+
+def label(text: str) -> str:
+    """Make a name safe where plotly would take it for markup."""
+    return escape(text, quote=False)
+
+
+def for_display(values: np.ndarray) -> np.ndarray:
+    """Single precision is plenty for a screen and halves the page."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def points3d(p: Points, **style: Any) -> Any:
+    """Markers in space."""
+    x, y, z = for_display(p).T
+    return require_plotly().Scatter3d(x=x, y=y, z=z, mode="markers", **style)
+
+
+def lines3d(starts: Points, ends: Points, **style: Any) -> Any:
+    """One line per row, as a single trace (rows are parted by gaps)."""
+    gaps = np.full_like(starts, np.nan)
+    x, y, z = for_display(np.stack([starts, ends, gaps], axis=1).reshape(-1, 3)).T
+    return require_plotly().Scatter3d(x=x, y=y, z=z, mode="lines", hoverinfo="skip", **style)
+
+
+def new_scene(title: str, traces: list[Any], frame: str) -> "Figure":
+    """Put traces into a 3-D figure with equal axes in metres."""
+    axes = {
+        f"{axis}axis": {
+            "title": {"text": f"{axis} (m)"},
+            "backgroundcolor": "white",
+            "gridcolor": QUIET,
+            "zerolinecolor": QUIET,
+            "showspikes": False,
+        }
+        for axis in "xyz"
+    }
+    figure = require_plotly().Figure(traces)
+    figure.update_layout(
+        **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
+        scene={"aspectmode": "data", "camera": {"eye": {"x": 1.3, "y": -1.5, "z": 1.0}}, **axes},
+        height=480,
+        legend={"orientation": "h", "y": -0.02, "x": 0, "itemsizing": "constant"},
+    )
+    return figure
+
+
+def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":
+    """Put traces into a flat figure."""
+    figure = require_plotly().Figure(traces)
+    figure.update_layout(**_layout(title), height=400, legend={"orientation": "h", "y": -0.25, "x": 0})
+    figure.update_xaxes(title_text=x_title, gridcolor=QUIET, zeroline=False, constrain="domain", automargin=True)
+    figure.update_yaxes(title_text=y_title, gridcolor=QUIET, zeroline=False, automargin=True)
+    if is_equal:
+        figure.update_yaxes(scaleanchor="x", scaleratio=1, constrain="domain")
+    return figure
+
+
+def _layout(title: str) -> dict[str, Any]:
+    return {
+        "title": {"text": title, "x": 0.01, "xanchor": "left", "y": 0.97, "yanchor": "top", "font": {"size": 15}},
+        "template": "none",
+        "margin": {"l": 8, "r": 8, "t": 62, "b": 8},
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": INK},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "#f2f4f6",
+    }

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Flat cuts through maps."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.field.map import FieldMap
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.typing import Mask, Points, Scalars, Vectors
+from magmatch.viz.plotting import UT_PER_TESLA, for_display, magnitude_ut, new_plane, require_plotly
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+# Cells along the longer side of a cut.
+N_ALONG = 110
+# A box this much flatter than it is wide is cut parallel to its flat side; others horizontally.
+FLATNESS = 0.7
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cut:
+    """A plane of points normal to one axis of a frame.
+
+    Attributes
+    ----------
+    points : (n, 3) array, m
+        Row-major over (second axis, first axis).
+    first, second : (k,) arrays, m
+        Coordinates along the two axes that span the plane.
+    axes : (int, int, int)
+        Which axes are first, second and normal.
+    height : float, m
+        Where the plane cuts the normal axis.
+    """
+
+    points: Points
+    first: Scalars
+    second: Scalars
+    axes: tuple[int, int, int]
+    height: float
+
+    @property
+    def words(self) -> str:
+        """Where the plane lies."""
+        return f"{'xyz'[self.axes[2]]} = {self.height:.2f} m"
+
+
+def cut_through(p: Points) -> Cut:
+    """Cut the box of points through their median, parallel to its flattest side.
+
+    Parameters
+    ----------
+    p : (n, 3) array, m
+        Points that the picture shall cover.
+
+    Returns
+    -------
+    Cut
+    """
+    low, high = p.min(axis=0), p.max(axis=0)
+    size = high - low
+    flattest = int(np.argmin(size))
+    normal = flattest if size[flattest] < FLATNESS * np.sort(size)[1] else 2
+    a, b = (axis for axis in range(3) if axis != normal)
+    step = max(float(max(size[a], size[b])) / (N_ALONG - 1), 1e-6)
+    margin = 2 * step
+    first = np.arange(low[a] - margin, high[a] + margin + step, step)
+    second = np.arange(low[b] - margin, high[b] + margin + step, step)
+    height = float(np.median(p[:, normal]))
+    points = np.empty((len(second), len(first), 3))
+    points[..., a], points[..., b], points[..., normal] = first[None, :], second[:, None], height
+    return Cut(points.reshape(-1, 3), first, second, (a, b, normal), height)
+
+
+def field_on(cut: Cut, field_map: FieldMap, T_cut_map: RigidTransform | None = None) -> tuple[Vectors, Mask]:
+    """Field of a map on a cut, in the cut's frame, and where the map knows it.
+
+    Parameters
+    ----------
+    cut : Cut
+    field_map : FieldMap
+    T_cut_map : RigidTransform, optional
+        Takes map coordinates to the cut's frame; the same frame by default.
+
+    Returns
+    -------
+    field : (n, 3) array, T
+    is_known : (n,) array
+    """
+    T = RigidTransform.identity() if T_cut_map is None else T_cut_map
+    p_map = transform_points(cut.points, T.inv())
+    return rotate_vectors(field_map.evaluate(p_map).field, T), field_map.knows(p_map)
+
+
+def slice_figure(
+    title: str, cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, float], scale: str
+) -> "Figure":
+    """Draw numbers in uT over a cut; blank where they are not known."""
+    image = np.where(is_known, values, np.nan).reshape(len(cut.second), len(cut.first))
+    names = ["xyz"[axis] for axis in cut.axes]
+    trace = require_plotly().Heatmap(
+        x=for_display(cut.first),
+        y=for_display(cut.second),
+        z=for_display(image),
+        zmin=limits[0],
+        zmax=limits[1],
+        colorscale=scale,
+        colorbar={"title": {"text": "uT"}, "thickness": 12, "outlinewidth": 0},
+        hovertemplate=f"{names[0]} %{{x:.2f}} m, {names[1]} %{{y:.2f}} m<br>%{{z:.2f}} uT<extra></extra>",
+    )
+    return new_plane(f"{title}<br><sub>{cut.words}</sub>", [trace], f"{names[0]} (m)", f"{names[1]} (m)")
+
+
+def magnitude_slice(title: str, cut: Cut, field: Vectors, is_known: Mask, limits: tuple[float, float]) -> "Figure":
+    """Draw the field's magnitude over a cut."""
+    from magmatch.viz.plotting import FIELD_SCALE
+
+    return slice_figure(title, cut, magnitude_ut(field), is_known, limits, FIELD_SCALE)
+
+
+def common_limits(*parts: Scalars) -> tuple[float, float]:
+    """One colour range for several pictures: all but the most extreme hundredths."""
+    values = np.concatenate(parts)
+    if not len(values):
+        return 0.0, 1.0
+    low, high = np.percentile(values, [1, 99])
+    return float(low), float(max(high, low + 1e-6 * UT_PER_TESLA * 1e-6))

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of one survey and of one map."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.viz.plotting import (
+    BASE_MARKER,
+    FIELD_SCALE,
+    SPREAD_SCALE,
+    UT_PER_TESLA,
+    for_display,
+    label,
+    magnitude_ut,
+    new_plane,
+    new_scene,
+    points3d,
+    require_plotly,
+    thinned,
+)
+from magmatch.viz.slices import common_limits, cut_through, field_on, magnitude_slice, slice_figure
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+
+def survey_figure(survey: Survey) -> "Figure":
+    """Samples in space, coloured by field magnitude.
+
+    Parameters
+    ----------
+    survey : Survey
+
+    Returns
+    -------
+    plotly Figure
+    """
+    rows = thinned(len(survey))
+    magnitude = magnitude_ut(survey.field[rows])
+    low, high = common_limits(magnitude)
+    marker: dict[str, Any] = {
+        "size": 3,
+        "symbol": BASE_MARKER,
+        "color": for_display(magnitude),
+        "colorscale": FIELD_SCALE,
+        "cmin": low,
+        "cmax": high,
+        "colorbar": {"title": {"text": "|B| (uT)"}, "thickness": 12, "len": 0.75},
+    }
+    hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
+    trace = points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)
+    shown = "" if len(rows) == len(survey) else f" ({len(rows)} drawn)"
+    return new_scene(
+        f"{label(survey.name)}: {len(survey)} samples{shown}", [trace], f"frame '{survey.frame}', metres"
+    )
+
+
+def profile_figure(survey: Survey) -> "Figure":
+    """Field components along the survey: over time, or over sample number where there is none.
+
+    Parameters
+    ----------
+    survey : Survey
+
+    Returns
+    -------
+    plotly Figure
+    """
+    rows = thinned(len(survey), 3000)
+    along = rows if survey.times is None else survey.times[rows] - survey.times[0]
+    field = UT_PER_TESLA * survey.field[rows]
+    drawn = [*zip(("bx", "by", "bz"), field.T, strict=True), ("|B|", np.linalg.norm(field, axis=1))]
+    styles = (("#0072B2", "solid"), ("#D55E00", "dash"), ("#009E73", "dot"), ("#1b1f24", "solid"))
+    traces = [
+        require_plotly().Scatter(
+            x=for_display(along), y=for_display(values), name=name, mode="lines", line={"color": color, "dash": dash}
+        )
+        for (name, values), (color, dash) in zip(drawn, styles, strict=True)
+    ]
+    x_title = "sample" if survey.times is None else "time since the first sample (s)"
+    return new_plane(
+        f"{label(survey.name)}: field along the survey", traces, x_title, "field, survey frame (uT)", is_equal=False
+    )
+
+
+def map_figures(field_map: FieldMap) -> "list[Figure]":
+    """A map: its samples, the field's magnitude and its standard deviation on a cut.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+
+    Returns
+    -------
+    list of plotly Figure
+    """
+    survey = field_map.survey
+    cut = cut_through(survey.positions)
+    field, is_known = field_on(cut, field_map)
+    variance = np.trace(field_map.covariance(cut.points), axis1=1, axis2=2) / 3
+    sd = UT_PER_TESLA * np.sqrt(np.maximum(variance, 0))
+    limits = common_limits(magnitude_ut(field[is_known]))
+    return [
+        survey_figure(survey),
+        magnitude_slice(f"{label(survey.name)}: |B|, posterior mean", cut, field, is_known, limits),
+        slice_figure(
+            "Standard deviation of a component", cut, sd, is_known, common_limits(sd[is_known]), SPREAD_SCALE
+        ),
+    ]
