@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers of a pair of points that no rotation changes, and the rotation that two such pairs give.
+
+A walk along a line knows its field but not the field's gradient across the line, so a single point carries no frame.
+Two points do: the vector between them and the two field vectors.
+"""
+
+import numpy as np
+
+from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
+
+N_PAIR_INVARIANTS = 7
+
+
+def pair_invariants(first: Points, second: Points, field_first: Vectors, field_second: Vectors) -> Matrix:
+    """Seven numbers per pair of points that no rigid motion of the survey changes.
+
+    Parameters
+    ----------
+    first, second : (n, 3) arrays, m
+    field_first, field_second : (n, 3) arrays, T
+        Field at the two points.
+
+    Returns
+    -------
+    (n, 7) array
+        ``d`` (m), ``|B_i|``, ``|B_j|``, ``|B_i - B_j|``, ``B_i.u``, ``B_j.u`` (T) and the signed volume
+        ``u.(B_i x B_j) / sqrt(|B_i| |B_j|)`` (T), u the unit vector from the first point to the second.
+    """
+    u = second - first
+    d = np.linalg.norm(u, axis=1)
+    u = u / np.maximum(d, np.finfo(float).tiny)[:, None]
+    norm_first, norm_second = np.linalg.norm(field_first, axis=1), np.linalg.norm(field_second, axis=1)
+    volume = np.einsum("ni,ni->n", u, np.cross(field_first, field_second))
+    return np.stack(
+        [
+            d,
+            norm_first,
+            norm_second,
+            np.linalg.norm(field_first - field_second, axis=1),
+            np.einsum("ni,ni->n", field_first, u),
+            np.einsum("ni,ni->n", field_second, u),
+            volume / np.maximum(np.sqrt(norm_first * norm_second), np.finfo(float).tiny),
+        ],
+        axis=1,
+    )
+
+
+def whiten_pairs(invariants: Matrix, sd_position: float, sd_field: float, field_norm: float) -> Matrix:
+    """Invariants in units of their uncertainty, so that plain distances between rows mean something.
+
+    Parameters
+    ----------
+    invariants : (n, 7) array
+        From `pair_invariants`.
+    sd_position : float, m
+        Uncertainty of a point's position along any axis.
+    sd_field : float, T
+        Uncertainty of a field component.
+    field_norm : float, T
+        Typical strength of the field: turns the uncertain direction of u into an uncertain ``B.u``. One number for
+        all pairs keeps equal pairs at distance zero.
+
+    Returns
+    -------
+    (n, 7) array
+    """
+    d = invariants[:, 0]
+    sd_along = np.sqrt(sd_field**2 + (field_norm * _direction_sd(d, sd_position)) ** 2)
+    scale = np.empty_like(invariants)
+    scale[:, 0] = np.sqrt(2) * sd_position
+    scale[:, 1:3] = sd_field
+    scale[:, 3] = np.sqrt(2) * sd_field
+    scale[:, 4:6] = sd_along[:, None]
+    scale[:, 6] = np.sqrt(2) * sd_field
+    return invariants / scale
+
+
+def align_pairs(
+    base: tuple[Vectors, Vectors, Vectors],
+    target: tuple[Vectors, Vectors, Vectors],
+    distance: Scalars,
+    sd_position: float,
+    sd_field: float,
+) -> Tensors:
+    """Rotations that turn target pairs onto base pairs best (Wahba's problem, weighted by uncertainty).
+
+    Parameters
+    ----------
+    base, target : triples of (n, 3) arrays
+        Vector between the points (m), field at the first and at the second (T).
+    distance : (n,) array, m
+        Between the points.
+    sd_position : float, m
+    sd_field : float, T
+
+    Returns
+    -------
+    (n, 3, 3) array
+        ``R_base_target``.
+    """
+    strength = np.linalg.norm(target[1], axis=1) + np.linalg.norm(target[2], axis=1)
+    field_weight = (strength / (2 * sd_field)) ** 2
+    weights = (_direction_sd(distance, sd_position) ** -2, field_weight, field_weight)
+    H = np.zeros((len(distance), 3, 3))
+    for w, a, b in zip(weights, base, target, strict=True):
+        H += np.einsum("n,ni,nj->nij", w, _unit(a), _unit(b), optimize=True)
+    U, _, Vt = np.linalg.svd(H)
+    U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+    R: Tensors = U @ Vt
+    return R
+
+
+def _direction_sd(distance: Scalars, sd_position: float) -> Scalars:
+    """Uncertainty of the direction between two points, rad."""
+    sd: Scalars = np.sqrt(2) * sd_position / np.maximum(distance, 2 * sd_position)
+    return sd
+
+
+def _unit(v: Vectors) -> Vectors:
+    unit: Vectors = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny)
+    return unit

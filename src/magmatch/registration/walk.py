@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A survey that is a line: averaged in short bins along its path, and the test that says so."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.typing import Points, Scalars, Vectors
+
+# Length of a bin, in the base map's lengthscale: short against the field's changes, long against the samples' noise.
+BIN_LENGTHSCALES = 0.2
+# Most bins; longer walks get longer bins. Costs grow with the cube.
+MAX_BINS = 150
+# A survey is a line where its samples spread across the path by less than this share of the neighbourhood's radius.
+MAX_BREADTH = 0.2
+# Share of the samples that must lie on a line.
+MIN_LINE_SHARE = 0.7
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Walk:
+    """A line of samples as registration sees it, in its own principal frame.
+
+    Attributes
+    ----------
+    T_survey_walk : RigidTransform
+        Takes the walk's coordinates to the survey's.
+    positions : (n, 3) array, m
+        Mean position of each bin along the path.
+    field : (n, 3) array, T
+        Mean field of each bin.
+    counts : (n,) array
+        Samples per bin.
+    """
+
+    T_survey_walk: RigidTransform
+    positions: Points
+    field: Vectors
+    counts: Scalars
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+def walk_of(survey: Survey, lengthscale: float) -> Walk:
+    """Average a survey in bins along its path.
+
+    Parameters
+    ----------
+    survey : Survey
+        Samples in the order they were taken.
+    lengthscale : float, m
+        Of the base map.
+
+    Returns
+    -------
+    Walk
+    """
+    T_survey_walk = survey.principal_frame()
+    local = survey.transformed(T_survey_walk.inv())
+    side = BIN_LENGTHSCALES * lengthscale
+    while True:
+        rows = bin_along_path(np.ascontiguousarray(local.positions), side)
+        if rows[-1] < MAX_BINS:
+            break
+        side *= 1.2
+    counts = np.bincount(rows).astype(np.float64)
+    positions, field = (
+        np.stack([np.bincount(rows, column) for column in values.T], axis=1) / counts[:, None]
+        for values in (local.positions, local.field)
+    )
+    return Walk(T_survey_walk, positions, field, counts)
+
+
+@njit(cache=True)
+def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
+    """Bin of each sample: a new one begins at a sample that is farther than ``side`` from the bin's first."""
+    rows = np.zeros(len(positions), dtype=np.int64)
+    first, row = 0, 0
+    for n in range(1, len(positions)):
+        d2 = 0.0
+        for c in range(3):
+            d2 += (positions[n, c] - positions[first, c]) ** 2
+        if d2 > side * side:
+            first = n
+            row += 1
+        rows[n] = row
+    return rows
+
+
+def line_share(positions: Points, radius: float) -> float:
+    """Share of the samples whose neighbours within a radius lie along a line.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m
+    radius : float, m
+
+    Returns
+    -------
+    float
+        Between 0 and 1.
+    """
+    some = positions[np.unique(np.linspace(0, len(positions) - 1, min(len(positions), 100)).astype(np.int64))]
+    is_line = []
+    for near in cKDTree(positions).query_ball_point(some, radius):
+        offset = positions[near] - positions[near].mean(axis=0)
+        across = np.sqrt(np.linalg.eigvalsh(offset.T @ offset / len(near))[1])
+        is_line.append(across < MAX_BREADTH * radius)
+    return float(np.mean(is_line))
+
+
+def choose_search(target: Survey, lengthscale: float) -> Literal["pairs", "invariants"]:
+    """Which search suits a target: pairs of points where it is a short line, a frame at every point otherwise.
+
+    Parameters
+    ----------
+    target : Survey
+    lengthscale : float, m
+        Of the base map.
+
+    Returns
+    -------
+    str
+    """
+    if line_share(target.positions, lengthscale) < MIN_LINE_SHARE:
+        return "invariants"
+    rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTHSCALES * lengthscale)
+    # A long line crosses itself and fills areas: that is breadth of another kind.
+    return "pairs" if rows[-1] < MAX_BINS else "invariants"

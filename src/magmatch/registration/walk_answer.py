@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Accept or refuse a walk's pose, and state the answer in the surveys' own frames."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import transform_points
+from magmatch.registration.candidate import SearchResult
+from magmatch.registration.covariance import free_directions, to_survey_axes
+from magmatch.registration.decision import Verdict
+from magmatch.registration.line_evidence import LineEvidence
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
+from magmatch.registration.walk import Walk
+
+# Poses nearer than this are one answer: rad, and in lengthscales.
+SAME_ROTATION = 0.14
+SAME_PLACE = 0.7
+
+
+class WalkDecisionConfig(BaseModel):
+    """When a walk's pose is accepted."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Fewest bins' share inside the base map.
+    min_coverage: float = Field(default=0.6, ge=0, le=1)
+    # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
+    min_log_evidence: float = 20.0
+    min_lead: float = 10.0
+    # Largest normalised residual: beyond it the learned covariance does not describe what was measured.
+    max_residual: float = Field(default=2.0, gt=0)
+    # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
+    max_sd_rotation: float = Field(default=0.03, gt=0)
+    max_sd_translation: float = Field(default=0.15, gt=0)
+
+
+def by_line_evidence(
+    base: PreparedMap, walk: Walk, found: SearchResult, ranked: list[LineEvidence], config: WalkDecisionConfig
+) -> RegistrationResult:
+    """Judge weighed poses of a walk and state the answer in survey frames.
+
+    Parameters
+    ----------
+    base : PreparedMap
+    walk : Walk
+    found : SearchResult
+        Counts of the search.
+    ranked : list of LineEvidence
+        Best first.
+    config : WalkDecisionConfig
+
+    Returns
+    -------
+    RegistrationResult
+    """
+    if not ranked:
+        reason = (
+            "no pose to judge: the walk is shorter than the base's lengthscale, or none of its pairs is in the base"
+        )
+        return RegistrationResult(Status.UNINFORMATIVE, reason, None, n_keypoints=found.n_keypoints)
+    best = ranked[0]
+    rivals = _distinct(ranked, SAME_PLACE * base.lengthscale)[1:]
+    lead = best.log_evidence - max((e.log_evidence for e in rivals), default=-np.inf)
+    poses = [base.T_map_model * e.T_base_walk * walk.T_survey_walk.inv() for e in (best, *rivals)]
+    free = free_directions(
+        best.covariance,
+        best.center,
+        walk.T_survey_walk,
+        poses[0].rotation.as_matrix(),
+        config.max_sd_rotation,
+        config.max_sd_translation * base.lengthscale,
+    )
+    accepted = Verdict(
+        Status.ACCEPTED,
+        f"log odds {best.log_evidence:.0f} nats, "
+        + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
+    )
+    verdict = next(_refusals(best, free, lead, config), accepted)
+    is_accepted = verdict.status is Status.ACCEPTED
+    return RegistrationResult(
+        status=verdict.status,
+        reason=verdict.reason,
+        T_base_target=poses[0] if is_accepted else None,
+        covariance=to_survey_axes(best.covariance, best.center, walk.T_survey_walk) if is_accepted else None,
+        overlap=best.coverage,
+        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
+        degenerate_directions=free,
+        residual=best.residual,
+        n_inliers=int(best.is_covered.sum()),
+        n_keypoints=found.n_keypoints,
+        n_correspondences=found.n_correspondences,
+        links=_links(walk, poses[0], best),
+    )
+
+
+def _refusals(
+    best: LineEvidence, free: tuple[DegenerateDirection, ...], lead: float, config: WalkDecisionConfig
+) -> Iterator[Verdict]:
+    """Reasons against the best pose, the most telling first."""
+    if best.coverage < config.min_coverage:
+        yield Verdict(
+            Status.NO_OVERLAP,
+            f"only {best.coverage:.0%} of the walk falls inside the base map under the best pose "
+            f"(needs {config.min_coverage:.0%}); walk where the base was surveyed",
+        )
+    if best.residual > config.max_residual:
+        yield Verdict(
+            Status.INCONSISTENT,
+            f"residuals along the walk are {best.residual:.1f} times what the base's own stretches show "
+            f"(at most {config.max_residual:.1f}): probably a different place",
+        )
+    if best.log_evidence < config.min_log_evidence:
+        yield Verdict(
+            Status.INCONSISTENT,
+            f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
+            "walk farther",
+        )
+    if lead < config.min_lead:
+        yield Verdict(
+            Status.AMBIGUOUS,
+            f"another pose explains the walk nearly as well ({lead:.1f} nats behind, needs {config.min_lead:.0f}); "
+            "see alternatives, or walk farther",
+        )
+    if free:
+        yield Verdict(
+            Status.DEGENERATE,
+            f"the walk leaves the pose too free ({', '.join(d.words for d in free)}); walk farther or turn a corner",
+        )
+
+
+def _distinct(ranked: list[LineEvidence], distance: float) -> list[LineEvidence]:
+    """Poses that differ from every better one."""
+    kept: list[LineEvidence] = []
+    for e in ranked:
+        if not any(_is_same(e, k, distance) for k in kept):
+            kept.append(e)
+    return kept
+
+
+def _is_same(one: LineEvidence, other: LineEvidence, distance: float) -> bool:
+    angle = (one.T_base_walk.rotation.inv() * other.T_base_walk.rotation).magnitude()
+    apart = np.linalg.norm(one.T_base_walk.apply(one.center) - other.T_base_walk.apply(one.center))
+    return bool(angle < SAME_ROTATION and apart < distance)
+
+
+def _links(walk: Walk, T_base_target: RigidTransform, best: LineEvidence) -> Links:
+    """Bins inside the base map, and where the answer puts them."""
+    p_target = transform_points(walk.positions[best.is_covered], walk.T_survey_walk)
+    return Links(transform_points(p_target, T_base_target), p_target)
