@@ -21,9 +21,9 @@ PATHS = ("table", "table-robot", "corridor")
 
 @pytest.mark.parametrize("scenario", sorted(SCENARIOS))
 def test_every_scenario_runs_with_its_defaults(scenario):
-    start = time.perf_counter()
+    start = time.process_time()
     pair = simulate(scenario, 1)
-    assert time.perf_counter() - start < 3
+    assert time.process_time() - start < 3
     for survey in (pair.base, pair.target):
         assert len(survey) == 2500
         assert np.isfinite(survey.field).all()
@@ -83,8 +83,8 @@ def test_pose_noise_moves_the_record_not_the_field(exact):
 
 def test_drift_of_the_corridor_is_as_large_as_it_says_and_stays_level():
     drifts = []
-    for seed in range(12):
-        config = SimulationConfig(n_samples=300, pose_drift=0.02)
+    for seed in range(8):
+        config = SimulationConfig(n_samples=150, pose_drift=0.02)
         drifting = simulate("corridor", seed, config)
         straight = simulate("corridor", seed, config.model_copy(update={"pose_drift": 0.0}))
         np.testing.assert_array_equal(drifting.base.field, straight.base.field)
@@ -92,7 +92,7 @@ def test_drift_of_the_corridor_is_as_large_as_it_says_and_stays_level():
         np.testing.assert_allclose(offset.mean(axis=0), 0, atol=1e-12)
         np.testing.assert_allclose(offset[:, 2], 0, atol=1e-12)
         drifts.append(np.sqrt((offset[:, :2] ** 2).mean()))
-    # 24 random walks, each with a long-tailed mean square.
+    # 16 random walks, each with a long-tailed mean square.
     assert np.sqrt(np.mean(np.square(drifts))) == pytest.approx(drifting.base.pose_sd, rel=0.4)
 
 
