@@ -17,7 +17,7 @@ from magmatch.field.values import FieldValues
 from magmatch.geometry import rotate_vectors, skew, transform_points
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import MEDIAN_CHI2_3
-from magmatch.registration.sensors import SensorConfig, SensorModel, choose_level, identical_sensors, prior_sd
+from magmatch.registration.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
 # Fewer samples than this in one direction say too little to be used.
@@ -26,8 +26,6 @@ MIN_SAMPLES = 20
 STUDENT_DOF = 4.0
 # Longest step: rad, and in lengthscales.
 MAX_TURN, MAX_SHIFT = 0.1, 0.3
-# The pose settles with like sensors before their difference is judged.
-LEVEL_STEP = 5
 
 
 class RefinementConfig(BaseModel):
@@ -100,6 +98,7 @@ def refine(
     T_base_target: RigidTransform,
     config: RefinementConfig,
     rng: np.random.Generator,
+    level: int = 0,
 ) -> RefinedPose:
     """Minimise the field residual of both directions by Gauss-Newton with Student-t weights.
 
@@ -111,6 +110,8 @@ def refine(
     config : RefinementConfig
     rng : numpy Generator
         Picks the samples where there are more than needed.
+    level : int
+        How far the two magnetometers may differ, see `magmatch.registration.sensors.prior_sd`.
 
     Returns
     -------
@@ -122,9 +123,9 @@ def refine(
     )
     T, center = T_base_target, target.samples.mean(axis=0)
     sensor = identical_sensors(config.sensor.mode)
-    level = {"none": -1, "auto": 0}.get(config.sensor.mode, len(config.sensor.bias_levels) - 1)
+    sd = prior_sd(config.sensor, level, sensor.n_parameters)
     lengthscale = min(base.lengthscale, target.lengthscale)
-    for step in range(config.n_steps):
+    for _ in range(config.n_steps):
         directions = compare(base, target, T, center, sensor, rows)
         if not directions:
             break
@@ -132,16 +133,12 @@ def refine(
         # Neighbouring residuals are not independent; unscaled they would override any prior.
         excess = overdispersion(directions, 2 * lengthscale)
         A, v = A / excess, v / excess
-        if config.sensor.mode == "auto" and step == LEVEL_STEP:
-            level = choose_level(A, v, sensor.parameters, config.sensor)
-        sd = prior_sd(config.sensor, level, sensor.n_parameters)
         A[6:, 6:] += np.diag(sd**-2)
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
         T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
-        if step > LEVEL_STEP and np.abs(xi[:6]).max() < 1e-9:
+        if np.abs(xi[:6]).max() < 1e-9:
             break
-    sd = prior_sd(config.sensor, level, sensor.n_parameters)
     return RefinedPose(T, center, sensor, sd, compare(base, target, T, center, sensor, rows))
 
 

@@ -21,6 +21,7 @@ from magmatch.registration.keypoint_search import keypoint_search
 from magmatch.registration.prepared import PreparedMap, prepare
 from magmatch.registration.refinement import refine
 from magmatch.registration.result import RegistrationResult
+from magmatch.registration.sensors import levels_to_try
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
 
@@ -84,7 +85,7 @@ def register_by_field(
     target = clock.time("prepare", prepare, target_map, n_draws, rng)
     found = clock.time("search", _search, base, target, config, rng)
     log.info("refining the best poses")
-    ranked = clock.time("refine", _refine_and_rank, base, target, found, config, rng)
+    ranked = clock.time("refine", _refine_and_rank, base, target, found, config, seed)
     return clock.time("decide", by_evidence, base, target, found, ranked, config.decision)
 
 
@@ -121,11 +122,20 @@ def _search(
 
 
 def _refine_and_rank(
-    base: PreparedMap, target: PreparedMap, found: SearchResult, config: RegistrationConfig, rng: np.random.Generator
+    base: PreparedMap, target: PreparedMap, found: SearchResult, config: RegistrationConfig, seed: int
 ) -> list[PoseEvidence]:
     """Refine the best candidates and order them by their evidence."""
     starts: list[RigidTransform] = [c.T_base_target for c in found.candidates[: config.refinement.n_candidates]]
-    refined = [refine(base, target, T, config.refinement, rng) for T in starts]
     unrelated = unrelated_field(base, target)
-    weighed = [weigh_pose(base, target, pose, unrelated) for pose in refined]
-    return sorted(weighed, key=lambda e: -e.log_evidence)
+    tightest, *wider = levels_to_try(config.refinement.sensor)
+
+    def weigh(start: RigidTransform, level: int) -> PoseEvidence:
+        pose = refine(base, target, start, config.refinement, np.random.default_rng(seed), level)
+        return weigh_pose(base, target, pose, unrelated)
+
+    ranked = sorted((weigh(start, tightest) for start in starts), key=lambda e: -e.log_evidence)
+    for level in wider if ranked else ():
+        best = weigh(ranked[0].pose.T_base_target, level)
+        if best.log_evidence > ranked[0].log_evidence + config.refinement.sensor.min_gain:
+            ranked[0] = best
+    return ranked

@@ -29,8 +29,7 @@ class SensorConfig(BaseModel):
     # Prior standard deviations of bias (T) and scale, tightest first: same sensor, same kind, uncalibrated.
     bias_levels: tuple[float, ...] = (0.2e-6, 0.7e-6, 3e-6)
     scale_levels: tuple[float, ...] = (0.002, 0.007, 0.03)
-    # How much better (nats) a wider level must explain the data to be taken: sensor changes gave 24 to 307, one
-    # sensor used twice at most 10.
+    # How much more log evidence (nats) a wider level must bring to be taken.
     min_gain: float = Field(default=15.0, ge=0)
 
 
@@ -83,6 +82,12 @@ class SensorModel:
         return SensorModel(parameters[:3], gain, self.shapes)
 
 
+def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
+    """Prior levels in the order they are tried; a later one must explain the data better by ``min_gain``."""
+    widest = len(config.bias_levels) - 1
+    return {"auto": tuple(range(widest + 1)), "none": (-1,)}.get(config.mode, (widest,))
+
+
 def identical_sensors(mode: SensorMode) -> SensorModel:
     """Start of the estimation: no difference, with the parameters that a mode may move."""
     shapes = np.zeros((0, 3, 3))
@@ -99,36 +104,3 @@ def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
         return np.full(n_parameters, 1e-12)
     gain = np.full(n_parameters - 3, config.scale_levels[level])
     return np.concatenate([np.full(3, config.bias_levels[level]), gain])
-
-
-def choose_level(information: Matrix, gradient: np.ndarray, current: np.ndarray, config: SensorConfig) -> int:
-    """Prior level that the data ask for, the pose marginalised.
-
-    Parameters
-    ----------
-    information : (6 + k, 6 + k) array
-        Of pose and sensor parameters, as of independent residuals.
-    gradient : (6 + k,) array
-        Of the log-likelihood at the current estimate.
-    current : (k,) array
-        Current sensor parameters.
-    config : SensorConfig
-
-    Returns
-    -------
-    int
-        Index into the levels.
-    """
-    A, v = information, gradient
-    pose, sensor = slice(0, 6), slice(6, len(A))
-    gain = A[sensor, pose] @ np.linalg.pinv(A[pose, pose], rcond=1e-10, hermitian=True)
-    schur = A[sensor, sensor] - gain @ A[pose, sensor]
-    free_covariance = np.linalg.pinv(schur, rcond=1e-12, hermitian=True)
-    estimate = current + free_covariance @ (v[sensor] - gain @ v[pose])
-    log_evidence = []
-    for level in range(len(config.bias_levels)):
-        total = free_covariance + np.diag(prior_sd(config, level, len(current)) ** 2)
-        _, log_det = np.linalg.slogdet(total)
-        log_evidence.append(-0.5 * float(estimate @ np.linalg.solve(total, estimate) + log_det))
-    best = int(np.argmax(log_evidence))
-    return best if log_evidence[best] - log_evidence[0] > config.min_gain else 0
