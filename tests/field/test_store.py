@@ -388,6 +388,13 @@ def test_file_beyond_the_bound_is_refused(saved, monkeypatch):
     assert "larger than any saved map" in refusal(saved)
 
 
+def test_map_that_could_not_be_read_back_is_not_written(tmp_path, spline_map, monkeypatch):
+    monkeypatch.setattr("magmatch.field.archive.MAX_BYTES", 20_000)
+    with pytest.raises(ValueError, match="expected less than 20000 bytes"):
+        spline_map.save(tmp_path / "m")
+    assert not list(tmp_path.iterdir())
+
+
 def test_directory_of_countless_entries_is_refused(tmp_path, monkeypatch):
     buffer = BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:

@@ -34,6 +34,8 @@ CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "cr
 CHUNK_KEYS = {"name": "default", "configuration": {"separator": "/"}}
 CRC_BYTES = 4
 END_BYTES = 22
+# What zip adds to an entry: two headers and its name twice, rounded up.
+ENTRY_OVERHEAD = 300
 # The oldest time a zip can state: the bytes shall not depend on when they were written.
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ENTRY_NAME = re.compile(r"(?:[a-z_]+/)?zarr\.json|[a-z_]+/c(?:/[0-9]{1,9}){1,3}")
@@ -72,9 +74,9 @@ def write_archive(
     about = {"schema": schema, "version": __version__, "entries": listing}
     manifest = {"zarr_format": 3, "node_type": "group", "attributes": about}
     entries[MANIFEST] = json.dumps(manifest, indent=1).encode()
-    n_bytes = sum(len(content) for content in entries.values())
-    if n_bytes > MAX_BYTES // 2 or len(entries) > MAX_ENTRIES:
-        msg = f"expected at most {MAX_BYTES // 2} bytes in {MAX_ENTRIES} entries, got {n_bytes} in {len(entries)}"
+    n_bytes = sum(len(content) + ENTRY_OVERHEAD for content in entries.values())
+    if n_bytes >= MAX_BYTES or len(entries) > MAX_ENTRIES:
+        msg = f"expected less than {MAX_BYTES} bytes in {MAX_ENTRIES} entries, got {n_bytes} in {len(entries)}"
         raise ValueError(msg)
     with atomic_write(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(entries):
