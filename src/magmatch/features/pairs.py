@@ -73,7 +73,8 @@ def whiten_pairs(invariants: Matrix, sd_position: float, sd_field: float, field_
     scale[:, 3] = np.sqrt(2) * sd_field
     scale[:, 4:6] = sd_along[:, None]
     scale[:, 6] = np.sqrt(2) * sd_field
-    return invariants / scale
+    whitened: Matrix = invariants / scale
+    return whitened
 
 
 def align_pairs(

@@ -1,25 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Refine and weigh poses of a walk by generalised least squares with the covariance that residuals along a path have.
+"""Refine and weigh poses of a walk by generalised least squares, with residuals correlated along the path.
 
-Residuals are taken in the walk's axes, ``r = b - R^T B_base(T y)``, with the pose perturbed about the walk's centre c,
-``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gradient in the walk's axes.
+Residuals are taken in the walk's axes, ``r = b - R^T B_base(T y)``, and the pose is perturbed about the walk's
+centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gradient in the walk's axes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import product
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import skew, transform_points
+from magmatch.geometry import skew
 from magmatch.registration.path_noise import PathNoise
 from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.refinement import perturbation
 from magmatch.registration.walk import Walk
-from magmatch.typing import Covariance6, Mask, Matrix, Scalars, Tensors, Vector3, Vectors
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
 # Longest step: rad, and in lengthscales.
 MAX_TURN, MAX_SHIFT = 0.15, 0.4
@@ -45,8 +44,6 @@ class LineConfig(BaseModel):
     # Fewest bins, and their share, that a pose must put inside the base map.
     min_bins: int = Field(default=8, ge=7)
     min_coverage: float = Field(default=0.3, gt=0, le=1)
-    # Largest factor on the learned covariance that a pose may ask for.
-    max_inflation: float = Field(default=4.0, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,15 +96,28 @@ def weigh_walk(
     list of LineEvidence
         Best first; poses that leave the base map are dropped.
     """
-    distance = cdist(walk.positions, walk.positions)
-    null = UnrelatedWalk.most_likely(walk, distance, noise, base.lengthscale)
-    coarse = [_refine(base, walk, T, distance, noise, config, is_full=False) for T in starts]
-    found = sorted(
-        (f for f in coarse if f is not None), key=lambda f: -f.log_likelihood + null.log_likelihood(f.known)
-    )
-    fine = [_refine(base, walk, f.T, distance, noise, config, is_full=True) for f in found[: config.n_fine]]
-    weighed = [_weigh(f, walk, null, base.raster.volume, config) for f in (*fine, *found[config.n_fine :]) if f]
+    if not starts or len(walk) < config.min_bins:
+        return []
+    squares = _LeastSquares(base, walk, cdist(walk.positions, walk.positions), noise, walk.positions.mean(axis=0))
+    null = UnrelatedWalk.most_likely(walk, squares.distance, noise, base.lengthscale)
+    R = np.stack([T.rotation.as_matrix() for T in starts])
+    p = np.stack([T.apply(squares.center) for T in starts])
+    coarse = _covered(squares.run(R, p, config.n_coarse_steps, is_full=False), config)
+    gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null)])
+    order = np.argsort(-gain, kind="stable")
+    coarse = coarse.rows(order)
+    best = coarse.rows(np.arange(min(config.n_fine, len(order))))
+    fine = squares.run(best.rotations, best.centers, config.n_fine_steps, is_full=True)
+    weighed = _weigh(_covered(fine, config), squares, null)
+    weighed += _weigh(coarse.rows(np.arange(config.n_fine, len(order))), squares, null)
     return sorted(weighed, key=lambda e: -e.log_evidence)
+
+
+def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
+    """Poses that put enough of the walk inside the base map."""
+    n_known = fits.known.sum(axis=1)
+    enough = max(config.min_bins, config.min_coverage * fits.known.shape[1])
+    return fits.rows(np.flatnonzero(n_known >= enough))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -140,93 +150,126 @@ class UnrelatedWalk:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Fit:
-    """A pose at the optimum for one covariance model."""
+class _Fits:
+    """Several poses at once, each where its least squares stands."""
 
-    T: RigidTransform
+    rotations: Tensors  # (h, 3, 3), base from walk
+    centers: Points  # (h, 3), m, where each pose puts the walk's centre, base model frame
+    known: Matrix  # (h, n) bool
+    information: Matrix  # (h, 6, 6)
+    chi2: Scalars
+    half_log_det: Scalars
+
+    def rows(self, chosen: Indices) -> "_Fits":
+        return _Fits(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _LeastSquares:
+    """Gauss-Newton of many poses at once; bins outside the base map are kept but say nothing."""
+
+    base: PreparedMap
+    walk: Walk
+    distance: Matrix
+    noise: PathNoise
     center: Vector3
-    known: Mask
-    information: Matrix
-    chi2: float
-    half_log_det: float
 
-    @property
-    def log_likelihood(self) -> float:
-        return -0.5 * self.chi2 - self.half_log_det
+    def run(self, R: Tensors, p: Points, n_steps: int, *, is_full: bool) -> _Fits:
+        """Take steps; the last evaluation only states chi^2 and information."""
+        scale = np.repeat([MAX_TURN, MAX_SHIFT * self.base.lengthscale], 3)
+        for _ in range(n_steps):
+            fits, v = self._evaluate(R, p, is_full=is_full)
+            xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
+            xi /= np.maximum(1.0, np.abs(xi / scale).max(axis=1))[:, None]
+            p = p + np.einsum("hij,hj->hi", R, xi[:, 3:])
+            R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+        return self._evaluate(R, p, is_full=is_full)[0]
 
+    def _evaluate(self, R: Tensors, p: Points, *, is_full: bool) -> tuple[_Fits, Matrix]:
+        """Where the poses stand, and the gradient of half their chi^2."""
+        n_poses, n = len(R), len(self.walk)
+        y = self.walk.positions - self.center
+        points = (p[:, None] + np.einsum("hij,nj->hni", R, y)).reshape(-1, 3)
+        _, sd, _, is_known = self.base.raster.lookup(points)
+        values = self.base.field_map.posterior.evaluate(points, order=1)
+        if values.gradient is None:
+            msg = "the posterior gave no gradient although order 1 was asked for"
+            raise ValueError(msg)
+        known, sd = is_known.reshape(n_poses, n), sd.reshape(n_poses, n)
+        expected = values.field.reshape(n_poses, n, 3) @ R
+        G = np.swapaxes(R, 1, 2)[:, None] @ values.gradient.reshape(n_poses, n, 3, 3) @ R[:, None]
+        J = np.concatenate([G @ skew(y) - skew(self.walk.field), -G], axis=3)
+        rows = np.concatenate([(self.walk.field - expected)[..., None], J], axis=3) * known[..., None, None]
+        G = G * known[..., None, None]
+        white, half_log_det = (self._whiten_full if is_full else self._whiten_alike)(rows, G, sd, known)
+        z, JW = white[:, :, 0], white[:, :, 1:]
+        free = np.repeat([FREE_TURN, FREE_SHIFT * self.base.lengthscale], 3)
+        information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
+        v = np.einsum("hki,hk->hi", JW, z)
+        return _Fits(R, p, known, information, (z**2).sum(axis=1), half_log_det), v
 
-def _refine(
-    base: PreparedMap,
-    walk: Walk,
-    T: RigidTransform,
-    distance: Matrix,
-    noise: PathNoise,
-    config: LineConfig,
-    *,
-    is_full: bool,
-) -> _Fit | None:
-    """Gauss-Newton; the last step only states chi^2 and information."""
-    center = walk.positions.mean(axis=0)
-    scale = np.repeat([MAX_TURN, MAX_SHIFT * base.lengthscale], 3)
-    free = np.repeat([FREE_TURN, FREE_SHIFT * base.lengthscale], 3)
-    n_steps = config.n_fine_steps if is_full else config.n_coarse_steps
-    for step in range(n_steps + 1):
-        y = transform_points(walk.positions, T)
-        _, sd, _, known = base.raster.lookup(y)
-        if known.sum() < max(config.min_bins, config.min_coverage * len(walk)):
-            return None
-        residual, J, G = _linearise(base, walk, T, center, known)
-        d = distance[np.ix_(known, known)]
-        if is_full:
-            L = _cholesky(noise.full(d, sd[known], base.lengthscale, G))
-            z, half_log_det = _solve(L, residual.ravel()), float(np.log(np.diag(L)).sum())
-            JW = _solve(L, J.reshape(-1, 6))
-        else:
-            # Like components: one small factor serves all three.
-            drift2 = noise.drift_sd**2 * float(np.mean(G**2)) * 3
-            C = noise.isotropic(d, sd[known], base.lengthscale) + drift2 * np.exp(-d / noise.drift_length)
-            L = _cholesky(C)
-            z, half_log_det = _solve(L, residual).ravel(), 3 * float(np.log(np.diag(L)).sum())
-            JW = _solve(L, J.reshape(len(residual), 18)).reshape(-1, 6)
-        A, v = JW.T @ JW + np.diag(free**-2), JW.T @ z
-        if step == n_steps:
-            return _Fit(T, center, known, A, float(z @ z), half_log_det)
-        xi = -np.linalg.solve(A, v)
-        T = T * perturbation(xi / max(1.0, float(np.abs(xi / scale).max())), center)
-    return None
+    def _whiten_alike(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
+        """Components taken alike: one small factor serves all three, the drift sees the gradient's mean square."""
+        drift2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
+        C = self.noise.isotropic(self.distance, sd, self.base.lengthscale)
+        C = C + drift2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
+        h, n = known.shape
+        white, half_log_det = _whiten(_isolate(C, known), rows.reshape(h, n, 21))
+        return white.reshape(h, 3 * n, 7), 3 * half_log_det
 
-
-def _linearise(
-    base: PreparedMap, walk: Walk, T: RigidTransform, center: Vector3, known: Mask
-) -> tuple[Vectors, Tensors, Tensors]:
-    """Residual, its Jacobian (n, 3, 6) and the base's gradient, walk's axes."""
-    y, b = walk.positions[known], walk.field[known]
-    values = base.field_map.posterior.evaluate(transform_points(y, T), order=1).rotated(T.inv())
-    if values.gradient is None:
-        msg = "the posterior gave no gradient although order 1 was asked for"
-        raise ValueError(msg)
-    G = values.gradient
-    J = np.concatenate([G @ skew(y - center) - skew(b), -G], axis=2)
-    return b - values.field, J, G
+    def _whiten_full(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
+        """Components coupled by poses that drift through the gradient."""
+        h, n = known.shape
+        C = self.noise.full(self.distance, sd, self.base.lengthscale, G)
+        return _whiten(_isolate(C, np.repeat(known, 3, axis=1)), rows.reshape(h, 3 * n, 7))
 
 
-def _weigh(fit: _Fit, walk: Walk, null: UnrelatedWalk, volume: float, config: LineConfig) -> LineEvidence:
-    n = 3 * int(fit.known.sum())
-    # The pose itself took six degrees of freedom.
-    inflation = float(np.clip(fit.chi2 / (n - 6), 1.0, config.max_inflation))
-    log_likelihood = -0.5 * fit.chi2 / inflation - fit.half_log_det - 0.5 * n * np.log(inflation)
-    covariance = inflation * np.linalg.inv(fit.information)
-    _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
-    price = 0.5 * log_det - np.log(max(volume, np.finfo(float).tiny) * 8 * np.pi**2)
-    return LineEvidence(
-        T_base_walk=fit.T,
-        center=fit.center,
-        covariance=(covariance + covariance.T) / 2,
-        coverage=float(fit.known.mean()),
-        log_evidence=float(log_likelihood - null.log_likelihood(fit.known) + price),
-        residual=float(np.sqrt(fit.chi2 / (n - 6))),
-        is_covered=fit.known,
-    )
+def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[LineEvidence]:
+    """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
+    found = []
+    for k in range(len(fits.chi2)):
+        known = fits.known[k]
+        inflation, log_likelihood = squares.noise.most_likely_factor(fits.chi2[k], 3 * int(known.sum()) - 6)
+        covariance = inflation * np.linalg.inv(fits.information[k])
+        _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
+        volume = max(squares.base.raster.volume, np.finfo(float).tiny)
+        T = RigidTransform.from_components(
+            fits.centers[k] - fits.rotations[k] @ squares.center, Rotation.from_matrix(fits.rotations[k])
+        )
+        found.append(
+            LineEvidence(
+                T_base_walk=T,
+                center=squares.center,
+                covariance=(covariance + covariance.T) / 2,
+                coverage=float(known.mean()),
+                log_evidence=float(
+                    log_likelihood
+                    - fits.half_log_det[k]
+                    - null.log_likelihood(known)
+                    + 0.5 * log_det
+                    - np.log(volume * 8 * np.pi**2)
+                ),
+                residual=float(np.sqrt(fits.chi2[k] / (3 * known.sum() - 6))),
+                is_covered=known,
+            )
+        )
+    return found
+
+
+def _isolate(C: Matrix, known: Matrix) -> Matrix:
+    """Cut unknown bins off: unit variance, no covariance, so that they add nothing to any sum or determinant."""
+    C = C * (known[:, :, None] & known[:, None, :])
+    n = C.shape[-1]
+    C[:, np.arange(n), np.arange(n)] += ~known
+    return C
+
+
+def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars]:
+    """``L^-1 rows`` and ``ln det L`` of each covariance ``C = L L^T``."""
+    L = np.linalg.cholesky(C)
+    white = np.stack([solve_triangular(a, b, lower=True, check_finite=False) for a, b in zip(L, rows, strict=True)])
+    half_log_det = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    return white, half_log_det
 
 
 def _unrelated_covariance(d2: Matrix, length: float, variance: float, constant: float, noise: PathNoise) -> Matrix:

@@ -7,7 +7,7 @@ the residuals' covariance are the most likely ones; where the base never passes 
 """
 
 import logging
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -29,6 +29,7 @@ MIN_BINS = 8
 MAX_STRETCHES = 40
 # Spread (natural log) of the guess that the data correct.
 PRIOR_LOG_SD = 0.7
+PRIOR_STRETCHES = 5
 N_DRAWS = 12
 
 
@@ -46,6 +47,8 @@ class PathNoise:
         What is shared by the whole walk.
     drift_sd, drift_length : float, m
         Error of the positions along the path, seen through the field's gradient: ``sd^2 exp(-d / length)``.
+    spread : float
+        Natural logarithm by which the whole covariance differs from walk to walk (standard deviation).
     """
 
     misfit_sd: float
@@ -54,11 +57,33 @@ class PathNoise:
     constant_sd: float
     drift_sd: float
     drift_length: float
+    spread: float = 0.5
 
     @property
     def total_sd(self) -> float:
         """Standard deviation of one component between two walks through one place, drift left out, T."""
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
+
+    def most_likely_factor(self, chi2: float, n_free: int) -> tuple[float, float]:
+        """Factor on the covariance that explains one walk best, given how walks differ.
+
+        Parameters
+        ----------
+        chi2 : float
+            Squared whitened residuals.
+        n_free : int
+            Their number less the fitted parameters.
+
+        Returns
+        -------
+        factor : float
+        log_likelihood : float, nats
+            ``-chi2 / 2 k - n/2 ln k - (ln k)^2 / 2 spread^2`` at its maximum over k.
+        """
+        log_factor = np.linspace(-4, 4, 161) * self.spread
+        found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor - 0.5 * (log_factor / self.spread) ** 2
+        best = int(np.argmax(found))
+        return float(np.exp(log_factor[best])), float(found[best])
 
     def isotropic(self, distance: Matrix, map_sd: Scalars, lengthscale: float) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2.
@@ -76,8 +101,8 @@ class PathNoise:
         (..., n, n) array
         """
         C = self.misfit_sd**2 * np.exp(-distance / self.misfit_length) + self.constant_sd**2
-        C += map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / lengthscale) ** 2)
-        C += self.nugget_sd**2 * np.eye(distance.shape[-1])
+        C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / lengthscale) ** 2)
+        C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
         return np.asarray(C)
 
     def full(self, distance: Matrix, map_sd: Scalars, lengthscale: float, gradient: Tensors) -> Matrix:
@@ -89,7 +114,7 @@ class PathNoise:
         iso = self.isotropic(distance, map_sd, lengthscale)
         for a in range(3):
             C[..., :, a, :, a] += iso
-        return np.asarray(C.reshape(*distance.shape[:-2], 3 * n, 3 * n))
+        return np.asarray(C.reshape(*C.shape[:-4], 3 * n, 3 * n))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -189,21 +214,34 @@ def most_likely(guess: PathNoise, stretches: list[Stretch], lengthscale: float) 
     -------
     PathNoise
     """
-    center = np.log(astuple(guess))
+    center = np.log(astuple(guess)[:-1])
     distances = [cdist(s.positions, s.positions) for s in stretches]
 
-    def cost(offset: np.ndarray) -> float:
-        noise = PathNoise(*np.exp(center + offset).tolist())
-        total = 0.5 * float(((offset / PRIOR_LOG_SD) ** 2).sum())
+    def whiten(noise: PathNoise) -> list[tuple[float, float, int]]:
+        found = []
         for s, d in zip(stretches, distances, strict=True):
             L = np.linalg.cholesky(noise.full(d, s.map_sd, lengthscale, s.gradient))
             z = np.linalg.solve(L, s.residual.ravel())
-            total += 0.5 * float(z @ z) + float(np.log(np.diag(L)).sum())
-        return total
+            found.append((float(z @ z), float(np.log(np.diag(L)).sum()), len(z)))
+        return found
+
+    def cost(offset: np.ndarray) -> float:
+        fits = whiten(PathNoise(*np.exp(center + offset).tolist()))
+        return 0.5 * float(((offset / PRIOR_LOG_SD) ** 2).sum()) + sum(
+            0.5 * chi2 + log_det for chi2, log_det, _ in fits
+        )
 
     start = np.zeros(len(center))
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 250, "initial_simplex": _simplex(start)})
-    return PathNoise(*np.exp(center + found.x).tolist())
+    noise = PathNoise(*np.exp(center + found.x).tolist())
+    # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
+    fits = whiten(noise)
+    log_factors = np.array([np.log(chi2 / n) for chi2, _, n in fits])
+    scatter = float(np.mean([2 / n for _, _, n in fits]))
+    excess = max(float(np.mean(log_factors**2)) - scatter, 0.0)
+    # As many stretches' worth of the guess as of a handful of them.
+    spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(fits) * excess) / (PRIOR_STRETCHES + len(fits))
+    return replace(noise, spread=float(np.sqrt(spread2)))
 
 
 def _simplex(start: np.ndarray) -> Matrix:
