@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where the inducing points lie: the nodes of a regular grid that are within reach of samples."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from magmatch.typing import Points, Vector3
+
+log = logging.getLogger(__name__)
+
+# Grid coordinates beyond this would not be whole numbers in float64 any more.
+_LARGEST_INDEX = 2.0**50
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InducingGrid:
+    """Some nodes of a regular grid.
+
+    Attributes
+    ----------
+    origin : (3,) array, m
+        Where node (0, 0, 0) lies.
+    spacing : float, m
+    index : (m, 3) int array
+        Grid coordinates of the nodes in use, not negative, in C order.
+    """
+
+    origin: Vector3
+    spacing: float
+    index: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def nodes(self) -> Points:
+        """Positions of the nodes in use, m."""
+        return np.asarray(self.origin + self.spacing * self.index)
+
+    def levels(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Coordinates in use along each axis, and which of them each node has.
+
+        Returns
+        -------
+        coordinates : three (k,) arrays, m
+            Ascending; gaps where no node lies, so that far-flung surveys do not cost what lies between.
+        places : three (m,) int arrays
+            Position of each node in them.
+        """
+        found = [np.unique(self.index[:, k], return_inverse=True) for k in range(3)]
+        coordinates = [self.origin[k] + self.spacing * level for k, (level, _) in enumerate(found)]
+        return coordinates, [place for _, place in found]
+
+
+def lay_inducing_grid(points: Points, spacing: float, reach: float) -> InducingGrid:
+    """Nodes of a grid centred over the points' box that are within reach of a point.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        Samples, at least one.
+    spacing : float, m
+        Distance of neighbouring nodes.
+    reach : float, m
+        Largest distance of a node from its nearest sample; at least the corners of each sample's cell are laid.
+
+    Returns
+    -------
+    InducingGrid
+    """
+    origin = _centred_origin(points, spacing)
+    n_steps = int(np.ceil(reach / spacing))
+    candidates = _dilated(_occupied_cells(points, origin, spacing), -n_steps, n_steps + 1)
+    # Half a cell's diagonal always counts as near, so that every sample is surrounded by nodes.
+    radius = max(reach, spacing * float(np.sqrt(3)) / 2)
+    distance, _ = cKDTree(points).query(
+        origin + spacing * candidates, distance_upper_bound=radius * (1 + 1e-9), workers=1
+    )
+    index = candidates[np.isfinite(distance)]
+    first = index.min(axis=0)
+    return InducingGrid(origin + spacing * first, float(spacing), index - first)
+
+
+def lay_affordable_grid(
+    points: Points, spacing: float, reach_at: Callable[[float], float], max_nodes: int
+) -> InducingGrid:
+    """Lay a grid with the spacing asked for, or the least wider one that needs no more nodes than allowed.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    spacing : float, m
+        Distance of neighbouring nodes, where the cap allows it.
+    reach_at : function
+        Reach (m) at a spacing (m).
+    max_nodes : int
+        Largest number of nodes.
+
+    Returns
+    -------
+    InducingGrid
+    """
+    h = spacing
+    while True:
+        # Every occupied cell needs a node, a node serves eight cells: says "too many" before laying any.
+        n_at_least = len(_occupied_cells(points, _centred_origin(points, h), h)) / 8
+        n_at_least = max(n_at_least, _ball(reach_at(h) / h))
+        if n_at_least <= max_nodes:
+            grid = lay_inducing_grid(points, h, reach_at(h))
+            n_at_least = len(grid)
+        if n_at_least <= max_nodes:
+            break
+        h *= max(1.02, min(2.0, (n_at_least / max_nodes) ** (1 / 3)))
+    if grid.spacing > spacing:
+        log.info("inducing points %.3g m apart, not %.3g m: at most %d allowed", grid.spacing, spacing, max_nodes)
+    return grid
+
+
+def _centred_origin(points: Points, spacing: float) -> Vector3:
+    """Origin of a grid centred over the points' box, so that both ends are treated alike."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not (spacing > 0 and (high - low).max() / spacing < _LARGEST_INDEX):
+        msg = f"cannot lay inducing points {spacing} m apart over {high - low} m: choose another spacing"
+        raise ValueError(msg)
+    n_cells = np.ceil((high - low) / spacing - 1e-9)
+    return np.asarray((low + high - n_cells * spacing) / 2)
+
+
+def _occupied_cells(points: Points, origin: Vector3, spacing: float) -> np.ndarray:
+    """Grid coordinates of the cells that hold samples."""
+    return np.asarray(np.unique(np.floor((points - origin) / spacing + 1e-9).astype(np.int64), axis=0))
+
+
+def _dilated(cells: np.ndarray, first: int, last: int) -> np.ndarray:
+    """All grid coordinates within some steps of cells, one axis after the other."""
+    steps = np.arange(first, last + 1)
+    for axis in range(3):
+        offsets = np.zeros((len(steps), 3), dtype=np.int64)
+        offsets[:, axis] = steps
+        cells = np.unique((cells[:, None] + offsets).reshape(-1, 3), axis=0)
+    return cells
+
+
+def _ball(radius: float) -> float:
+    """About how many grid nodes lie in a ball of some spacings."""
+    return 4 / 3 * float(np.pi) * max(radius - 1, 0) ** 3

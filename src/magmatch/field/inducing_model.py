@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A Gaussian process over inducing points on a grid, plus a constant field, as a linear model.
+
+``B(x) = K(x, U) w + c`` with ``w ~ N(0, K_UU^-1)``, ``c ~ N(0, constant_sd^2 I)``. Everything is computed in whitened
+weights v, ``[w, c] = s L^-T v`` with ``L L^T / s^2`` the prior precision: their prior is N(0, I), so that neither the
+unit of the field nor the condition of ``K_UU`` reaches the factorisation of the posterior.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
+from scipy.spatial import cKDTree
+
+from magmatch.field.gaussian_grid import GaussianGrid
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.information import DenseInformation
+from magmatch.field.kernels import N_ROWS
+from magmatch.field.linear_model import Axes
+from magmatch.field.values import FieldValues
+from magmatch.field.whitening import gram_factor
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+
+# Rows times weights of one block of the design matrix, in numbers: 64 MiB.
+_BLOCK_NUMBERS = 2**23
+# Stands for a constant field that is held at zero, T.
+_NO_CONSTANT_SD = 1e-30
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InducingModel:
+    """Inducing points over a region, with fixed hyperparameters.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    basis : GaussianGrid
+        Kernel of unit variance at the inducing points.
+    prior_at_point : (12, 12) array
+        Prior covariance of field and gradient at one point, for unit variance.
+    constant_sd : float, T
+        Prior standard deviation of the constant field.
+    factor : (m, m) array
+        Lower Cholesky factor of the weights' prior precision times the noise variance, the constant included.
+    samples : cKDTree
+        Where the region's samples are.
+    known_reach : float, m
+        Distance from a sample within which the field counts as known.
+    """
+
+    hyperparameters: Hyperparameters
+    basis: GaussianGrid
+    prior_at_point: Matrix
+    constant_sd: float
+    factor: Matrix
+    samples: cKDTree
+    known_reach: float
+
+    @classmethod
+    def over(
+        cls,
+        points: Points,
+        hyperparameters: Hyperparameters,
+        basis: GaussianGrid,
+        prior_at_point: Matrix,
+        *,
+        constant_sd: float,
+        jitter: float,
+        known_reach: float,
+    ) -> "InducingModel":
+        """Factorise the prior of the weights.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+            Samples of the region.
+        hyperparameters : Hyperparameters
+        basis : GaussianGrid
+        prior_at_point : (12, 12) array
+            For unit variance.
+        constant_sd : float, T
+            0 holds the constant field at zero.
+        jitter : float
+            Added to the diagonal of the inducing points' covariance, relative to the variance.
+        known_reach : float, m
+
+        Returns
+        -------
+        InducingModel
+        """
+        n = basis.n_weights
+        gram = basis.design(basis.grid.nodes)
+        factor = np.zeros((n + 3, n + 3), order="F")
+        factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
+        h = hyperparameters
+        factor[:n, :n] *= h.noise_sd / h.signal_sd
+        factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
+        return cls(h, basis, prior_at_point, constant_sd, factor, cKDTree(points), known_reach)
+
+    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> DenseInformation:
+        """Information in samples; ``weights`` scale each sample's inverse noise variance."""
+        n = len(points)
+        root = np.ones(n) if weights is None else np.sqrt(np.asarray(weights, dtype=np.float64))
+        b = np.asarray(field, dtype=np.float64) / self.hyperparameters.noise_sd
+        information = DenseInformation.none(len(self.factor))
+        gram, eta = information.gram, information.eta
+        for rows in _blocks(n, 3 * len(self.factor)):
+            A = self.features(points[rows], 0)
+            A *= np.tile(root[rows], 3)
+            gram = blas.dsyrk(1.0, A, beta=1.0, c=gram, lower=1, overwrite_c=1)
+            eta += A @ (root[rows, None] * b[rows]).T.ravel()
+        square = float(root**2 @ (b**2).sum(axis=1))
+        return DenseInformation(gram, eta, square, float(b.size))
+
+    def infer(self, information: DenseInformation) -> "InducingPosterior":
+        """Posterior of the weights given information."""
+        precision = information.gram.copy(order="F")
+        precision[np.diag_indices_from(precision)] += 1.0
+        try:
+            factor = cholesky(precision, lower=True, overwrite_a=True, check_finite=False)
+        except LinAlgError as error:
+            smallest = float(np.linalg.eigvalsh(information.gram, "L")[0])
+            msg = (
+                f"the posterior precision is not positive definite ({error}): the information has the eigenvalue "
+                f"{smallest:.1e}, expected none below 0 (was more subtracted than had been added?)"
+            )
+            raise ValueError(msg) from error
+        factor = np.asfortranarray(factor)
+        half = solve_triangular(factor, information.eta, lower=True)
+        white = solve_triangular(factor, half, lower=True, trans=1)
+        return InducingPosterior(self, factor, white, self.weights_of(white))
+
+    def features(self, points: Points, order: int) -> Matrix:
+        """Field and derivatives per unit of each whitened weight, in units of the noise: (m, rows n), by columns."""
+        n, m = len(points), self.basis.n_weights
+        design = np.zeros((N_ROWS[order] * n, m + 3))
+        design[:, :m] = self.basis.design(points, order)
+        for a in range(3):
+            design[a * n : (a + 1) * n, m + a] = 1.0
+        return np.asarray(blas.dtrsm(1.0, self.factor, design.T, lower=1, overwrite_b=1))
+
+    def weights_of(self, white: np.ndarray) -> np.ndarray:
+        """Weights (T) that whitened weights (m,) or (m, k) stand for."""
+        return np.asarray(self.hyperparameters.noise_sd * solve_triangular(self.factor, white, lower=True, trans=1))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InducingPosterior:
+    """A fitted field.
+
+    Attributes
+    ----------
+    model : InducingModel
+    factor : (m, m) array
+        Lower Cholesky factor of the whitened weights' posterior precision.
+    white : (m,) array
+        Posterior mean of the whitened weights.
+    weights : (m,) array, T
+        Posterior mean of the weights: of the inducing points, component-major, then the constant field.
+    """
+
+    model: InducingModel
+    factor: Matrix
+    white: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Numbers that shape the prior."""
+        return self.model.hyperparameters
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+        """Field and derivatives at points, by default of the posterior mean."""
+        w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
+        return self.model.basis.evaluate(np.asarray(points, dtype=np.float64), w[:-3], order, w[-3:])
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, one axis after the other."""
+        return self.model.basis.evaluate_on_grid(axes, self.weights[:-3], order, self.weights[-3:])
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Posterior covariance of field (and gradient) at each point; the prior's far from the samples (DTC)."""
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        points = np.asarray(points, dtype=np.float64)
+        k = N_ROWS[order]
+        h = self.hyperparameters
+        prior = h.signal_sd**2 * self.model.prior_at_point[:k, :k]
+        prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
+        out = np.empty((len(points), k, k))
+        for rows in _blocks(len(points), k * len(self.factor)):
+            A = self.model.features(points[rows], order)
+            explained = _squares(A, k)
+            remaining = _squares(blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1), k)
+            out[rows] = prior - h.noise_sd**2 * (explained - remaining)
+        return out
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+        """Posterior samples of the weights, (n_draws, m)."""
+        noise = rng.standard_normal((len(self.white), n_draws))
+        white = self.white[:, None] + solve_triangular(self.factor, noise, lower=True, trans=1)
+        return np.ascontiguousarray(self.model.weights_of(white).T)
+
+    def knows(self, points: Points) -> Mask:
+        """Whether each point lies near a sample of the region the model was laid over."""
+        reach = self.model.known_reach
+        distance, _ = self.model.samples.query(np.asarray(points, dtype=np.float64), distance_upper_bound=reach)
+        return np.isfinite(distance)
+
+
+def _blocks(n: int, numbers_per_point: int) -> Iterator[slice]:
+    """Ranges of points whose design matrices stay bounded."""
+    step = max(1, _BLOCK_NUMBERS // numbers_per_point)
+    return (slice(start, min(start + step, n)) for start in range(0, n, step))
+
+
+def _squares(A: Matrix, k: int) -> np.ndarray:
+    """Products of each point's k columns with themselves: (n, k, k)."""
+    rows = A.T.reshape(k, -1, len(A))
+    out = np.empty((rows.shape[1], k, k))
+    for a in range(k):
+        for b in range(a + 1):
+            out[:, a, b] = out[:, b, a] = np.einsum("nm,nm->n", rows[a], rows[b])
+    return out

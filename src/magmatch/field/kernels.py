@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The published divergence-free kernel and its derivatives, as products of 1-D Hermite functions.
+
+Every derivative of ``exp(-|d|^2 / 2 l^2)`` is a product of one function per axis, so a kernel that is a linear
+differential operator on it is a short list of terms. The same list gives kernel matrices, their derivatives, and
+fast evaluation on grids (`gaussian_grid`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+
+from magmatch.typing import Matrix, Points
+
+# How often each axis is differentiated.
+Alpha = tuple[int, int, int]
+# Rows per point up to order 0, 1, 2: field; gradient, row-major; second derivatives, row-major.
+N_ROWS = (3, 12, 39)
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One term of a differential operator that makes a field of scalar Gaussians.
+
+    Attributes
+    ----------
+    component, weight : int
+        Which component of the field comes from which weight of a node.
+    alpha : (int, int, int)
+        How often each axis is differentiated.
+    factor : float
+        Coefficient, for derivatives taken with respect to ``d / l``.
+    """
+
+    component: int
+    weight: int
+    alpha: Alpha
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where one product of Hermite functions goes: row of the point, weight of the node, coefficient."""
+
+    row: int
+    weight: int
+    factor: float
+    n_derivatives: int
+
+
+def _alpha(axes: tuple[int, ...]) -> Alpha:
+    return axes.count(0), axes.count(1), axes.count(2)
+
+
+def divergence_free_terms() -> tuple[Term, ...]:
+    """Terms of ``l^2/2 (grad grad^T - I lap)``: the operator of the kernel, scaled to unit variance."""
+    mixed = [Term(a, b, _alpha((a, b)), 0.5) for a, b in product(range(3), repeat=2) if a != b]
+    # On the diagonal d_a d_a - lap leaves minus the other two second derivatives.
+    pure = [Term(a, a, _alpha((k, k)), -0.5) for a, k in product(range(3), repeat=2) if a != k]
+    return (*mixed, *pure)
+
+
+DIVERGENCE_FREE = divergence_free_terms()
+
+
+@cache
+def derivative_plan(terms: tuple[Term, ...], order: int) -> tuple[tuple[Alpha, tuple[Target, ...]], ...]:
+    """Every product of Hermite functions that field and derivatives need, and where each one goes.
+
+    Parameters
+    ----------
+    terms : tuple of Term
+        The operator.
+    order : int
+        Highest derivative of the field: 0, 1 or 2.
+
+    Returns
+    -------
+    tuple of (alpha, tuple of Target)
+    """
+    if order not in (0, 1, 2):
+        msg = f"expected order 0 (field), 1 (and gradient) or 2 (and second derivatives), got {order}"
+        raise ValueError(msg)
+    plan: dict[Alpha, list[Target]] = {}
+    first_row = 0
+    for n in range(order + 1):
+        for term in terms:
+            for place, axes in enumerate(product(range(3), repeat=n)):
+                extra = _alpha(axes)
+                alpha = (term.alpha[0] + extra[0], term.alpha[1] + extra[1], term.alpha[2] + extra[2])
+                row = first_row + term.component * 3**n + place
+                plan.setdefault(alpha, []).append(Target(row, term.weight, term.factor, n))
+        first_row = N_ROWS[n]
+    return tuple((alpha, tuple(targets)) for alpha, targets in sorted(plan.items()))
+
+
+def highest_derivative(terms: tuple[Term, ...], order: int) -> int:
+    """How often a single axis is differentiated at most."""
+    return max(max(term.alpha) for term in terms) + order
+
+
+def hermite_functions(t: np.ndarray, highest: int) -> np.ndarray:
+    """Derivatives of ``exp(-t^2/2)``.
+
+    Parameters
+    ----------
+    t : array
+        Dimensionless offsets.
+    highest : int
+        Highest derivative.
+
+    Returns
+    -------
+    (highest + 1, ...) array
+        Entry k is the k-th derivative at t.
+    """
+    out = np.empty((highest + 1, *t.shape))
+    np.exp(-0.5 * t * t, out=out[0])
+    if highest >= 1:
+        np.multiply(-t, out[0], out=out[1])
+    for k in range(1, highest):
+        out[k + 1] = -t * out[k] - k * out[k - 1]
+    return out
+
+
+def stack_products(
+    product_of: Callable[[Alpha], Matrix],
+    terms: tuple[Term, ...],
+    order: int,
+    lengthscale: float,
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Matrix of field and derivatives at points against weights of nodes, for a kernel of unit variance.
+
+    Parameters
+    ----------
+    product_of : function
+        Gives the (n points, m nodes) product of Hermite functions for an ``alpha``.
+    terms : tuple of Term
+        The operator.
+    order : int
+        Highest derivative.
+    lengthscale : float, m
+    shape : (int, int)
+        Number of points and nodes.
+
+    Returns
+    -------
+    (rows, n, 3, m) array
+        Rows as in `N_ROWS`; units 1, 1/m, 1/m^2.
+    """
+    n, m = shape
+    out = np.zeros((N_ROWS[order], n, 3, m))
+    for alpha, targets in derivative_plan(terms, order):
+        values = product_of(alpha)
+        for target in targets:
+            out[target.row, :, target.weight] += (target.factor / lengthscale**target.n_derivatives) * values
+    return out
+
+
+class Kernel(Protocol):
+    """Covariance of a vector field, stationary."""
+
+    @property
+    def lengthscale(self) -> float:
+        """Distance over which the field changes, m."""
+        ...
+
+    def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
+        """Covariance of field (and derivatives) at points with the field at others: (rows n, 3 m).
+
+        Rows and columns run over components first, then points.
+        """
+        ...
+
+    def at_one_point(self, order: int = 0) -> Matrix:
+        """Prior covariance of field (order 0: (3, 3)) or field and gradient (order 1: (12, 12)) at one point."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class DivergenceFreeKernel:
+    """Divergence-free squared-exponential kernel.
+
+    ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [(d/l)(d/l)^T + (2 - |d|^2/l^2) I]``, ``d = x - x'``, which is
+    ``sf^2 (grad grad^T - I lap) k_SE``. One component has variance ``2 sf^2/l^2``; that is what is stated here.
+
+    Attributes
+    ----------
+    lengthscale : float, m
+        l.
+    signal_sd : float, T
+        Prior standard deviation of one component, ``sqrt(2) sf / l``.
+
+    References
+    ----------
+    Wahlström, Kok, Schön, Gustafsson (2013), Modeling magnetic fields using Gaussian processes,
+    doi:10.1109/ICASSP.2013.6638313.
+    """
+
+    lengthscale: float
+    signal_sd: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.lengthscale < np.inf and 0 < self.signal_sd < np.inf):
+            msg = f"expected positive lengthscale and signal_sd, got {self.lengthscale} m and {self.signal_sd} T"
+            raise ValueError(msg)
+
+    @property
+    def scale(self) -> float:
+        """The scaling factor sf of the printed form, T m."""
+        return self.signal_sd * self.lengthscale / float(np.sqrt(2))
+
+    def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
+        """Covariance of field (and derivatives) at points with the field at others.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+        others : (m, 3) array, m
+        order : int
+            Highest derivative with respect to ``points``: 0, 1 or 2.
+
+        Returns
+        -------
+        (rows n, 3 m) array
+            Component-major: row ``r n + i`` is row r (see `N_ROWS`) of point i, column ``b m + j`` component b
+            at other point j. T^2, T^2/m, T^2/m^2.
+        """
+        highest = highest_derivative(DIVERGENCE_FREE, order)
+        offsets = ((points[:, None, k] - others[None, :, k]) / self.lengthscale for k in range(3))
+        x, y, z = (hermite_functions(t, highest) for t in offsets)
+        shape = (len(points), len(others))
+        stacked = stack_products(
+            lambda alpha: x[alpha[0]] * y[alpha[1]] * z[alpha[2]], DIVERGENCE_FREE, order, self.lengthscale, shape
+        )
+        stacked *= self.signal_sd**2
+        return stacked.reshape(N_ROWS[order] * shape[0], 3 * shape[1])
+
+    def at_one_point(self, order: int = 0) -> Matrix:
+        """Prior covariance of field, or of field and gradient, at one point.
+
+        Parameters
+        ----------
+        order : int
+            0: (3, 3), T^2; 1: (12, 12), gradient row-major.
+
+        Returns
+        -------
+        array
+        """
+        return prior_at_one_point(self, order)
+
+
+def prior_at_one_point(kernel: Kernel, order: int) -> Matrix:
+    """Covariance of field (and gradient) with itself at one point, for a stationary kernel.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    order : int
+        0 or 1.
+
+    Returns
+    -------
+    (3, 3) or (12, 12) array
+    """
+    if order not in (0, 1):
+        msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+        raise ValueError(msg)
+    origin = np.zeros((1, 3))
+    rows = kernel.covariance(origin, origin, 2 * order)
+    if order == 0:
+        return rows
+    out = np.zeros((12, 12))
+    out[:3, :3] = rows[:3]
+    # Differentiating with respect to x' changes the sign: cov(d_b B_a, d'_d B_c) = -d_b d_d K_ac(0).
+    second = rows[12:].reshape(3, 3, 3, 3)
+    out[3:, 3:] = -second.transpose(0, 1, 3, 2).reshape(9, 9)
+    return out
