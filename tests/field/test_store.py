@@ -325,6 +325,7 @@ CRAFTED = {
     "prior unknown": (edit_json("zarr.json", "attributes", "config", "prior", "magic"), "config.prior"),
     "setting unknown": (edit_json("zarr.json", "attributes", "config", "colour", 1), "config.colour"),
     "number missing": (edit_json("zarr.json", "attributes", "hyperparameters", {}), "hyperparameters: expected"),
+    "number unknown": (edit_json("zarr.json", "attributes", "hyperparameters", "colour", 1), "expected numbers"),
     "number a word": (edit_json("zarr.json", "attributes", "hyperparameters", "spacing", "x"), "expected numbers"),
     "noise zero": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", 0), "expected positive"),
     "noise NaN": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", np.nan), "finite noise_sd"),
@@ -340,6 +341,15 @@ CRAFTED = {
 def test_crafted_map_with_a_fitting_manifest_is_refused(saved, case):
     change, message = CRAFTED[case]
     assert message in refusal(repack(saved, change))
+
+
+def test_number_that_older_maps_lack_takes_its_default(saved, spline_map):
+    def drop(entries):
+        root = json.loads(entries["zarr.json"])
+        del root["attributes"]["hyperparameters"]["stiffness"]
+        entries["zarr.json"] = json.dumps(root).encode()
+
+    assert MapRecord.read(repack(saved, drop)).hyperparameters.stiffness == 0.0
 
 
 def edit_manifest(path, change):

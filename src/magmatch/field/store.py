@@ -7,7 +7,7 @@ that could disagree with the samples unseen; the stored mean shows whether the f
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -223,12 +223,14 @@ def _fitted_samples(arrays: Mapping[str, np.ndarray]) -> Survey:
 
 
 def _hyperparameters(about: Any) -> Hyperparameters:
-    """Every number by name, none missing, none unknown."""
-    expected = {f.name for f in fields(Hyperparameters)}
-    if not isinstance(about, dict) or about.keys() != expected or not all(map(_is_number, about.values())):
-        msg = f"entry 'zarr.json', hyperparameters: expected numbers for {', '.join(sorted(expected))}"
+    """Numbers by name, none unknown; those that came later take their default in older files."""
+    known = {f.name for f in fields(Hyperparameters)}
+    required = {f.name for f in fields(Hyperparameters) if f.default is MISSING}
+    found = about if isinstance(about, dict) else {}
+    if not required <= found.keys() <= known or not all(map(_is_number, found.values())):
+        msg = f"entry 'zarr.json', hyperparameters: expected numbers for {', '.join(sorted(known))}"
         raise ValueError(msg)
-    return Hyperparameters(**{name: float(value) for name, value in about.items()})
+    return Hyperparameters(**{name: float(value) for name, value in found.items()})
 
 
 def _shaped(arrays: Mapping[str, np.ndarray], name: str, n_axes: int, n_columns: int | None = None) -> np.ndarray:
