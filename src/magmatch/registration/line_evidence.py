@@ -103,6 +103,8 @@ def weigh_walk(
     R = np.stack([T.rotation.as_matrix() for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, config.n_coarse_steps, is_full=False), config)
+    if not len(coarse.chi2):
+        return []
     gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null)])
     order = np.argsort(-gain, kind="stable")
     coarse = coarse.rows(order)
@@ -212,6 +214,7 @@ class _LeastSquares:
         """Components taken alike: one small factor serves all three, the drift sees the gradient's mean square."""
         drift2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
         C = self.noise.isotropic(self.distance, sd, self.base.lengthscale)
+        drift2 = drift2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
         C = C + drift2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
         h, n = known.shape
         white, half_log_det = _whiten(_isolate(C, known), rows.reshape(h, n, 21))
@@ -220,7 +223,7 @@ class _LeastSquares:
     def _whiten_full(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
         """Components coupled by poses that drift through the gradient."""
         h, n = known.shape
-        C = self.noise.full(self.distance, sd, self.base.lengthscale, G)
+        C = self.noise.full(self.distance, sd, self.base.lengthscale, G, np.broadcast_to(self.walk.field, (h, n, 3)))
         return _whiten(_isolate(C, np.repeat(known, 3, axis=1)), rows.reshape(h, 3 * n, 7))
 
 
@@ -230,7 +233,8 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[Lin
     for k in range(len(fits.chi2)):
         known = fits.known[k]
         inflation, log_likelihood = squares.noise.most_likely_factor(fits.chi2[k], 3 * int(known.sum()) - 6)
-        covariance = inflation * np.linalg.inv(fits.information[k])
+        # A walk that fits better than expected may still share its frame's errors.
+        covariance = max(inflation, 1.0) * np.linalg.inv(fits.information[k])
         _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
         volume = max(squares.base.raster.volume, np.finfo(float).tiny)
         T = RigidTransform.from_components(

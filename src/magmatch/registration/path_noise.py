@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
+from magmatch.geometry import skew
 from magmatch.registration.walk import bin_along_path
 from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
@@ -31,6 +32,8 @@ MAX_STRETCHES = 40
 PRIOR_LOG_SD = 0.7
 PRIOR_STRETCHES = 5
 N_DRAWS = 12
+# Guess of how well a hand-held or wheeled sensor knows its own orientation, rad.
+ATTITUDE_SD = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,10 @@ class PathNoise:
         What each bin has for itself.
     constant_sd : float, T
         What is shared by the whole walk.
+    map_factor : float
+        On the map's own standard deviation.
+    attitude_sd : float, rad
+        Error of the orientations that turned the field into the survey's frame, correlated like the drift.
     drift_sd, drift_length : float, m
         Error of the positions along the path, seen through the field's gradient: ``sd^2 exp(-d / length)``.
     spread : float
@@ -55,6 +62,8 @@ class PathNoise:
     misfit_length: float
     nugget_sd: float
     constant_sd: float
+    map_factor: float
+    attitude_sd: float
     drift_sd: float
     drift_length: float
     spread: float = 0.5
@@ -101,20 +110,33 @@ class PathNoise:
         (..., n, n) array
         """
         C = self.misfit_sd**2 * np.exp(-distance / self.misfit_length) + self.constant_sd**2
+        map_sd = self.map_factor * map_sd
         C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / lengthscale) ** 2)
         C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
         return np.asarray(C)
 
-    def full(self, distance: Matrix, map_sd: Scalars, lengthscale: float, gradient: Tensors) -> Matrix:
-        """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2."""
+    def full(
+        self, distance: Matrix, map_sd: Scalars, lengthscale: float, gradient: Tensors, field: Vectors
+    ) -> Matrix:
+        """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2.
+
+        Parameters
+        ----------
+        distance, map_sd, lengthscale
+            As in `isotropic`.
+        gradient : (..., n, 3, 3) array, T/m
+            Of the map, at the bins.
+        field : (..., n, 3) array, T
+            At the bins, in the same axes.
+        """
         n = distance.shape[-1]
-        C = self.drift_sd**2 * np.einsum(
-            "...iac,...jbc,...ij->...iajb", gradient, gradient, np.exp(-distance / self.drift_length), optimize=True
-        )
-        iso = self.isotropic(distance, map_sd, lengthscale)
-        for a in range(3):
-            C[..., :, a, :, a] += iso
-        return np.asarray(C.reshape(*C.shape[:-4], 3 * n, 3 * n))
+        turns = skew(field.reshape(-1, 3)).reshape(*field.shape, 3)
+        # Both a shift and a turn of the walker's frame move the field linearly: one matrix per bin.
+        moves = np.concatenate([self.drift_sd * gradient, self.attitude_sd * turns], axis=-1)
+        fades = np.exp(-distance / self.drift_length)
+        flat = moves.reshape(*moves.shape[:-3], 3 * n, 6)
+        C = flat @ np.swapaxes(flat, -1, -2) * np.repeat(np.repeat(fades, 3, axis=-2), 3, axis=-1)
+        return C + np.kron(self.isotropic(distance, map_sd, lengthscale), np.eye(3))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -125,6 +147,7 @@ class Stretch:
     residual: Vectors
     map_sd: Scalars
     gradient: Tensors
+    field: Vectors
 
 
 def learn_path_noise(field_map: FieldMap, rng: np.random.Generator) -> PathNoise:
@@ -146,6 +169,8 @@ def learn_path_noise(field_map: FieldMap, rng: np.random.Generator) -> PathNoise
         misfit_length=h.lengthscale,
         nugget_sd=0.5 * h.noise_sd,
         constant_sd=0.5 * h.noise_sd,
+        map_factor=1.0,
+        attitude_sd=ATTITUDE_SD,
         drift_sd=max(field_map.survey.pose_sd, 0.02 * h.lengthscale),
         drift_length=4 * h.lengthscale,
     )
@@ -193,7 +218,7 @@ def predict_stretches(field_map: FieldMap, rng: np.random.Generator) -> list[Str
         if bins[-1] + 1 >= MIN_BINS and values.gradient is not None:
             found.append(
                 Stretch(
-                    *(_bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient)),
+                    *(_bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b)),
                 )
             )
     chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MAX_STRETCHES)).astype(np.int64))
@@ -215,33 +240,42 @@ def most_likely(guess: PathNoise, stretches: list[Stretch], lengthscale: float) 
     PathNoise
     """
     center = np.log(astuple(guess)[:-1])
-    distances = [cdist(s.positions, s.positions) for s in stretches]
+    stacks = _stack_alike(stretches)
 
-    def whiten(noise: PathNoise) -> list[tuple[float, float, int]]:
-        found = []
-        for s, d in zip(stretches, distances, strict=True):
-            L = np.linalg.cholesky(noise.full(d, s.map_sd, lengthscale, s.gradient))
-            z = np.linalg.solve(L, s.residual.ravel())
-            found.append((float(z @ z), float(np.log(np.diag(L)).sum()), len(z)))
-        return found
+    def whiten(noise: PathNoise) -> tuple[Scalars, Scalars]:
+        """Chi^2 and half log-determinant of each stretch."""
+        chi2, half_log_det = [], []
+        for distance, sd, gradient, field, residual in stacks:
+            L = np.linalg.cholesky(noise.full(distance, sd, lengthscale, gradient, field))
+            z = np.linalg.solve(L, residual.reshape(len(L), -1, 1))
+            chi2.append((z**2).sum(axis=(1, 2)))
+            half_log_det.append(np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1))
+        return np.concatenate(chi2), np.concatenate(half_log_det)
 
     def cost(offset: np.ndarray) -> float:
-        fits = whiten(PathNoise(*np.exp(center + offset).tolist()))
-        return 0.5 * float(((offset / PRIOR_LOG_SD) ** 2).sum()) + sum(
-            0.5 * chi2 + log_det for chi2, log_det, _ in fits
-        )
+        chi2, half_log_det = whiten(PathNoise(*np.exp(center + offset).tolist()))
+        return float(0.5 * ((offset / PRIOR_LOG_SD) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
 
     start = np.zeros(len(center))
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 250, "initial_simplex": _simplex(start)})
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 700, "initial_simplex": _simplex(start)})
     noise = PathNoise(*np.exp(center + found.x).tolist())
     # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
-    fits = whiten(noise)
-    log_factors = np.array([np.log(chi2 / n) for chi2, _, n in fits])
-    scatter = float(np.mean([2 / n for _, _, n in fits]))
-    excess = max(float(np.mean(log_factors**2)) - scatter, 0.0)
+    chi2, _ = whiten(noise)
+    n_values = np.concatenate([np.full(len(stack[0]), 3 * stack[0].shape[1]) for stack in stacks])
+    excess = max(float(np.mean(np.log(chi2 / n_values) ** 2 - 2 / n_values)), 0.0)
     # As many stretches' worth of the guess as of a handful of them.
-    spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(fits) * excess) / (PRIOR_STRETCHES + len(fits))
+    spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(chi2) * excess) / (PRIOR_STRETCHES + len(chi2))
     return replace(noise, spread=float(np.sqrt(spread2)))
+
+
+def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:
+    """Stretches of equally many bins side by side: distance, map sd, gradient, field, residual."""
+    found = []
+    for n in sorted({len(s.positions) for s in stretches}):
+        alike = [s for s in stretches if len(s.positions) == n]
+        parts = [(cdist(s.positions, s.positions), s.map_sd, s.gradient, s.field, s.residual) for s in alike]
+        found.append(tuple(np.stack(column) for column in zip(*parts, strict=True)))
+    return found
 
 
 def _simplex(start: np.ndarray) -> Matrix:
