@@ -54,13 +54,14 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     goal = Path(path).resolve()
     if goal.is_dir():
         raise DataFormatError(path, "is a folder, expected the name of a file to write")
-    if not goal.parent.is_dir():
-        raise DataFormatError(path, f"the folder {goal.parent} does not exist; create it first")
-    if goal.exists() and not goal.is_file():
+    # Asked of the name as given: a pipe behind /dev/stdout resolves to a name that no folder holds.
+    if Path(path).exists() and not goal.is_file():
         buffer = BytesIO()
         yield buffer
-        goal.write_bytes(buffer.getvalue())
+        Path(path).write_bytes(buffer.getvalue())
         return
+    if not goal.parent.is_dir():
+        raise DataFormatError(path, f"the folder {goal.parent} does not exist; create it first")
     # Cut short, so that a name of the longest length allowed leaves room for what is added to it.
     temporary = goal.with_name(f".{goal.name[:50]}.tmp-{secrets.token_hex(4)}")
     try:

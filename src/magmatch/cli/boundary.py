@@ -39,16 +39,16 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
     """
     try:
         outcome = action()
+        if outcome == INTERRUPTED:  # typer turns the interrupt into an exit of this code
+            return _interrupted(narrator)
         sys.stdout.flush()
         narrator.finish()
-    except BrokenPipeError:
+    except (BrokenPipeError, SystemExit):  # typer exits by itself in this one case
         # Whoever read our output has left; keep Python from complaining about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return READER_LEFT
     except (KeyboardInterrupt, typer.Abort):
-        narrator.rest()
-        say("magmatch: interrupted")
-        return INTERRUPTED
+        return _interrupted(narrator)
     except Exception as error:
         narrator.rest()
         if narrator.is_debugging:
@@ -88,6 +88,12 @@ def explain(error: Exception) -> tuple[str, int]:
 def one_line(text: str) -> str:
     """Whatever an error says, on one line without control characters."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
+
+def _interrupted(narrator: Narrator) -> int:
+    narrator.rest()
+    say("magmatch: interrupted")
+    return INTERRUPTED
 
 
 def _explain_usage(error: Exception) -> str:

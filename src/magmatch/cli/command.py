@@ -8,9 +8,11 @@ from functools import wraps
 from typing import Annotated, Any, get_type_hints
 
 import typer
+from pydantic import ValidationError
 
 from magmatch.cli.narration import Narrator
 from magmatch.data.format import SurveyFormat
+from magmatch.errors import ConfigurationError
 
 LAYOUT_PANEL = "How to read the survey"
 
@@ -29,12 +31,15 @@ class Layouts:
 
     def of(self, survey: str = "") -> SurveyFormat:
         """Format of one survey: what is said of it alone, else of all, else the default."""
-        return SurveyFormat.model_validate(self.settings(survey))
-
-    def settings(self, survey: str = "") -> dict[str, Any]:
-        """Only what was said."""
         general = {name: value for (of, name), value in self.given.items() if of == ""}
-        return general | {name: value for (of, name), value in self.given.items() if of == survey}
+        own = {name: value for (of, name), value in self.given.items() if of == survey}
+        try:
+            return SurveyFormat.model_validate(general | own)
+        except ValidationError as error:
+            first = error.errors()[0]
+            flag = "--" + str(first["loc"][0]).replace("_", "-")
+            msg = f"{flag}: {first['msg']}, found {first['input']}"
+            raise ConfigurationError(msg) from None
 
 
 def command(

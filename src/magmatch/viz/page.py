@@ -42,14 +42,7 @@ def write_page(path: str | Path, title: str, sections: Sequence[str]) -> None:
 
 def figure_row(figures: "Sequence[Figure]") -> str:
     """Figures side by side, below each other where the screen is narrow."""
-    cells = []
-    for figure in figures:
-        # '<' would end the script element early where a name holds '</script>'.
-        content = str(figure.to_json()).replace("<", "\\u003c")
-        words = escape(str(figure.layout.title.text or "figure").split("<br>")[0])
-        data = f'<script type="application/json">{content}</script>'
-        cells.append(f'<div class="figure" role="img" aria-label="{words}">{data}</div>')
-    return f'<div class="row">{"".join(cells)}</div>'
+    return f'<div class="row">{"".join(map(_figure, figures))}</div>'
 
 
 def heading(text: str) -> str:
@@ -82,6 +75,22 @@ def verdict(text: str, reason: str, *, is_good: bool) -> str:
 def details(summary: str, text: str) -> str:
     """Text that is opened on demand."""
     return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
+
+
+def _figure(figure: "Figure") -> str:
+    """One figure with its title as caption, which wraps where a title inside the figure would not."""
+    title, _, note = str(figure.layout.title.text or "").partition("<br>")
+    note = note.removeprefix("<sub>").removesuffix("</sub>")
+    bare = figure.to_dict()
+    bare["layout"] = {**bare["layout"], "margin": {"l": 8, "r": 8, "t": 34, "b": 8}}
+    bare["layout"].pop("title", None)
+    from plotly.io.json import to_json_plotly
+
+    # '<' would end the script element early where a name holds '</script>'.
+    content = to_json_plotly(bare).replace("<", "\\u003c")
+    caption = f"<figcaption>{title} <small>{note}</small></figcaption>"
+    data = f'<script type="application/json">{content}</script>'
+    return f"<figure>{caption}<div class='plot'>{data}</div></figure>"
 
 
 def _packed_plotly() -> str:

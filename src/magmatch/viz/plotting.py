@@ -19,7 +19,7 @@ BASE_MARKER, TARGET_MARKER = "circle", "diamond"
 FIELD_SCALE, SPREAD_SCALE = "Viridis", "Cividis"
 INK, QUIET = "#1b1f24", "#d4d9df"
 # Most samples drawn of one survey: what a phone turns smoothly, and what keeps a page small.
-MAX_DRAWN = 6000
+MAX_DRAWN = 5000
 UT_PER_TESLA = 1e6
 
 
@@ -46,14 +46,15 @@ def require_plotly() -> ModuleType:
 
 
 def thinned(n: int, n_drawn: int = MAX_DRAWN) -> Indices:
-    """Choose evenly which of n samples are drawn: increasing row numbers, all of them where they are few."""
-    rows: Indices = np.unique(np.linspace(0, n - 1, min(n, n_drawn)).round().astype(np.int64))
+    """Choose evenly which of n samples are drawn: row numbers, all of them where they are few."""
+    rows: Indices = np.linspace(0, n - 1, min(n, n_drawn), dtype=np.int64)
     return rows
 
 
 def magnitude_ut(field: Vectors) -> Scalars:
     """Field magnitudes in uT, for display."""
-    return UT_PER_TESLA * np.linalg.norm(field, axis=1)
+    magnitude: Scalars = UT_PER_TESLA * np.linalg.norm(field, axis=1)
+    return magnitude
 
 
 def label(text: str) -> str:
@@ -94,7 +95,11 @@ def new_scene(title: str, traces: list[Any], frame: str) -> "Figure":
     figure = require_plotly().Figure(traces)
     figure.update_layout(
         **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
-        scene={"aspectmode": "data", "camera": {"eye": {"x": 1.3, "y": -1.5, "z": 1.0}}, **axes},
+        scene={
+            "aspectmode": "data",
+            "camera": {"eye": {"x": 1.35, "y": -1.75, "z": 1.25}, "center": {"x": 0, "y": 0, "z": -0.2}},
+            **axes,
+        },
         height=480,
         legend={"orientation": "h", "y": -0.02, "x": 0, "itemsizing": "constant"},
     )

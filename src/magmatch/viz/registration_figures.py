@@ -32,7 +32,9 @@ from magmatch.viz.slices import common_limits, cut_through, field_on, magnitude_
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-MAX_LINKS = 150
+# Few enough that single links can be followed.
+MAX_LINKS = 60
+MAX_SCENE_SAMPLES = 3000
 
 
 def shown_pose(result: RegistrationResult) -> RigidTransform | None:
@@ -103,7 +105,7 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
         magnitude_slice("|B| of the base map", cut, field, is_known, limits),
         magnitude_slice("|B| of the target map, in the base frame", cut, brought, is_known_too, limits),
         slice_figure(
-            "Difference |B<sub>target</sub> - B<sub>base</sub>| of the vectors",
+            "Difference of the field vectors, in magnitude",
             cut, apart, both, (0.0, common_limits(apart[both])[1]), SPREAD_SCALE,
         ),
     ]  # fmt: skip
@@ -119,23 +121,23 @@ def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, l
         return traces
     rows = thinned(len(link_base), MAX_LINKS)
     ends = [
-        ("keypoints of base", link_base, BASE_COLOR, "square"),
-        ("keypoints of target", link_target, TARGET_COLOR, "x"),
+        ("keypoints of base", link_base, BASE_COLOR, "square-open", 7),
+        ("keypoints of target", link_target, TARGET_COLOR, "diamond", 4),
     ]
     traces += [
-        points3d(p[rows], name=name, marker={"size": 4, "color": color, "symbol": symbol}, hoverinfo="name")
-        for name, p, color, symbol in ends
+        points3d(p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name")
+        for name, p, color, symbol, size in ends
     ]
-    links = lines3d(link_base[rows], link_target[rows], name="links", line={"color": LINK_COLOR, "width": 2})
+    links = lines3d(link_base[rows], link_target[rows], name="links", line={"color": LINK_COLOR, "width": 4})
     return [*traces, links]
 
 
 def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> Any:
-    rows = thinned(len(survey))
+    rows = thinned(len(survey), MAX_SCENE_SAMPLES)
     return points3d(
         p[rows],
         name=label(name),
-        marker={"size": 2.2, "color": color, "symbol": symbol, "opacity": 0.75},
+        marker={"size": 2 if len(rows) < 1000 else 1.5, "color": color, "symbol": symbol, "opacity": 0.5},
         customdata=for_display(magnitude_ut(survey.field[rows])),
         hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT",
     )

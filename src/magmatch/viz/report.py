@@ -2,7 +2,9 @@
 """The report of a registration: the verdict in words, the pictures, and what it takes to run it again."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -71,9 +73,9 @@ def _figures(result: RegistrationResult) -> str:
         rows.append(["Normalised residual", f"{result.residual:.2f} (1: model and noise explain all)"])
     if result.fitness is not None:
         rows.append(["Fitness", f"{result.fitness:.3g} (cross product of aligned vectors)"])
-    rows.append(["Matches", f"{result.n_inliers} inliers of {result.n_correspondences}, {result.n_keypoints} points"])
-    if result.sensor:
-        rows += [[f"Sensor {name}", _compact(value)] for name, value in result.sensor.items()]
+    matches = f"{result.n_inliers} inliers of {result.n_correspondences} correspondences"
+    rows.append(["Matches", f"{matches}, {result.n_keypoints} keypoints"])
+    rows += _sensor(result.sensor or {})
     rows += [["Free direction", d.words] for d in result.degenerate_directions]
     stages = ", ".join(f"{name} {s:.2f}" for name, s in result.seconds.items() if name != "total")
     rows.append(["Seconds", f"{result.seconds.get('total', 0.0):.2f} ({stages})"])
@@ -134,9 +136,11 @@ def _angle(T: RigidTransform) -> str:
     return f"{np.rad2deg(angle):.2f} deg about ({', '.join(f'{c:.2f}' for c in vector / angle)})"
 
 
-def _compact(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list | tuple):
-        return ", ".join(_compact(v) for v in value)
-    return str(value)
+def _sensor(sensor: Mapping[str, Any]) -> list[list[str]]:
+    """What differs between the two magnetometers, where it was estimated."""
+    rows = []
+    if sensor.get("bias") is not None:
+        rows.append(["Sensor bias", ", ".join(f"{1e9 * b:.0f}" for b in sensor["bias"]) + " nT"])
+    if sensor.get("scale") is not None:
+        rows.append(["Sensor scale", f"{sensor['scale']:.4f}"])
+    return rows

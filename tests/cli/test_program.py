@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The program as a whole: help, start-up, exit codes, where words and data go."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magmatch import __version__
+from magmatch.cli import boundary, main
+
+COMMANDS = ("register", "transform", "map", "query", "info", "view", "simulate", "datasets", "demo")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_a_command_has_examples(name, run):
+    outcome = run(name, "--help")
+    assert outcome.code == 0
+    assert "Examples:" in outcome.out
+    assert f"  magmatch {name} " in outcome.out or f"  magmatch {name}\n" in outcome.out
+
+
+def test_help_names_every_command_and_exit_code(run):
+    outcome = run("--help")
+    assert outcome.code == 0
+    for name in COMMANDS:
+        assert f"\n  {name} " in outcome.out
+    for code in "0123":
+        assert f"\n    {code}  " in outcome.out
+
+
+def test_no_command_shows_the_help(run):
+    assert run() == run("--help")
+
+
+def test_version_is_shown(run):
+    assert run("--version").out == f"magmatch {__version__}\n"
+
+
+@pytest.mark.parametrize("words", [["--help"], ["register", "--help"], ["map", "--help"]])
+def test_help_does_not_wait_for_numerics(words):
+    code = (
+        "import sys; from magmatch.cli.main import main\n"
+        f"main({words!r})\n"
+        "print(sorted({'numpy', 'scipy', 'numba', 'plotly', 'rich'} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_the_package_imports_without_numerics():
+    code = "import sys, magmatch; print('numpy' in sys.modules, 'scipy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
+
+
+def test_python_dash_m_is_the_program():
+    done = subprocess.run([sys.executable, "-m", "magmatch", "info"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "FILE" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (KeyboardInterrupt(), 130),
+        (ZeroDivisionError("a bug"), 1),
+        (MemoryError(), 1),
+        (OSError(28, "No space left on device"), 1),
+        (OSError(5, "Input/output error", "out.json"), 1),
+        (FileNotFoundError(2, "No such file or directory", "in.csv"), 2),
+        (PermissionError(13, "Permission denied", "in.csv"), 2),
+        (OSError(30, "Read-only file system", "out.json"), 2),
+        (ValueError("two\nlines\x1b[31m"), 1),
+    ],
+)
+def test_every_error_is_one_line_and_its_code(error, code, run, monkeypatch, tmp_path):
+    def fail(*_args):
+        raise error
+
+    monkeypatch.setattr("magmatch.cli.outputs.make_folder", fail)
+    monkeypatch.setattr("magmatch.cli.simulate.make_folder", fail)
+    outcome = run("simulate", "uniform", "--out", tmp_path / "x")
+    assert outcome.code == code
+    assert outcome.err.count("\n") == 1
+    assert "Traceback" not in outcome.err
+    assert "\x1b" not in outcome.err
+
+
+@pytest.mark.parametrize("place_of_flag", ["before", "after"])
+def test_debug_shows_the_traceback(place_of_flag, run, tmp_path):
+    words = ["info", tmp_path / "none.csv"]
+    outcome = run("--debug", *words) if place_of_flag == "before" else run(*words, "--debug")
+    assert outcome.code == 2
+    assert "Traceback" in outcome.err
+    assert outcome.err.splitlines()[-1].startswith("magmatch: ")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_a_fault_of_the_machine(place, run):
+    outcome = run("transform", place / "target.csv", "--by", place / "result.json", "--out", "/dev/full")
+    assert outcome.code == 1
+    assert outcome.err.count("\n") == 1
+    assert "No space left" in outcome.err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_stdout_is_a_fault_of_the_machine(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        words = [sys.executable, "-m", "magmatch", "datasets"]
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_leaves_is_no_error():
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    words = [sys.executable, "-m", "magmatch", "datasets"]
+    done = subprocess.run(words, stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write_end)
+    assert done.returncode == boundary.READER_LEFT
+    assert done.stderr == ""
+
+
+def test_results_go_to_a_pipe_or_device(place, tmp_path):
+    words = ["transform", place / "target.csv", "--by", place / "result.json", "--out", "/dev/stdout"]
+    done = subprocess.run([sys.executable, "-m", "magmatch", *words], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[1] == "x,y,z,bx,by,bz"
+
+
+def test_a_missing_extra_is_named_before_the_work(place, run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    out, report = tmp_path / "r.json", tmp_path / "r.html"
+    words = ("register", place / "base.map", place / "target.map", "--out", out, "--report", report)
+    outcome = run(*words)
+    assert outcome.code == 2
+    assert "magmatch[viz]" in outcome.err
+    assert not out.exists()
+
+
+def test_every_command_stands_in_its_own_file():
+    assert [module.__name__.split(".")[-1] for module in main.COMMANDS] == list(COMMANDS)
