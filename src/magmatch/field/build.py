@@ -44,7 +44,8 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     prior = PRIORS[config.prior]
     hyperparameters = _hyperparameters(prior, samples.positions, samples.field, config)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
-    return FieldMap(merged, fit_posterior(samples, hyperparameters, config), T_map_model, config)
+    posterior = fit_posterior(samples, hyperparameters, config, T_map_model)
+    return FieldMap(merged, posterior, T_map_model, config, T_map_model)
 
 
 def _hyperparameters(prior: Prior, points: Points, field: Vectors, config: FieldConfig) -> Hyperparameters:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How a map is made from samples."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class FieldConfig(BaseModel):
@@ -21,5 +21,15 @@ class FieldConfig(BaseModel):
     noise_sd: float | None = Field(default=None, gt=0)
     # Distance of the basis nodes, m. None: from the lengthscale and the size of the region.
     spacing: float | None = Field(default=None, gt=0)
-    # Box to map, map frame, (x0, y0, z0, x1, y1, z1), m. None: the samples' box plus one lengthscale.
+    # Box outside which the map says nothing but its prior: (x0, y0, z0, x1, y1, z1), m, frame of the survey the map
+    # is made from. None: as far as the samples inform the basis, about one lengthscale beyond them.
     domain: tuple[float, float, float, float, float, float] | None = None
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        if self.domain is not None and not all(
+            low < high for low, high in zip(self.domain[:3], self.domain[3:], strict=True)
+        ):
+            msg = f"domain: expected x0 < x1, y0 < y1, z0 < z1, got {self.domain}"
+            raise ValueError(msg)
+        return self

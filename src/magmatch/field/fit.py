@@ -1,14 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From samples and fixed numbers to the posterior: what building and loading a map share, bit for bit."""
 
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
+from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
 from magmatch.field.priors import PRIORS
 
 
-def fit_posterior(samples: Survey, hyperparameters: Hyperparameters, config: FieldConfig) -> Posterior:
+def fit_posterior(
+    samples: Survey,
+    hyperparameters: Hyperparameters,
+    config: FieldConfig,
+    T_domain_model: RigidTransform | None = None,
+) -> Posterior:
     """Posterior of the field given samples.
 
     Parameters
@@ -18,7 +27,9 @@ def fit_posterior(samples: Survey, hyperparameters: Hyperparameters, config: Fie
     hyperparameters : Hyperparameters
         Resolved numbers of the prior.
     config : FieldConfig
-        Which prior.
+        Which prior, and the box it is declared for.
+    T_domain_model : RigidTransform, optional
+        Takes model coordinates to those in which ``config.domain`` is given; the same by default.
 
     Returns
     -------
@@ -26,4 +37,10 @@ def fit_posterior(samples: Survey, hyperparameters: Hyperparameters, config: Fie
         In the model's frame; the same arguments give the same bits.
     """
     model = PRIORS[config.prior].build(samples.positions, samples.field, hyperparameters)
-    return model.infer(model.observe(samples.positions, samples.field))
+    posterior = model.infer(model.observe(samples.positions, samples.field))
+    if config.domain is None:
+        return posterior
+    low, high = np.array(config.domain[:3]), np.array(config.domain[3:])
+    return BoundedPosterior(
+        posterior, low, high, RigidTransform.identity() if T_domain_model is None else T_domain_model
+    )

@@ -54,6 +54,8 @@ class FieldMap:
         Takes model coordinates to map coordinates.
     config : FieldConfig
         How the map was made.
+    T_domain_model : RigidTransform
+        Takes model coordinates to the frame in which ``config.domain`` was given; stays when the map moves.
     fitted_samples : Survey or None
         The samples in the model's frame as they were fitted; None while turning them there again gives the same,
         kept once the map was carried to another frame or saved, since turning back would round.
@@ -63,6 +65,7 @@ class FieldMap:
     posterior: Posterior
     T_map_model: RigidTransform
     config: FieldConfig
+    T_domain_model: RigidTransform
     fitted_samples: Survey | None = None
 
     @property
@@ -205,6 +208,7 @@ class FieldMap:
             self.hyperparameters,
             self.posterior.weights,
             self._fitted(),
+            self.T_domain_model,
         ).write(path)
 
     @classmethod
@@ -227,7 +231,14 @@ class FieldMap:
             Not a map, damaged, of another version, or fitting does not give the field that was saved.
         """
         record = MapRecord.read(path)
-        return cls(record.survey, record.refit(path), record.T_map_model, record.config, record.fitted_samples)
+        return cls(
+            record.survey,
+            record.refit(path),
+            record.T_map_model,
+            record.config,
+            record.T_domain_model,
+            record.fitted_samples,
+        )
 
     def _fitted(self) -> Survey:
         """Samples in the model's frame, to the bit as they were fitted."""

@@ -56,6 +56,8 @@ class MapRecord:
     fitted_samples : Survey
         The same samples in the model's frame, exactly as they were fitted: to turn them there again would round
         differently on another machine, and a basis laid over the samples may jump by a node for it.
+    T_domain_model : RigidTransform
+        Takes model coordinates to the frame of ``config.domain``.
     """
 
     survey: Survey
@@ -64,6 +66,7 @@ class MapRecord:
     hyperparameters: Hyperparameters
     weights: Scalars
     fitted_samples: Survey
+    T_domain_model: RigidTransform
 
     def __post_init__(self) -> None:
         for name, value in self._numbers().items():
@@ -89,6 +92,7 @@ class MapRecord:
         numbers = {"positions": survey.positions, "field": survey.field, "pose_sd": survey.pose_sd}
         numbers |= {"model_positions": self.fitted_samples.positions, "model_field": self.fitted_samples.field}
         numbers |= {"weights": self.weights, "T_map_model": self.T_map_model.as_matrix()}
+        numbers |= {"T_domain_model": self.T_domain_model.as_matrix()}
         numbers |= self.hyperparameters.as_dict()
         if survey.times is not None:
             numbers["times"] = survey.times
@@ -112,7 +116,7 @@ class MapRecord:
             The samples cannot be fitted, or give another field.
         """
         try:
-            posterior = fit_posterior(self.fitted_samples, self.hyperparameters, self.config)
+            posterior = fit_posterior(self.fitted_samples, self.hyperparameters, self.config, self.T_domain_model)
         except (ValueError, KeyError, np.linalg.LinAlgError, MagmatchError) as error:
             raise DataFormatError(path, f"its samples cannot be fitted again: {error}") from error
         if not _is_same_field(posterior, self.weights, self.fitted_samples):
@@ -136,6 +140,7 @@ class MapRecord:
             "survey": {"frame": survey.frame, "name": survey.name, "pose_sd": float(survey.pose_sd)},
             # SciPy keeps a rigid transform as this very matrix, so no quaternion is needed for an exact copy.
             "T_map_model": self.T_map_model.as_matrix().tolist(),
+            "T_domain_model": self.T_domain_model.as_matrix().tolist(),
             "config": self.config.model_dump(mode="json"),
             "hyperparameters": {name: float(value) for name, value in self.hyperparameters.as_dict().items()},
         }
@@ -160,17 +165,18 @@ class MapRecord:
             Not a map, damaged, or of another version; names the entry.
         """
         attributes, arrays = read_archive(path, SCHEMA)
-        for name in ("survey", "T_map_model", "config", "hyperparameters"):
+        for name in ("survey", "T_map_model", "T_domain_model", "config", "hyperparameters"):
             if name not in attributes:
                 raise DataFormatError(path, f"entry 'zarr.json': attribute '{name}' is missing")
         try:
             return cls(
                 survey=_survey(attributes["survey"], arrays),
-                T_map_model=_transform(attributes["T_map_model"]),
+                T_map_model=_transform(attributes, "T_map_model"),
                 config=FieldConfig.model_validate(attributes["config"]),
                 hyperparameters=_hyperparameters(attributes["hyperparameters"]),
                 weights=_shaped(arrays, "weights", 1),
                 fitted_samples=_fitted_samples(arrays),
+                T_domain_model=_transform(attributes, "T_domain_model"),
             )
         except KeyError as error:
             raise DataFormatError(path, f"entry '{error.args[0]}' is missing") from None
@@ -243,8 +249,9 @@ def _shaped(arrays: Mapping[str, np.ndarray], name: str, n_axes: int, n_columns:
     return array
 
 
-def _transform(value: Any) -> RigidTransform:
+def _transform(attributes: Mapping[str, Any], name: str) -> RigidTransform:
     """Rigid motion from nested lists."""
+    value = attributes[name]
     is_matrix = isinstance(value, list) and all(isinstance(row, list) and len(row) == 4 for row in value)
     try:
         if is_matrix and all(_is_number(number) for row in value for number in row):
@@ -252,7 +259,7 @@ def _transform(value: Any) -> RigidTransform:
         found = "expected a 4x4 matrix of numbers"
     except ValueError as error:
         found = str(error)
-    msg = f"entry 'zarr.json', T_map_model: {found}"
+    msg = f"entry 'zarr.json', {name}: {found}"
     raise ValueError(msg)
 
 

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A map that is declared for a box: inside it is what its model says, outside it falls back to the prior."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Axes, Posterior
+from magmatch.field.values import FieldValues
+from magmatch.geometry import transform_points
+from magmatch.typing import Mask, Matrix, Points, Scalars
+
+# So far from any sample that every prior is back to itself, m.
+NOWHERE = 1e7
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BoundedPosterior:
+    """A posterior within a box; fills `magmatch.field.linear_model.Posterior`.
+
+    Attributes
+    ----------
+    inner : Posterior
+        What holds inside.
+    low, high : (3,) array, m
+        Corners of the box.
+    T_domain_model : RigidTransform
+        Takes model coordinates to those of the box.
+    """
+
+    inner: Posterior
+    low: np.ndarray
+    high: np.ndarray
+    T_domain_model: RigidTransform
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Of the inner model."""
+        return self.inner.hyperparameters
+
+    @property
+    def weights(self) -> Scalars:
+        """Of the inner model."""
+        return self.inner.weights
+
+    def contains(self, points: Points) -> Mask:
+        """Whether points (model frame) lie in the box."""
+        p = transform_points(points, self.T_domain_model)
+        return np.asarray(np.all((p >= self.low) & (p <= self.high), axis=1))
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+        """See `Posterior.evaluate`."""
+        return self.inner.evaluate(self._or_nowhere(points), order, weights)
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """See `Posterior.evaluate_on_grid`; point by point where the grid leaves the box."""
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        if self.contains(points).all():
+            return self.inner.evaluate_on_grid(axes, order)
+        return self.evaluate(points, order)
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """See `Posterior.covariance`."""
+        return self.inner.covariance(self._or_nowhere(points), order)
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+        """See `Posterior.draw_weights`."""
+        return self.inner.draw_weights(n_draws, rng)
+
+    def knows(self, points: Points) -> Mask:
+        """See `Posterior.knows`."""
+        return self.inner.knows(points) & self.contains(points)
+
+    def _or_nowhere(self, points: Points) -> Points:
+        return np.where(self.contains(points)[:, None], points, NOWHERE)
