@@ -20,12 +20,12 @@ from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.walk import Walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
-# Longest step: rad, and in lengthscales.
-MAX_TURN, MAX_SHIFT = 0.15, 0.4
-# Spread of a pose that the data leave free: what the search hands over is nearer than this. Rad, and in lengthscales.
-FREE_TURN, FREE_SHIFT = 0.5, 2.0
-# Unrelated field: tried lengthscales (in the map's) and strengths (in the walk's own standard deviation).
-NULL_LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
+# Longest step: rad, and in field lengths.
+MAX_TURN, MAX_SHIFT = 0.15, 0.3
+# Spread of a pose that the data leave free, rad and in field lengths: what the search hands over is nearer.
+FREE_TURN, FREE_SHIFT = 0.5, 1.5
+# Unrelated field: tried lengthscales (in field lengths) and strengths (in the walk's own standard deviation).
+NULL_LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
 NULL_STRENGTHS = (0.5, 1.0, 2.0, 4.0)
 # Every so many-th bin decides which unrelated field is the most likely.
 NULL_BINS = 60
@@ -78,7 +78,7 @@ class LineEvidence:
 
 
 def weigh_walk(
-    base: PreparedMap, walk: Walk, starts: list[RigidTransform], noise: PathNoise, config: LineConfig
+    base: PreparedMap, walk: Walk, starts: list[RigidTransform], noise: PathNoise, length: float, config: LineConfig
 ) -> list[LineEvidence]:
     """Refine poses of a walk and order them by their evidence.
 
@@ -89,6 +89,8 @@ def weigh_walk(
     starts : list of RigidTransform
         Base model frame from the walk's frame.
     noise : PathNoise
+    length : float, m
+        The base's field length.
     config : LineConfig
 
     Returns
@@ -98,8 +100,9 @@ def weigh_walk(
     """
     if not starts or len(walk) < config.min_bins:
         return []
-    squares = _LeastSquares(base, walk, cdist(walk.positions, walk.positions), noise, walk.positions.mean(axis=0))
-    null = UnrelatedWalk.most_likely(walk, squares.distance, noise, base.lengthscale)
+    distance = cdist(walk.positions, walk.positions)
+    squares = _LeastSquares(base, walk, distance, noise, length, walk.positions.mean(axis=0))
+    null = UnrelatedWalk.most_likely(walk, distance, noise, length)
     R = np.stack([T.rotation.as_matrix() for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, config.n_coarse_steps, is_full=False), config)
@@ -130,7 +133,7 @@ class UnrelatedWalk:
     covariance: Matrix
 
     @classmethod
-    def most_likely(cls, walk: Walk, distance: Matrix, noise: PathNoise, lengthscale: float) -> "UnrelatedWalk":
+    def most_likely(cls, walk: Walk, distance: Matrix, noise: PathNoise, length: float) -> "UnrelatedWalk":
         """Choose lengthscale and strength by the likelihood of the walk's field."""
         n = len(walk)
         some = np.unique(np.linspace(0, n - 1, min(n, NULL_BINS)).astype(np.int64))
@@ -139,11 +142,11 @@ class UnrelatedWalk:
         constant = float((walk.field**2).sum(axis=1).mean()) / 3
         best, chosen = -np.inf, (1.0, spread2)
         for factor, strength in product(NULL_LENGTHSCALES, NULL_STRENGTHS):
-            length, variance = factor * lengthscale, strength**2 * spread2
-            K = _unrelated_covariance(d2, length, variance, constant, noise)
+            scale, variance = factor * length, strength**2 * spread2
+            K = _unrelated_covariance(d2, scale, variance, constant, noise)
             found = _log_likelihood(walk.field[some], K)
             if found > best:
-                best, chosen = found, (length, variance)
+                best, chosen = found, (scale, variance)
         return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant, noise))
 
     def log_likelihood(self, rows: Mask) -> float:
@@ -174,11 +177,12 @@ class _LeastSquares:
     walk: Walk
     distance: Matrix
     noise: PathNoise
+    length: float
     center: Vector3
 
     def run(self, R: Tensors, p: Points, n_steps: int, *, is_full: bool) -> _Fits:
         """Take steps; the last evaluation only states chi^2 and information."""
-        scale = np.repeat([MAX_TURN, MAX_SHIFT * self.base.lengthscale], 3)
+        scale = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
         for _ in range(n_steps):
             fits, v = self._evaluate(R, p, is_full=is_full)
             xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
@@ -205,7 +209,7 @@ class _LeastSquares:
         G = G * known[..., None, None]
         white, half_log_det = (self._whiten_full if is_full else self._whiten_alike)(rows, G, sd, known)
         z, JW = white[:, :, 0], white[:, :, 1:]
-        free = np.repeat([FREE_TURN, FREE_SHIFT * self.base.lengthscale], 3)
+        free = np.repeat([FREE_TURN, FREE_SHIFT * self.length], 3)
         information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
         v = np.einsum("hki,hk->hi", JW, z)
         return _Fits(R, p, known, information, (z**2).sum(axis=1), half_log_det), v
@@ -213,7 +217,7 @@ class _LeastSquares:
     def _whiten_alike(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
         """Components taken alike: one small factor serves all three, the drift sees the gradient's mean square."""
         drift2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
-        C = self.noise.isotropic(self.distance, sd, self.base.lengthscale)
+        C = self.noise.isotropic(self.distance, sd)
         drift2 = drift2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
         C = C + drift2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
         h, n = known.shape
@@ -223,7 +227,7 @@ class _LeastSquares:
     def _whiten_full(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
         """Components coupled by poses that drift through the gradient."""
         h, n = known.shape
-        C = self.noise.full(self.distance, sd, self.base.lengthscale, G, np.broadcast_to(self.walk.field, (h, n, 3)))
+        C = self.noise.full(self.distance, sd, G, np.broadcast_to(self.walk.field, (h, n, 3)))
         return _whiten(_isolate(C, np.repeat(known, 3, axis=1)), rows.reshape(h, 3 * n, 7))
 
 

@@ -25,14 +25,14 @@ SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
 
 
 class PairSearchConfig(BaseModel):
-    """Counts and scales of the search; lengths in lengthscales of the base map."""
+    """Counts and scales of the search; lengths in the base's field length."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Distance of the base points that make pairs, and shortest and longest pair.
-    point_distance: float = Field(default=0.3, gt=0)
-    min_distance: float = Field(default=1.0, gt=0)
-    max_distance: float = Field(default=8.0, gt=0)
+    point_distance: float = Field(default=0.25, gt=0)
+    min_distance: float = Field(default=0.8, gt=0)
+    max_distance: float = Field(default=6.2, gt=0)
     # Most pairs in the table; more points than that need are thinned further.
     max_pairs: int = Field(default=600_000, ge=1000)
     # Pairs of the target that vote, and base pairs with the most similar invariants that each is tried on.
@@ -47,10 +47,10 @@ class PairSearchConfig(BaseModel):
     # Share of bins that may match nothing.
     outlier_share: float = Field(default=0.3, gt=0, lt=1)
     # Where another walk passes a base point, per axis.
-    sd_position: float = Field(default=0.15, gt=0)
-    # Inaccuracy of a pose from one pair: rad, and in lengthscales.
+    sd_position: float = Field(default=0.12, gt=0)
+    # Inaccuracy of a pose from one pair: rad, and in field lengths.
     sd_rotation: float = Field(default=0.07, gt=0)
-    sd_translation: float = Field(default=0.25, gt=0)
+    sd_translation: float = Field(default=0.2, gt=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,7 +65,8 @@ class PairTable:
         Rows of the points that make each pair.
     tree : cKDTree
         Of the whitened invariants.
-    lengthscale : float, m
+    length : float, m
+        The base's field length.
     sd_position, sd_field : float, m and T
         Uncertainty of a point and of its field when another walk passes; whitening and alignment use it.
     field_norm, gradient_rms : float, T and T/m
@@ -77,19 +78,21 @@ class PairTable:
     first: Indices
     second: Indices
     tree: cKDTree
-    lengthscale: float
+    length: float
     sd_position: float
     sd_field: float
     field_norm: float
     gradient_rms: float
 
 
-def tabulate_pairs(base: PreparedMap, noise_sd: float, config: PairSearchConfig) -> PairTable:
+def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: PairSearchConfig) -> PairTable:
     """List the base's pairs of points; one table serves any number of walks.
 
     Parameters
     ----------
     base : PreparedMap
+    length : float, m
+        Its field length.
     noise_sd : float, T
         Of one field component between two walks through one place.
     config : PairSearchConfig
@@ -98,7 +101,6 @@ def tabulate_pairs(base: PreparedMap, noise_sd: float, config: PairSearchConfig)
     -------
     PairTable
     """
-    length = base.lengthscale
     is_known = base.raster.lookup(base.points)[3]
     x, b, G = base.points[is_known], base.point_field[is_known], base.point_gradient[is_known]
     rows, pairs = _pairs(x, config, length)
@@ -140,17 +142,17 @@ def pair_search(
     evidence = _evidence(base, table, walk)
     some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
     rows = np.tile(some, (len(pt), 1))
-    sd = np.array([config.sd_rotation, config.sd_translation * table.lengthscale])
+    sd = np.array([config.sd_rotation, config.sd_translation * table.length])
     log.info("scoring %d hypotheses", len(R))
     scores = score_poses(R, pb, pair_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
     center = walk.positions.mean(axis=0)
-    best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.lengthscale, config)
+    best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.length, config)
     R, pb, pair_rows = R[best], pb[best], pair_rows[best]
     R, pb, scores = anneal_poses(
         R, pb, pair_rows, pt, rows, evidence, base, np.outer(SCHEDULE, sd), config.outlier_share, damping=0.3
     )
     moved = _carry(center, R, pb, pt[pair_rows])
-    keep = distinct_poses(R, moved, scores, 0.1, 0.4 * table.lengthscale, config.n_candidates)
+    keep = distinct_poses(R, moved, scores, 0.1, 0.3 * table.length, config.n_candidates)
     return SearchResult(
         tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k])) for k in keep),
         n_keypoints=len(table.positions) + len(walk),
@@ -170,8 +172,8 @@ def choose_pairs(
     """
     i, j = np.triu_indices(len(walk), 1)
     d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
-    longest = config.max_distance * table.lengthscale - table.sd_position
-    usable = np.flatnonzero((d > config.min_distance * table.lengthscale) & (d < longest))
+    longest = config.max_distance * table.length - table.sd_position
+    usable = np.flatnonzero((d > config.min_distance * table.length) & (d < longest))
     i, j, d = i[usable], j[usable], d[usable]
     change = np.linalg.norm(walk.field[i] - walk.field[j], axis=1)
     share = d * (table.sd_field + change)

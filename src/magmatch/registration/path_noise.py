@@ -21,11 +21,11 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
 log = logging.getLogger(__name__)
 
-# Of the base's path: length of a left-out stretch in lengthscales, and every how many-th is left out.
-STRETCH_LENGTHSCALES = 6.0
+# Of the base's path: length of a left-out stretch in field lengths, and every how many-th is left out.
+STRETCH_LENGTH = 5.0
 EVERY = 5
-# Bins per stretch and its step in lengthscales.
-STEP_LENGTHSCALES = 0.3
+# Bins per stretch and its step in field lengths.
+STEP_LENGTH = 0.25
 MIN_BINS = 8
 MAX_STRETCHES = 40
 # Spread (natural log) of the guess that the data correct.
@@ -48,8 +48,9 @@ class PathNoise:
         What each bin has for itself.
     constant_sd : float, T
         What is shared by the whole walk.
-    map_factor : float
-        On the map's own standard deviation.
+    map_factor, map_length : float, and m
+        Factor on the map's own standard deviation, and distance over which its error is alike:
+        ``exp(-d^2 / 2 length^2)``.
     attitude_sd : float, rad
         Error of the orientations that turned the field into the survey's frame, correlated like the drift.
     drift_sd, drift_length : float, m
@@ -63,6 +64,7 @@ class PathNoise:
     nugget_sd: float
     constant_sd: float
     map_factor: float
+    map_length: float
     attitude_sd: float
     drift_sd: float
     drift_length: float
@@ -94,7 +96,7 @@ class PathNoise:
         best = int(np.argmax(found))
         return float(np.exp(log_factor[best])), float(found[best])
 
-    def isotropic(self, distance: Matrix, map_sd: Scalars, lengthscale: float) -> Matrix:
+    def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2.
 
         Parameters
@@ -102,8 +104,7 @@ class PathNoise:
         distance : (..., n, n) array, m
             Between the bins.
         map_sd : (..., n) array, T
-            The map's own spread at the bins; its error is correlated over the lengthscale.
-        lengthscale : float, m
+            The map's own spread at the bins.
 
         Returns
         -------
@@ -111,18 +112,16 @@ class PathNoise:
         """
         C = self.misfit_sd**2 * np.exp(-distance / self.misfit_length) + self.constant_sd**2
         map_sd = self.map_factor * map_sd
-        C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / lengthscale) ** 2)
+        C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / self.map_length) ** 2)
         C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
         return np.asarray(C)
 
-    def full(
-        self, distance: Matrix, map_sd: Scalars, lengthscale: float, gradient: Tensors, field: Vectors
-    ) -> Matrix:
+    def full(self, distance: Matrix, map_sd: Scalars, gradient: Tensors, field: Vectors) -> Matrix:
         """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2.
 
         Parameters
         ----------
-        distance, map_sd, lengthscale
+        distance, map_sd
             As in `isotropic`.
         gradient : (..., n, 3, 3) array, T/m
             Of the map, at the bins.
@@ -136,7 +135,7 @@ class PathNoise:
         fades = np.exp(-distance / self.drift_length)
         flat = moves.reshape(*moves.shape[:-3], 3 * n, 6)
         C = flat @ np.swapaxes(flat, -1, -2) * np.repeat(np.repeat(fades, 3, axis=-2), 3, axis=-1)
-        return C + np.kron(self.isotropic(distance, map_sd, lengthscale), np.eye(3))
+        return np.asarray(C + np.kron(self.isotropic(distance, map_sd), np.eye(3)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -150,12 +149,14 @@ class Stretch:
     field: Vectors
 
 
-def learn_path_noise(field_map: FieldMap, rng: np.random.Generator) -> PathNoise:
+def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generator) -> PathNoise:
     """Most likely covariance of residuals for a walk through a map.
 
     Parameters
     ----------
     field_map : FieldMap
+    length : float, m
+        Its field length.
     rng : numpy Generator
         Draws that give the spread of the map without the stretches.
 
@@ -166,27 +167,30 @@ def learn_path_noise(field_map: FieldMap, rng: np.random.Generator) -> PathNoise
     h = field_map.hyperparameters
     guess = PathNoise(
         misfit_sd=h.noise_sd,
-        misfit_length=h.lengthscale,
+        misfit_length=length,
         nugget_sd=0.5 * h.noise_sd,
         constant_sd=0.5 * h.noise_sd,
         map_factor=1.0,
+        map_length=length,
         attitude_sd=ATTITUDE_SD,
-        drift_sd=max(field_map.survey.pose_sd, 0.02 * h.lengthscale),
-        drift_length=4 * h.lengthscale,
+        drift_sd=max(field_map.survey.pose_sd, 0.02 * length),
+        drift_length=4 * length,
     )
-    stretches = predict_stretches(field_map, rng)
+    stretches = predict_stretches(field_map, length, rng)
     log.info("learning the residuals along a path from %d left-out stretches", len(stretches))
     if not stretches:
         return guess
-    return most_likely(guess, stretches, h.lengthscale)
+    return most_likely(guess, stretches)
 
 
-def predict_stretches(field_map: FieldMap, rng: np.random.Generator) -> list[Stretch]:
+def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generator) -> list[Stretch]:
     """Leave out every fifth stretch of the survey's path and predict it from the rest.
 
     Parameters
     ----------
     field_map : FieldMap
+    length : float, m
+        Its field length.
     rng : numpy Generator
 
     Returns
@@ -198,7 +202,7 @@ def predict_stretches(field_map: FieldMap, rng: np.random.Generator) -> list[Str
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     steps = np.linalg.norm(np.diff(samples.positions, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
-    stretch = (arc / (STRETCH_LENGTHSCALES * h.lengthscale)).astype(np.int64)
+    stretch = (arc / (STRETCH_LENGTH * length)).astype(np.int64)
     is_left_out = stretch % EVERY == EVERY // 2
     if not is_left_out.any() or is_left_out.all():
         return []
@@ -214,7 +218,7 @@ def predict_stretches(field_map: FieldMap, rng: np.random.Generator) -> list[Str
         rows = np.flatnonzero((stretch == k) & is_known)
         if len(rows) < MIN_BINS:
             continue
-        bins = bin_along_path(np.ascontiguousarray(x[rows]), STEP_LENGTHSCALES * h.lengthscale)
+        bins = bin_along_path(np.ascontiguousarray(x[rows]), STEP_LENGTH * length)
         if bins[-1] + 1 >= MIN_BINS and values.gradient is not None:
             found.append(
                 Stretch(
@@ -225,15 +229,13 @@ def predict_stretches(field_map: FieldMap, rng: np.random.Generator) -> list[Str
     return [found[k] for k in chosen]
 
 
-def most_likely(guess: PathNoise, stretches: list[Stretch], lengthscale: float) -> PathNoise:
+def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     """Parameters that explain the stretches' residuals best, held loosely near a guess.
 
     Parameters
     ----------
     guess : PathNoise
     stretches : list of Stretch
-    lengthscale : float, m
-        Of the map.
 
     Returns
     -------
@@ -246,7 +248,7 @@ def most_likely(guess: PathNoise, stretches: list[Stretch], lengthscale: float) 
         """Chi^2 and half log-determinant of each stretch."""
         chi2, half_log_det = [], []
         for distance, sd, gradient, field, residual in stacks:
-            L = np.linalg.cholesky(noise.full(distance, sd, lengthscale, gradient, field))
+            L = np.linalg.cholesky(noise.full(distance, sd, gradient, field))
             z = np.linalg.solve(L, residual.reshape(len(L), -1, 1))
             chi2.append((z**2).sum(axis=(1, 2)))
             half_log_det.append(np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1))

@@ -12,7 +12,7 @@ from magmatch.registration.pair_search import PairSearchConfig, PairTable, pair_
 from magmatch.registration.path_noise import PathNoise, learn_path_noise
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.walk import walk_of
+from magmatch.registration.walk import field_length, walk_of
 from magmatch.registration.walk_answer import WalkDecisionConfig, by_line_evidence
 
 
@@ -33,12 +33,15 @@ class WalkIndex:
     Attributes
     ----------
     base : PreparedMap
+    length : float, m
+        Its field length.
     noise : PathNoise
         What residuals of another walk look like.
     table : PairTable
     """
 
     base: PreparedMap
+    length: float
     noise: PathNoise
     table: PairTable
 
@@ -57,8 +60,9 @@ def index_walks(base: PreparedMap, config: WalkConfig, rng: np.random.Generator)
     -------
     WalkIndex
     """
-    noise = learn_path_noise(base.field_map, rng)
-    return WalkIndex(base, noise, tabulate_pairs(base, noise.total_sd, config.search))
+    length = field_length(base)
+    noise = learn_path_noise(base.field_map, length, rng)
+    return WalkIndex(base, length, noise, tabulate_pairs(base, length, noise.total_sd, config.search))
 
 
 def register_walk(
@@ -79,8 +83,8 @@ def register_walk(
     -------
     RegistrationResult
     """
-    walk = walk_of(target, index.base.lengthscale)
+    walk = walk_of(target, index.length)
     found = pair_search(index.base, index.table, walk, config.search, rng)
     starts = [c.T_base_target for c in found.candidates]
-    ranked = weigh_walk(index.base, walk, starts, index.noise, config.evidence)
-    return by_line_evidence(index.base, walk, found, ranked, config.decision)
+    ranked = weigh_walk(index.base, walk, starts, index.noise, index.length, config.evidence)
+    return by_line_evidence(index.base, walk, found, ranked, index.length, config.decision)

@@ -10,10 +10,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.registration.prepared import PreparedMap
 from magmatch.typing import Points, Scalars, Vectors
 
-# Length of a bin, in the base map's lengthscale: short against the field's changes, long against the samples' noise.
-BIN_LENGTHSCALES = 0.2
+# Length of a bin, in the base's field length: short against the field's changes, long against the samples' noise.
+BIN_LENGTH = 0.15
 # Most bins; longer walks get longer bins. Costs grow with the cube.
 MAX_BINS = 150
 # A survey is a line where its samples spread across the path by less than this share of the neighbourhood's radius.
@@ -47,15 +48,25 @@ class Walk:
         return len(self.positions)
 
 
-def walk_of(survey: Survey, lengthscale: float) -> Walk:
+def field_length(base: PreparedMap) -> float:
+    """Distance over which a map's field changes by as much as it varies: its spread over its gradient, m.
+
+    A property of the field rather than of the prior that fitted it; all lengths of a walk's registration count in it.
+    """
+    spread = float(np.sqrt(np.mean((base.point_field - base.point_field.mean(axis=0)) ** 2)))
+    gradient = float(np.sqrt(np.mean(base.point_gradient**2)))
+    return spread / gradient if gradient > 0 else base.lengthscale
+
+
+def walk_of(survey: Survey, length: float) -> Walk:
     """Average a survey in bins along its path.
 
     Parameters
     ----------
     survey : Survey
         Samples in the order they were taken.
-    lengthscale : float, m
-        Of the base map.
+    length : float, m
+        The base's field length.
 
     Returns
     -------
@@ -63,7 +74,7 @@ def walk_of(survey: Survey, lengthscale: float) -> Walk:
     """
     T_survey_walk = survey.principal_frame()
     local = survey.transformed(T_survey_walk.inv())
-    side = BIN_LENGTHSCALES * lengthscale
+    side = BIN_LENGTH * length
     while True:
         rows = bin_along_path(np.ascontiguousarray(local.positions), side)
         if rows[-1] < MAX_BINS:
@@ -110,26 +121,26 @@ def line_share(positions: Points, radius: float) -> float:
     is_line = []
     for near in cKDTree(positions).query_ball_point(some, radius):
         offset = positions[near] - positions[near].mean(axis=0)
-        across = np.sqrt(np.linalg.eigvalsh(offset.T @ offset / len(near))[1])
-        is_line.append(across < MAX_BREADTH * radius)
+        across2 = np.linalg.eigvalsh(offset.T @ offset / len(near))[1]
+        is_line.append(across2 < (MAX_BREADTH * radius) ** 2)
     return float(np.mean(is_line))
 
 
-def choose_search(target: Survey, lengthscale: float) -> Literal["pairs", "invariants"]:
+def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
     """Which search suits a target: pairs of points where it is a short line, a frame at every point otherwise.
 
     Parameters
     ----------
     target : Survey
-    lengthscale : float, m
-        Of the base map.
+    length : float, m
+        The base's field length.
 
     Returns
     -------
     str
     """
-    if line_share(target.positions, lengthscale) < MIN_LINE_SHARE:
+    if line_share(target.positions, length) < MIN_LINE_SHARE:
         return "invariants"
-    rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTHSCALES * lengthscale)
+    rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTH * length)
     # A long line crosses itself and fills areas: that is breadth of another kind.
     return "pairs" if rows[-1] < MAX_BINS else "invariants"

@@ -16,9 +16,9 @@ from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
 from magmatch.registration.walk import Walk
 
-# Poses nearer than this are one answer: rad, and in lengthscales.
+# Poses nearer than this are one answer: rad, and in field lengths.
 SAME_ROTATION = 0.14
-SAME_PLACE = 0.7
+SAME_PLACE = 0.55
 
 
 class WalkDecisionConfig(BaseModel):
@@ -29,17 +29,22 @@ class WalkDecisionConfig(BaseModel):
     # Fewest bins' share inside the base map.
     min_coverage: float = Field(default=0.6, ge=0, le=1)
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
-    min_log_evidence: float = 20.0
-    min_lead: float = 10.0
+    min_log_evidence: float = 8.0
+    min_lead: float = 8.0
     # Largest normalised residual: beyond it the learned covariance does not describe what was measured.
     max_residual: float = Field(default=2.0, gt=0)
-    # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
+    # Largest standard deviation of the pose in its worst direction: rad, and in field lengths.
     max_sd_rotation: float = Field(default=0.03, gt=0)
-    max_sd_translation: float = Field(default=0.15, gt=0)
+    max_sd_translation: float = Field(default=0.12, gt=0)
 
 
 def by_line_evidence(
-    base: PreparedMap, walk: Walk, found: SearchResult, ranked: list[LineEvidence], config: WalkDecisionConfig
+    base: PreparedMap,
+    walk: Walk,
+    found: SearchResult,
+    ranked: list[LineEvidence],
+    length: float,
+    config: WalkDecisionConfig,
 ) -> RegistrationResult:
     """Judge weighed poses of a walk and state the answer in survey frames.
 
@@ -51,6 +56,8 @@ def by_line_evidence(
         Counts of the search.
     ranked : list of LineEvidence
         Best first.
+    length : float, m
+        The base's field length.
     config : WalkDecisionConfig
 
     Returns
@@ -59,11 +66,11 @@ def by_line_evidence(
     """
     if not ranked:
         reason = (
-            "no pose to judge: the walk is shorter than the base's lengthscale, or none of its pairs is in the base"
+            "no pose to judge: the walk is shorter than the base's field length, or none of its pairs is in the base"
         )
         return RegistrationResult(Status.UNINFORMATIVE, reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
-    rivals = _distinct(ranked, SAME_PLACE * base.lengthscale)[1:]
+    rivals = _distinct(ranked, SAME_PLACE * length)[1:]
     lead = best.log_evidence - max((e.log_evidence for e in rivals), default=-np.inf)
     poses = [base.T_map_model * e.T_base_walk * walk.T_survey_walk.inv() for e in (best, *rivals)]
     free = free_directions(
@@ -72,7 +79,7 @@ def by_line_evidence(
         walk.T_survey_walk,
         poses[0].rotation.as_matrix(),
         config.max_sd_rotation,
-        config.max_sd_translation * base.lengthscale,
+        config.max_sd_translation * length,
     )
     accepted = Verdict(
         Status.ACCEPTED,

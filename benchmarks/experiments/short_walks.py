@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Short stretches of one walk through a two-floor building, found in the map of the whole building from another walk.
+
+    python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20,10,5] [--tries 100] [--seed 100]
+        [--floor 2] [--cut-out] [--spacing M --lengthscale M]
+
+CEA: base = walk one, both floors; targets = stretches of walk two on one floor, moved by a random SE(3) of their own.
+Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
+(its pairs of points and its known region), so that nothing is right. Prints the counts, the error, the consistency of
+the covariance (NEES per degree of freedom) and the seconds per query with the map and its index built.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import magmatch as mm
+from magmatch.data.recordings import load_recordings
+from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
+from magmatch.geometry import log_se3, random_transform, transform_error, transform_points
+from magmatch.registration.pair_search import tabulate_pairs
+from magmatch.registration.prepared import prepare
+from magmatch.registration.register_walk import WalkConfig, WalkIndex, index_walks, register_walk
+
+LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+MAX_M, MAX_DEG = 0.25, 3.0
+# Farther than this from the truth is another place rather than a rough answer.
+OTHER_PLACE_M = 1.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One try."""
+
+    is_accepted: bool
+    is_right: bool
+    is_elsewhere: bool
+    distance: float
+    angle_deg: float
+    nees: float
+    seconds: float
+    reason: str
+
+
+def stretches(walk: Survey, length: float, n: int, rng: np.random.Generator) -> Iterator[Survey]:
+    """Stretches of a given length that start anywhere and have no gap."""
+    steps = np.linalg.norm(np.diff(walk.positions, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    found = 0
+    while found < n:
+        start = arc[rng.integers(len(walk))]
+        rows = np.flatnonzero((arc >= start) & (arc <= start + length))
+        if arc[rows[-1]] - start < 0.95 * length or np.diff(arc[rows]).max() > 0.3:
+            continue
+        found += 1
+        yield walk.subset(rows)
+
+
+def cut_out(index: WalkIndex, path_model: np.ndarray, radius: float, config: WalkConfig) -> WalkIndex:
+    """Take the surroundings of a path out of what the base knows."""
+    raster = index.base.raster
+    known = np.argwhere(raster.sd >= 0)
+    near = cKDTree(path_model).query(raster.origin + raster.spacing * known, distance_upper_bound=radius)[0] < radius
+    sd = raster.sd.copy()
+    sd[tuple(known[near].T)] = -1.0
+    base = replace(index.base, raster=replace(raster, sd=sd))
+    return replace(index, base=base, table=tabulate_pairs(base, index.length, index.noise.total_sd, config.search))
+
+
+def try_one(index: WalkIndex, stretch: Survey, rng: np.random.Generator, config: WalkConfig) -> Outcome:
+    """Move a stretch, register it, compare with the truth."""
+    T_base_target = random_transform(rng)
+    target = stretch.transformed(T_base_target.inv())
+    start = time.perf_counter()
+    result = register_walk(index, target, config, rng)
+    seconds = time.perf_counter() - start
+    best = result.T_base_target or (result.alternatives[0].T_base_target if result.alternatives else None)
+    distance, angle = transform_error(best, T_base_target, target.centroid) if best else (np.inf, np.inf)
+    nees = np.nan
+    if result.T_base_target is not None and result.covariance is not None:
+        xi = log_se3(result.T_base_target.inv() * T_base_target)
+        nees = float(xi @ np.linalg.solve(result.covariance, xi)) / 6
+    is_right = bool(distance <= MAX_M and np.degrees(angle) <= MAX_DEG)
+    is_elsewhere = bool(distance > OTHER_PLACE_M)
+    return Outcome(
+        result.is_accepted, is_right, is_elsewhere, distance, float(np.degrees(angle)), nees, seconds, result.reason
+    )
+
+
+def report(length: float, outcomes: list[Outcome]) -> None:
+    accepted = [o for o in outcomes if o.is_accepted]
+    good = [o for o in accepted if o.is_right]
+    print(
+        f"{length:4.0f} m: {len(outcomes)} tries, best pose right {sum(o.is_right for o in outcomes)}, "
+        f"accepted and right {len(good)} ({len(good) / len(outcomes):.0%}), "
+        f"accepted in another place {sum(o.is_elsewhere for o in accepted)}, "
+        f"accepted in place but out of tolerance {sum(not o.is_right and not o.is_elsewhere for o in accepted)}"
+    )
+    if accepted:
+        print(
+            f"        median error {1e3 * np.median([o.distance for o in accepted]):.0f} mm, "
+            f"{np.median([o.angle_deg for o in accepted]):.2f} deg; NEES/6 mean "
+            f"{np.mean([o.nees for o in accepted]):.2f}, median {np.median([o.nees for o in accepted]):.2f}"
+        )
+    seconds = [o.seconds for o in outcomes[1:]]
+    print(f"        seconds per query: median {np.median(seconds):.3f}, 95 % {np.quantile(seconds, 0.95):.3f}")
+    for o in accepted:
+        if not o.is_right:
+            print(f"        ACCEPTED {o.distance:.2f} m {o.angle_deg:.2f} deg off: {o.reason}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--from", dest="source", type=Path, default=LOCAL if LOCAL.is_dir() else None)
+    parser.add_argument("--lengths", default="20,10,5")
+    parser.add_argument("--tries", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--floor", type=int, choices=(1, 2), default=2)
+    parser.add_argument("--cut-out", action="store_true")
+    parser.add_argument("--spacing", type=float, default=None)
+    parser.add_argument("--lengthscale", type=float, default=None)
+    arguments = parser.parse_args()
+    walks = load_recordings("cea", arguments.source)
+    config, rng = WalkConfig(), np.random.default_rng(0)
+    start = time.perf_counter()
+    base_map = mm.build_map(
+        walks["training"], FieldConfig(spacing=arguments.spacing, lengthscale=arguments.lengthscale)
+    )
+    built = time.perf_counter()
+    index = index_walks(prepare(base_map, 8, rng), config, rng)
+    print(
+        f"base: {len(walks['training'])} samples, map {built - start:.1f} s, "
+        f"index {time.perf_counter() - built:.1f} s ({len(index.table.first)} pairs of points), field length {index.length:.2f} m\n{index.noise}"
+    )
+    for length in map(float, arguments.lengths.split(",")):
+        rng = np.random.default_rng([arguments.seed, int(length)])
+        outcomes = []
+        for stretch in stretches(walks[f"test-floor{arguments.floor}"], length, arguments.tries, rng):
+            path_model = transform_points(stretch.positions, base_map.T_map_model.inv())
+            seen = cut_out(index, path_model, 3.0, config) if arguments.cut_out else index
+            outcomes.append(try_one(seen, stretch, rng, config))
+        report(length, outcomes)
+
+
+if __name__ == "__main__":
+    main()
