@@ -154,8 +154,9 @@ def stack_products(
         Rows as in `N_ROWS`; units 1, 1/m, 1/m^2.
     """
     n, m = shape
+    plan = derivative_plan(terms, order)
     out = np.zeros((N_ROWS[order], n, 3, m))
-    for alpha, targets in derivative_plan(terms, order):
+    for alpha, targets in plan:
         values = product_of(alpha)
         for target in targets:
             out[target.row, :, target.weight] += (target.factor / lengthscale**target.n_derivatives) * values

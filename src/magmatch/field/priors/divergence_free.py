@@ -29,7 +29,7 @@ class DivergenceFreeConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Spacing of the inducing points over the lengthscale; see docs/theory.md for the figures.
-    spacing_ratio: float = Field(default=0.85, gt=0)
+    spacing_ratio: float = Field(default=0.7, gt=0)
     # How far beyond the samples inducing points lie, in lengthscales.
     reach_ratio: float = Field(default=1.0, ge=0)
     # Most inducing points (3 weights each); more makes the spacing, and if need be the lengthscale, wider.
