@@ -3,6 +3,8 @@
 
 import csv
 import json
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.read import read_survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_error
+from magmatch.registration.result import RegistrationResult
 
 
 def read_csv(path: Path) -> tuple[list[str], np.ndarray]:
@@ -218,3 +221,27 @@ def test_verbose_says_each_step(place, run, tmp_path):
     loud = run("map", place / "base.csv", "--out", tmp_path / "a.map", "--verbose")
     assert "fitting the field" in loud.err
     assert "fitting the field" not in quiet.err
+
+
+def test_demo_finds_the_truth_and_draws_it(run, tmp_path):
+    pytest.importorskip("plotly")
+    outcome = run("demo", "--out", tmp_path / "demo", "--json")
+    assert outcome.code == 0
+    assert json.loads(outcome.out)["status"] == "accepted"
+    millimetres, degrees = map(float, re.search(r"truth: ([\d.]+) mm and ([\d.]+) deg", outcome.err).groups())
+    assert millimetres < 20
+    assert degrees < 1
+    for name in ("result.json", "report.html"):
+        assert str(tmp_path / "demo" / name) in outcome.err
+        assert (tmp_path / "demo" / name).exists()
+
+
+def test_demo_works_without_the_picture(place, run, tmp_path, monkeypatch):
+    result = RegistrationResult.load(place / "result.json")
+    monkeypatch.setattr("magmatch.cli.demo.register_keeping_maps", lambda *_: (None, None, result))
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    outcome = run("demo", "--out", tmp_path / "demo")
+    assert outcome.code == 0
+    assert "No picture: " in outcome.err
+    assert "magmatch[viz]" in outcome.err
+    assert [path.name for path in (tmp_path / "demo").iterdir()] == ["result.json"]

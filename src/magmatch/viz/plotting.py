@@ -81,29 +81,42 @@ def lines3d(starts: Points, ends: Points, **style: Any) -> Any:
 
 
 def new_scene(title: str, traces: list[Any], frame: str) -> "Figure":
-    """Put traces into a 3-D figure with equal axes in metres."""
+    """Put traces into a 3-D figure with equal scales in metres."""
+    figure = require_plotly().Figure(traces)
+    figure.update_layout(
+        **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
+        scene=_box(np.concatenate([np.column_stack([t.x, t.y, t.z]) for t in traces])),
+        height=480,
+        legend={"orientation": "h", "y": -0.02, "x": 0, "itemsizing": "constant"},
+    )
+    return figure
+
+
+def _box(p: Points) -> dict[str, Any]:
+    """Axes around points, sized by their longest side.
+
+    Plotly's own aspect mode 'data' scales by volume, which blows flat surveys up beyond the picture.
+    """
+    low, high = np.nanmin(p, axis=0).astype(np.float64), np.nanmax(p, axis=0).astype(np.float64)
+    longest = max(float((high - low).max()), 1e-3)
+    pad = np.maximum(0.05 * longest, (0.2 * longest - (high - low)) / 2)
+    low, high = low - pad, high + pad
+    aspect = 1.6 * (high - low) / (high - low).max()
     axes = {
         f"{axis}axis": {
             "title": {"text": f"{axis} (m)"},
+            "range": [float(low[k]), float(high[k])],
             "backgroundcolor": "white",
             "gridcolor": QUIET,
             "zerolinecolor": QUIET,
             "showspikes": False,
         }
-        for axis in "xyz"
+        for k, axis in enumerate("xyz")
     }
-    figure = require_plotly().Figure(traces)
-    figure.update_layout(
-        **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
-        scene={
-            "aspectmode": "data",
-            "camera": {"eye": {"x": 1.35, "y": -1.75, "z": 1.25}, "center": {"x": 0, "y": 0, "z": -0.2}},
-            **axes,
-        },
-        height=480,
-        legend={"orientation": "h", "y": -0.02, "x": 0, "itemsizing": "constant"},
-    )
-    return figure
+    eye, center = {"x": 1.35, "y": -1.75, "z": 1.25}, {"x": 0, "y": 0, "z": -0.2}
+    aspect_ratio = dict(zip("xyz", aspect.tolist(), strict=True))
+    camera = {"eye": eye, "center": center}
+    return {"aspectmode": "manual", "aspectratio": aspect_ratio, "camera": camera, **axes}
 
 
 def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":

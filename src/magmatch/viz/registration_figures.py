@@ -95,10 +95,11 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     cut = cut_through(p_base)
     field, is_known = field_on(cut, base_map)
     if T_base_target is None:
-        limits = common_limits(magnitude_ut(field[is_known]))
+        limits = common_limits(magnitude_ut(base_map.survey.field))
         return [magnitude_slice("|B| of the base map", cut, field, is_known, limits)]
     brought, is_known_too = field_on(cut, target_map, T_base_target)
-    limits = common_limits(magnitude_ut(field[is_known]), magnitude_ut(brought[is_known_too]))
+    # From the samples: between and beyond them a map may swing farther than anything that was measured.
+    limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
     both = is_known & is_known_too
     apart = UT_PER_TESLA * np.linalg.norm(field - brought, axis=1)
     return [
@@ -122,7 +123,7 @@ def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, l
     rows = thinned(len(link_base), MAX_LINKS)
     ends = [
         ("keypoints of base", link_base, BASE_COLOR, "square-open", 7),
-        ("keypoints of target", link_target, TARGET_COLOR, "diamond", 4),
+        ("keypoints of target", link_target, TARGET_COLOR, "diamond-open", 7),
     ]
     traces += [
         points3d(p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name")

@@ -42,13 +42,20 @@ def survey_figure(survey: Survey) -> "Figure":
     magnitude = magnitude_ut(survey.field[rows])
     low, high = common_limits(magnitude)
     marker: dict[str, Any] = {
-        "size": 3,
+        "size": 3 if len(rows) < 1000 else 2,
         "symbol": BASE_MARKER,
         "color": for_display(magnitude),
         "colorscale": FIELD_SCALE,
         "cmin": low,
         "cmax": high,
-        "colorbar": {"title": {"text": "|B| (uT)"}, "thickness": 12, "len": 0.75},
+        "colorbar": {
+            "title": {"text": "|B| (uT)", "side": "top"},
+            "orientation": "h",
+            "thickness": 12,
+            "len": 0.8,
+            "y": -0.02,
+            "yanchor": "top",
+        },
     }
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
     trace = points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)
@@ -102,7 +109,7 @@ def map_figures(field_map: FieldMap) -> "list[Figure]":
     field, is_known = field_on(cut, field_map)
     variance = np.trace(field_map.covariance(cut.points), axis1=1, axis2=2) / 3
     sd = UT_PER_TESLA * np.sqrt(np.maximum(variance, 0))
-    limits = common_limits(magnitude_ut(field[is_known]))
+    limits = common_limits(magnitude_ut(survey.field))
     return [
         survey_figure(survey),
         magnitude_slice(f"{label(survey.name)}: |B|, posterior mean", cut, field, is_known, limits),

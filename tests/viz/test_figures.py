@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Figures show what the nouns hold, with units, in colours and shapes that everyone can tell apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magmatch.geometry import transform_points
+from magmatch.registration.result import Links
+
+pytest.importorskip("plotly")
+
+from magmatch.viz.plotting import thinned
+from magmatch.viz.registration_figures import scene_figures, slice_figures
+from magmatch.viz.slices import common_limits, cut_through
+from magmatch.viz.survey_figures import map_figures, profile_figure, survey_figure
+
+
+def xyz(trace):
+    return np.column_stack([trace.x, trace.y, trace.z])
+
+
+def test_after_registration_the_target_lies_in_the_base_frame(pair):
+    before, after = scene_figures(pair.base, pair.target, pair.accepted)
+    np.testing.assert_allclose(xyz(before.data[1]), pair.target.positions, atol=1e-6)
+    moved = transform_points(pair.target.positions, pair.accepted.T_base_target)
+    np.testing.assert_allclose(xyz(after.data[1]), moved, atol=1e-6)
+    np.testing.assert_allclose(xyz(before.data[0]), xyz(after.data[0]))
+
+
+def test_links_shrink_to_nothing_where_the_transform_is_right(pair):
+    before, after = scene_figures(pair.base, pair.target, pair.accepted)
+    lengths = []
+    for figure in (before, after):
+        rows = xyz(figure.data[-1]).reshape(-1, 3, 3)
+        lengths.append(np.linalg.norm(rows[:, 0] - rows[:, 1], axis=1))
+    assert lengths[0].max() > 0.1
+    assert lengths[1].max() < 1e-5
+
+
+def test_surveys_differ_in_marker_shape_too(pair):
+    figure = scene_figures(pair.base, pair.target, pair.accepted)[1]
+    symbols = [trace.marker.symbol for trace in figure.data[:4]]
+    assert len(set(symbols)) == 4
+
+
+def test_a_refused_pose_is_called_so(pair):
+    after = scene_figures(pair.base, pair.target, pair.refused)[1]
+    assert "NOT accepted" in after.layout.title.text
+
+
+def test_without_any_pose_only_the_surveys_as_recorded_are_drawn(pair):
+    none = replace(pair.refused, alternatives=(), links=Links(np.zeros((0, 3)), np.zeros((0, 3))))
+    (figure,) = scene_figures(pair.base, pair.target, none)
+    assert len(figure.data) == 2
+    assert len(slice_figures(pair.base_map, pair.target_map, none)) == 1
+
+
+def test_slices_share_one_colour_scale(pair):
+    base, target, difference = slice_figures(pair.base_map, pair.target_map, pair.accepted)
+    assert (base.data[0].zmin, base.data[0].zmax) == (target.data[0].zmin, target.data[0].zmax)
+    assert difference.data[0].zmin == 0
+
+
+def test_the_difference_is_small_where_both_maps_know_the_field(pair):
+    base, _, difference = slice_figures(pair.base_map, pair.target_map, pair.accepted)
+    span = base.data[0].zmax - base.data[0].zmin
+    assert np.nanmedian(difference.data[0].z) < 0.05 * span
+
+
+def test_slices_are_in_microtesla(pair):
+    base = slice_figures(pair.base_map, pair.target_map, pair.accepted)[0]
+    assert 10 < np.nanmedian(base.data[0].z) < 200
+    assert base.data[0].colorbar.title.text == "uT"
+
+
+def test_a_flat_box_is_cut_parallel_to_its_flat_side():
+    rng = np.random.default_rng(0)
+    assert cut_through(rng.uniform(0, 1, (50, 3)) * [2, 0.2, 1]).axes == (0, 2, 1)
+    assert cut_through(rng.uniform(0, 1, (50, 3))).axes == (0, 1, 2)
+
+
+def test_a_cut_through_one_line_is_a_picture_still():
+    p = np.column_stack([np.linspace(0, 5, 20), np.zeros(20), np.zeros(20)])
+    cut = cut_through(p)
+    assert len(cut.points) == len(cut.first) * len(cut.second) < 2000
+
+
+def test_colour_limits_of_nothing_and_of_a_constant_are_a_range():
+    for values in (np.zeros(0), np.full(5, 48.0)):
+        low, high = common_limits(values)
+        assert high > low
+
+
+@pytest.mark.parametrize("n", [1, 7, 5000, 123_456])
+def test_thinning_keeps_the_ends_and_repeats_nothing(n):
+    rows = thinned(n)
+    assert (rows[0], rows[-1]) == (0, n - 1)
+    assert len(np.unique(rows)) == len(rows) == min(n, 5000)
+
+
+def test_every_axis_says_its_unit(pair):
+    figures = [survey_figure(pair.base), profile_figure(pair.base), profile_figure(pair.target)]
+    figures += [*map_figures(pair.base_map), *scene_figures(pair.base, pair.target, pair.accepted)]
+    figures += slice_figures(pair.base_map, pair.target_map, pair.accepted)
+    for figure in figures:
+        layout = figure.to_dict()["layout"]
+        axes = layout.get("scene", layout)
+        titles = [axes[name]["title"]["text"] for name in ("xaxis", "yaxis")]
+        assert all(any(unit in title for unit in ("(m)", "(uT)", "(s)", "sample")) for title in titles)
+
+
+def test_names_are_text_not_markup(pair):
+    survey = replace(pair.base, name="<a href='x'>b</a>")
+    assert "<a" not in survey_figure(survey).layout.title.text
