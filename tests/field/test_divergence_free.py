@@ -9,13 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
 from magmatch.field.dense import DenseGP
 from magmatch.field.gaussian_grid import GaussianGrid
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_grid import InducingGrid
 from magmatch.field.inducing_model import InducingModel
 from magmatch.field.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.field.recursive import RecursiveSparseGP
@@ -296,6 +300,39 @@ def test_wide_surveys_get_the_finest_nodes_the_cap_allows(caplog):
     assert len(model.basis.grid) <= 100
     assert model.hyperparameters == h
     assert h.spacing <= 0.75 * h.lengthscale
+
+
+@pytest.mark.parametrize("spacing", [1e-6, 0.05, 0.3, 5.0, 1e4])
+def test_any_spacing_gives_a_bounded_model(samples, spacing):
+    model = PRIOR.build(*samples, replace(H, spacing=spacing))
+    assert 8 <= len(model.basis.grid) <= 1200
+    field = model.infer(model.observe(*samples)).evaluate(queries()).field
+    assert np.abs(field).max() < 2 * np.abs(samples[1]).max()
+
+
+def test_a_field_that_the_nodes_cannot_follow_is_warned_about(samples, caplog):
+    PRIOR.build(*samples, replace(H, spacing=2.0))
+    assert "the field between them is lost" in caplog.text
+
+
+def test_questions_from_absurdly_far_away_get_the_prior(posterior):
+    x = np.array([[1e7, 1e7, 1e7], [-1e200, 0.0, 0.0]])
+    np.testing.assert_allclose(posterior.evaluate(x, 2).field, np.tile(posterior.weights[-3:], (2, 1)))
+    assert not posterior.knows(x).any()
+    assert np.isfinite(posterior.covariance(x, 1)).all()
+
+
+def test_a_map_of_this_prior_is_saved_and_loaded_bit_for_bit(samples, tmp_path):
+    survey = Survey(*samples)
+    config = FieldConfig(prior="divergence_free")
+    built = build_map(survey, config)
+    built.save(tmp_path / "room.map")
+    loaded = FieldMap.load(tmp_path / "room.map")
+    assert loaded.hyperparameters == built.hyperparameters
+    np.testing.assert_array_equal(loaded.evaluate(queries(), 2).second, built.evaluate(queries(), 2).second)
+    gridded = built.on_grid(built.grid_over(0.4), 1)
+    np.testing.assert_allclose(gridded.values.field, built.evaluate(gridded.grid.points()).field, atol=1e-13)
+    assert np.isfinite(gridded.variance).all()
 
 
 GEOMETRIES = {

@@ -20,6 +20,8 @@ from magmatch.typing import Matrix, Points
 Alpha = tuple[int, int, int]
 # Rows per point up to order 0, 1, 2: field; gradient, row-major; second derivatives, row-major.
 N_ROWS = (3, 12, 39)
+# exp(-t^2/2) is zero in float64 at this t.
+_FAR = 40.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +120,8 @@ def hermite_functions(t: np.ndarray, highest: int) -> np.ndarray:
     (highest + 1, ...) array
         Entry k is the k-th derivative at t.
     """
+    # Zero from here on in float64; squares of absurd distances would overflow.
+    t = np.clip(t, -_FAR, _FAR)
     out = np.empty((highest + 1, *t.shape))
     np.exp(-0.5 * t * t, out=out[0])
     if highest >= 1:

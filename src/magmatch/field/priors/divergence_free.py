@@ -30,6 +30,8 @@ class DivergenceFreeConfig(BaseModel):
 
     # Spacing of the inducing points over the lengthscale; see docs/theory.md for the figures.
     spacing_ratio: float = Field(default=0.7, gt=0)
+    # Closer nodes add nothing but rounding, whatever spacing is asked for.
+    min_spacing_ratio: float = Field(default=0.5, gt=0)
     # How far beyond the samples inducing points lie, in lengthscales.
     reach_ratio: float = Field(default=1.0, ge=0)
     # Most inducing points (3 weights each); more makes the spacing, and if need be the lengthscale, wider.
@@ -104,7 +106,7 @@ class DivergenceFreePrior:
         field : (n, 3) array, T
             Checked only.
         hyperparameters : Hyperparameters
-            A spacing that takes more inducing points than allowed is widened.
+            A spacing that takes more inducing points than allowed, or needlessly many, is widened.
 
         Returns
         -------
@@ -119,7 +121,7 @@ class DivergenceFreePrior:
         """
         _check(points, field)
         h, config = hyperparameters, self.config
-        grid = self._grid(points, h.spacing, h.lengthscale)
+        grid = self._grid(points, max(h.spacing, config.min_spacing_ratio * h.lengthscale), h.lengthscale)
         if grid.spacing > 1.5 * h.lengthscale:
             log.warning(
                 "inducing points %.3g m apart for a lengthscale of %.3g m: the field between them is lost",
