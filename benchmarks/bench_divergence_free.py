@@ -63,6 +63,8 @@ def compare_spacings(samples: Survey) -> None:
     exact = DenseGP.fit(kernel, train.positions, train.field, h.noise_sd, CONSTANT_SD)
     rmse = _rmse_ut(exact.mean(test.positions).field, test)
     print(f"{len(train)} samples, error at {len(test)} left out (noise included)\n  exact: {rmse:.3f} uT")
+    zero_mean = DenseGP.fit(kernel, train.positions, train.field, h.noise_sd)
+    print(f"  exact, no constant field: {_rmse_ut(zero_mean.mean(test.positions).field, test):.3f} uT")
     for spacing, reach in SPACINGS:
         prior = DivergenceFreePrior(DivergenceFreeConfig(spacing_ratio=spacing, reach_ratio=reach))
         model = prior.build(train.positions, train.field, replace(h, spacing=spacing * h.lengthscale))
