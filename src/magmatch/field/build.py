@@ -12,11 +12,13 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Prior
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
+from magmatch.threads import single_threaded
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
 
+@single_threaded
 def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = None) -> FieldMap:
     """Infer the magnetic field of a place from a survey.
 

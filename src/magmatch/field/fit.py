@@ -10,8 +10,10 @@ from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
 from magmatch.field.priors import PRIORS
+from magmatch.threads import single_threaded
 
 
+@single_threaded
 def fit_posterior(
     samples: Survey,
     hyperparameters: Hyperparameters,

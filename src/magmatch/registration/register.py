@@ -24,10 +24,12 @@ from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensors import levels_to_try
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
+from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
 
 
+@single_threaded
 def register(
     base: Survey | FieldMap,
     target: Survey | FieldMap,
