@@ -46,7 +46,7 @@ class Cut:
     @property
     def words(self) -> str:
         """Where the plane lies."""
-        return f"{'xyz'[self.axes[2]]} = {self.height:.2f} m"
+        return f"{'xyz'[self.axes[2]]} = {round(self.height, 2) + 0.0:.2f} m"
 
 
 def cut_through(p: Points) -> Cut:
