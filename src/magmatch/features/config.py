@@ -17,7 +17,7 @@ class FeatureConfig(BaseModel):
     # Distance of the points of X*, m. None: `spacing_in_lengthscales`, coarser where `max_points` asks for it.
     spacing: float | None = Field(default=None, gt=0)
     # Experiment: the descriptor's support (4 spacings) then spans as much as the field changes over.
-    spacing_in_lengthscales: float = Field(default=0.2, gt=0)
+    spacing_in_lengthscales: float = Field(default=0.16, gt=0)
     # Most points of X*; bounds time and memory.
     max_points: int = Field(default=40_000, ge=100)
     # How far from the path X* reaches where it follows one, spacings.

@@ -7,6 +7,7 @@ from magmatch.features.config import FeatureConfig
 from magmatch.features.grids import InferencePoints
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
+from magmatch.geometry import transform_points
 from magmatch.typing import Indices, Scalars, Tensors
 
 
@@ -59,7 +60,9 @@ def curvature_response(values: FieldValues, determinant: str) -> Scalars:
     (n,) array, T^3/m^6
         NaN where the field vanishes.
     """
-    doh: Scalars = np.linalg.det(magnitude_hessian(values))
+    H = magnitude_hessian(values)
+    # Written out: LAPACK's determinant warns about NaN.
+    doh: Scalars = np.einsum("ni,ni->n", H[:, 0], np.cross(H[:, 1], H[:, 2]))
     signed: dict[str, Scalars] = {"positive": doh, "negative": -doh, "both": np.abs(doh)}
     return signed[determinant]
 
@@ -88,11 +91,36 @@ def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scala
         rows = rows[_is_strongest(points, response, rows, config.suppression_radius)]
     if not len(rows):
         return rows
-    variance = np.trace(field_map.covariance(points.positions[rows]), axis1=1, axis2=2) / 3
+    variance = block_variance(field_map, points, rows)
     # A hair of slack, so that equal variances do not part by rounding.
     limit = np.quantile(variance, config.variance_quantile) * (1 + 1e-9)
     kept: Indices = rows[variance <= limit]
     return kept
+
+
+def block_variance(field_map: FieldMap, points: InferencePoints, rows: Indices) -> Scalars:
+    """Mean posterior variance of the components of the field around chosen points, T^2.
+
+    Asked once for each block of 2 x 2 x 2 grid points, at its centre: variance changes slowly, and a dense posterior
+    spends more on it than on all the rest.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    points : InferencePoints
+    rows : (k,) int array
+        Chosen points.
+
+    Returns
+    -------
+    (k,) array, T^2
+    """
+    ijk = np.stack(np.unravel_index(points.cells[rows], points.grid.shape), axis=1)
+    blocks, block_of_row = np.unique(ijk // 2, axis=0, return_inverse=True)
+    centers = transform_points((2 * blocks + 0.5) * points.grid.spacing, points.grid.T_map_grid)
+    variance = np.trace(field_map.covariance(centers), axis1=1, axis2=2) / 3
+    of_rows: Scalars = variance[block_of_row.reshape(-1)]
+    return of_rows
 
 
 def _is_strongest(points: InferencePoints, response: Scalars, rows: Indices, radius: float) -> np.ndarray:

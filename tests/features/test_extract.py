@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Laws of the whole extraction: keypoints move with the map, descriptors stay."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.features.config import FeatureConfig
+from magmatch.features.descriptors import N_DIMENSIONS
+from magmatch.features.extract import extract_features, shared_range
+from magmatch.geometry import random_transform
+
+LAW = settings(max_examples=8, deadline=None, derandomize=True)
+CONFIG = FeatureConfig(spacing=0.15)
+
+
+def assert_carried(moved, features, T):
+    expected = features.transformed(T)
+    assert len(moved) == len(features) > 0
+    assert np.allclose(moved.positions, expected.positions, rtol=0, atol=1e-9)
+    assert np.allclose(moved.field, expected.field, rtol=0, atol=1e-9 * np.abs(features.field).max())
+    assert np.all((moved.local_frames * expected.local_frames.inv()).magnitude() < 1e-9)
+    # A hard histogram moves a whole count where a vector lies within rounding of a bin's edge: with some 1e5 vectors
+    # in 90 bins at random that is a chance of about 1e-6 per example, so none may differ here.
+    assert np.allclose(moved.descriptors, features.descriptors, rtol=0, atol=1e-9)
+
+
+@given(seed=st.integers(0, 1000))
+@LAW
+def test_features_move_with_a_map_that_is_carried_to_another_frame(make_map, seed):
+    T = random_transform(np.random.default_rng(seed))
+    field_map = make_map(seed)
+    assert_carried(extract_features(field_map.transformed(T), CONFIG), extract_features(field_map, CONFIG), T)
+
+
+@given(seed=st.integers(0, 1000))
+@LAW
+def test_features_move_with_a_survey_that_was_taken_in_another_frame(make_map, seed):
+    T_new_world = random_transform(np.random.default_rng(seed))
+    features = extract_features(make_map(seed), CONFIG)
+    assert_carried(extract_features(make_map(seed, T_new_world.inv()), CONFIG), features, T_new_world)
+
+
+def test_features_along_a_path_move_with_the_path(make_map):
+    angle = np.linspace(0, 2 * np.pi, 200)
+    x = np.column_stack([1.2 + np.cos(angle), 1 + 0.9 * np.sin(angle), 0.3 + 0.05 * np.sin(3 * angle)])
+    T_new_world = random_transform(np.random.default_rng(5))
+    features = extract_features(make_map(4, x=x), CONFIG)
+    assert_carried(extract_features(make_map(4, T_new_world.inv(), x=x), CONFIG), features, T_new_world)
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_descriptors_of_two_surveys_of_one_room_look_alike(make_map, seed):
+    config = FeatureConfig(spacing=0.1)
+    one, other = make_map(seed), make_map(seed, sample_seed=99)
+    half_range = shared_range([one, other], config)
+    a, b = extract_features(one, config, half_range), extract_features(other, config, half_range)
+    alike = np.linalg.norm(a.descriptors[:, None] - b.descriptors, axis=2).argmin(axis=1)
+    apart = np.linalg.norm(a.positions - b.positions[alike], axis=1)
+    anywhere = np.linalg.norm(a.positions[:, None] - b.positions, axis=2)
+    assert np.median(apart) < 0.1
+    assert np.median(anywhere) > 0.5
+
+
+def test_ranges_are_shared_or_configured(make_map):
+    weak, strong = make_map(1), make_map(2)
+    assert shared_range([weak, strong], CONFIG) == max(shared_range([m], CONFIG) for m in (weak, strong))
+    assert shared_range([weak], CONFIG.model_copy(update={"component_range": 0.01})) == 0.01
+
+
+def test_a_uniform_field_gives_no_features(make_map, make_room):
+    features = extract_features(make_map(0, source=make_room(0, n=0)), CONFIG)
+    assert len(features) == 0
+    assert features.descriptors.shape == (0, N_DIMENSIONS)
+
+
+def test_frames_that_are_noise_leave_no_keypoint(make_map):
+    assert len(extract_features(make_map(1), CONFIG.model_copy(update={"min_frame_strength": 0.999}))) == 0

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Local reference frames."""
+
+import numpy as np
+
+from magmatch.features.config import FeatureConfig
+from magmatch.features.extract import extract_features
+from magmatch.features.frames import is_defined, local_frames
+from magmatch.features.grids import evaluate_at, inference_grid
+
+FINE = FeatureConfig(spacing=0.08)
+
+
+def frames_of(field, neighbours, distance=(1.0, 2.0), frame_sd=2.0):
+    return local_frames(np.array(field), np.array([0]), np.array(neighbours), np.array(distance), frame_sd)
+
+
+def test_axes_follow_the_printed_recipe():
+    field = [[0, 0, 2e-5], [1e-5, 0, 3e-5], [0, 4e-5, -1e-5]]
+    frames, strength = frames_of(field, [[1, 2]])
+    near, far = np.exp(-1 / 8), np.exp(-4 / 8)
+    x = np.array([near * 1, far * 4, 0]) / np.hypot(near, 4 * far)
+    assert np.allclose(frames[0].T, [x, np.cross([0, 0, 1], x), [0, 0, 1]])
+    assert np.isclose(strength[0], np.hypot(near, 4 * far) / (near + 4 * far))
+
+
+def test_points_outside_the_map_do_not_count():
+    field = [[0, 0, 2e-5], [1e-5, 0, 3e-5], [0, 4e-5, -1e-5]]
+    frames, _ = frames_of(field, [[1, -1]])
+    assert np.allclose(frames[0, :, 0], [1, 0, 0])
+
+
+def test_frames_are_rotations(make_map):
+    features = extract_features(make_map(1), FINE)
+    R = features.local_frames.as_matrix()
+    assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3), atol=1e-12)
+    assert np.allclose(np.linalg.det(R), 1)
+    assert np.allclose(R[:, :, 2], features.field / np.linalg.norm(features.field, axis=1, keepdims=True))
+
+
+def test_a_field_that_vanishes_or_has_no_lateral_part_gives_no_frame():
+    for field in ([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0]], [[0, 0, 1e-5], [0, 0, 2e-5], [0, 0, 3e-5]]):
+        _, strength = frames_of(np.array(field, dtype=float), [[1, 2]])
+        assert not is_defined(strength, 0.0).any()
+
+
+def test_opposite_lateral_vectors_cancel():
+    _, strength = frames_of([[0, 0, 2e-5], [1e-5, 0, 3e-5], [-1e-5, 0, 1e-5]], [[1, 2]], (1.0, 1.0))
+    assert not is_defined(strength, 0.01).any()
+
+
+def test_a_whole_support_in_air_says_little_about_the_x_axis(make_map):
+    # Components of B are harmonic, so their weighted mean over a ball is the value at its centre, which projects to
+    # nothing: only supports that the region's edge cuts have a strong sum.
+    field_map = make_map(3)
+    points = inference_grid(field_map, FINE)
+    field = evaluate_at(field_map, points, 0).field
+    rows = np.arange(len(points))
+    neighbours, distance = points.support(rows, 3.0)
+    _, strength = local_frames(field, rows, neighbours, distance, 1.5)
+    n_there = (neighbours >= 0).sum(axis=1)
+    is_whole = n_there == neighbours.shape[1]
+    assert is_whole.sum() > 50
+    assert np.median(strength[is_whole]) < 0.1
+    assert np.median(strength[n_there < 0.7 * neighbours.shape[1]]) > 0.3

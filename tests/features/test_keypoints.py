@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Laws and choices of the keypoint detector."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from magmatch.features.config import FeatureConfig
+from magmatch.features.grids import evaluate_at, inference_grid
+from magmatch.features.keypoints import block_variance, curvature_response, find_keypoints, magnitude_hessian
+from magmatch.field.values import FieldValues
+from magmatch.geometry import RigidTransform, rotate_tensors
+
+LAW = settings(max_examples=15, deadline=None, derandomize=True)
+COARSE = FeatureConfig(spacing=0.2)
+
+
+def some_points(seed, n=20):
+    return np.random.default_rng(seed + 7).uniform(0.1, [2.3, 1.9, 0.5], (n, 3))
+
+
+def magnitude(source, x):
+    return np.linalg.norm(source.values(x, 0).field, axis=1)
+
+
+@given(seed=st.integers(0, 1000))
+@LAW
+def test_hessian_is_that_of_finite_differences(make_room, seed):
+    source, x, h = make_room(seed), some_points(seed), 2e-4
+    hessian = magnitude_hessian(source.values(x, 2))
+    for i in range(3):
+        for j in range(3):
+            a, b = h * np.eye(3)[i], h * np.eye(3)[j]
+            corners = [magnitude(source, x + s * a + t * b) * s * t for s in (-1, 1) for t in (-1, 1)]
+            # What a step of 0.2 mm leaves out, beside a source or where the field nearly vanishes.
+            assert np.allclose(
+                sum(corners) / (4 * h * h), hessian[:, i, j], rtol=1e-3, atol=1e-4 * np.abs(hessian).max()
+            )
+
+
+@given(seed=st.integers(0, 1000))
+@LAW
+def test_hessian_turns_as_a_tensor(make_room, seed):
+    values = make_room(seed).values(some_points(seed), 2)
+    T = RigidTransform.from_rotation(Rotation.random(rng=np.random.default_rng(seed)))
+    turned = magnitude_hessian(values.rotated(T))
+    assert np.allclose(turned, rotate_tensors(magnitude_hessian(values), T), atol=1e-9 * np.abs(turned).max())
+
+
+@given(seed=st.integers(0, 1000))
+@LAW
+def test_magnitude_is_subharmonic_in_air(make_room, seed):
+    hessian = magnitude_hessian(make_room(seed).values(some_points(seed, 200), 2))
+    assert np.all(np.trace(hessian, axis1=1, axis2=2) > -1e-9 * np.abs(hessian).max())
+
+
+def test_a_field_that_vanishes_has_no_curvature_and_no_warning():
+    values = FieldValues(np.zeros((2, 3)), np.ones((2, 3, 3)), np.ones((2, 3, 3, 3)))
+    assert np.isnan(curvature_response(values, "positive")).all()
+
+
+def test_hessian_asks_for_second_derivatives():
+    with pytest.raises(ValueError, match="order 2"):
+        magnitude_hessian(FieldValues(np.ones((1, 3)), np.ones((1, 3, 3))))
+
+
+def detect(field_map, config):
+    points = inference_grid(field_map, config)
+    response = curvature_response(evaluate_at(field_map, points, 2), config.determinant)
+    return points, response, find_keypoints(field_map, points, response, config)
+
+
+def test_keypoints_respond_more_than_the_mean(make_map):
+    _, response, rows = detect(make_map(1), COARSE)
+    assert len(rows) > 5
+    assert np.all(response[rows] > response.mean())
+
+
+def test_all_above_the_mean_are_kept_where_variance_does_not_matter(make_map):
+    _, response, rows = detect(make_map(1), COARSE.model_copy(update={"variance_quantile": 1.0}))
+    assert np.array_equal(rows, np.flatnonzero(response > response.mean()))
+
+
+def test_points_with_high_variance_are_dropped(make_map):
+    field_map = make_map(1)
+    every = COARSE.model_copy(update={"variance_quantile": 1.0})
+    few = COARSE.model_copy(update={"variance_quantile": 0.5})
+    points, _, all_rows = detect(field_map, every)
+    _, _, rows = detect(field_map, few)
+    variance = block_variance(field_map, points, np.arange(len(points)))
+    dropped = np.setdiff1d(all_rows, rows)
+    assert 0.5 * len(all_rows) <= len(rows) < len(all_rows)
+    assert variance[rows].max() < variance[dropped].min()
+
+
+def test_variance_of_a_block_is_that_nearby(make_map):
+    field_map = make_map(1)
+    points = inference_grid(field_map, COARSE)
+    rows = np.arange(len(points))
+    exact = np.trace(field_map.covariance(points.positions), axis1=1, axis2=2) / 3
+    slope = 1e-14 / field_map.posterior.high[0]
+    assert np.allclose(block_variance(field_map, points, rows), exact, rtol=0, atol=0.51 * 0.2 * slope)
+
+
+def test_signs_of_the_determinant_find_different_points(make_map):
+    field_map = make_map(2)
+    rows = {
+        sign: set(detect(field_map, COARSE.model_copy(update={"determinant": sign}))[2].tolist())
+        for sign in ("positive", "negative", "both")
+    }
+    assert rows["positive"]
+    assert rows["negative"]
+    assert not rows["positive"] & rows["negative"]
+    assert rows["both"] <= rows["positive"] | rows["negative"]
+
+
+def test_suppression_leaves_only_the_strongest_of_neighbours(make_map):
+    config = COARSE.model_copy(update={"suppression_radius": 1.5})
+    points, response, rows = detect(make_map(1), config)
+    neighbours, _ = points.support(rows, 1.5)
+    assert len(rows)
+    for row, around in zip(rows, neighbours, strict=True):
+        assert response[row] >= response[around[around >= 0]].max()
+
+
+def test_a_uniform_field_has_no_keypoint(make_map, make_room):
+    source = make_room(0, n=0)
+    assert len(detect(make_map(0, source=source), COARSE)[2]) == 0
