@@ -81,8 +81,7 @@ def test_every_error_is_one_line_and_its_code(error, code, run, monkeypatch, tmp
     def fail(*_args):
         raise error
 
-    monkeypatch.setattr("magmatch.cli.outputs.make_folder", fail)
-    monkeypatch.setattr("magmatch.cli.simulate.make_folder", fail)
+    monkeypatch.setattr("magmatch.cli.simulate.check_folder", fail)
     outcome = run("simulate", "uniform", "--out", tmp_path / "x")
     assert outcome.code == code
     assert outcome.err.count("\n") == 1
@@ -140,6 +139,24 @@ def test_a_missing_extra_is_named_before_the_work(place, run, tmp_path, monkeypa
     assert outcome.code == 2
     assert "magmatch[viz]" in outcome.err
     assert not out.exists()
+
+
+def test_a_missing_extra_leaves_no_empty_folder(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "magpylib", None)
+    outcome = run("simulate", "office", "--out", tmp_path / "pair")
+    assert outcome.code == 2
+    assert "magmatch[simulation]" in outcome.err
+    assert not (tmp_path / "pair").exists()
+
+
+def test_progress_comes_and_goes_on_a_terminal(place, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    outcome = run("map", place / "base.csv", "--out", tmp_path / "m.map")
+    assert outcome.code == 0
+    assert "fitting the field" in outcome.err
+    assert "\x1b[2K" in outcome.err  # the line is wiped again
+    assert outcome.out == ""
 
 
 def test_every_command_stands_in_its_own_file():

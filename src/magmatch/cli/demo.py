@@ -10,7 +10,7 @@ import typer
 from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
-from magmatch.cli.outputs import as_json, make_folder
+from magmatch.cli.outputs import as_json, check_folder
 from magmatch.cli.registering import register_keeping_maps
 from magmatch.cli.words import tell_result
 from magmatch.errors import MissingExtraError
@@ -36,13 +36,14 @@ def demo(
 
     Both are simulated, so that the answer is compared with the truth.
     """
-    make_folder(out)
+    check_folder(out)
     from magmatch.data.read import read_survey
     from magmatch.registration.config import PRESETS
 
     with as_file(files("magmatch.data") / "samples" / "office") as folder:
         base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
     base_map, target_map, result = register_keeping_maps(base, target, PRESETS["default"], seed)
+    out.mkdir(exist_ok=True)
     result.save(out / "result.json")
     report: Path | None = out / "report.html"
     try:

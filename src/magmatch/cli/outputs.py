@@ -55,22 +55,14 @@ def check_output(path: Path) -> None:
     _try_to_write(folder, path)
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder for results (its parent must exist) and make sure that files can be put there."""
+def check_folder(path: Path) -> None:
+    """Make sure that a folder for results is there or can be made (its parent must exist), without making it."""
     if path.exists() and not path.is_dir():
         raise DataFormatError(path, "is a file, expected the name of a folder to write to")
-    if not path.resolve().parent.is_dir():
-        raise DataFormatError(path, f"the folder {path.resolve().parent} does not exist; create it first")
-    path.mkdir(exist_ok=True)
-    _try_to_write(path, path)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    from magmatch.atomic import atomic_write
-
-    with atomic_write(path) as stream:
-        stream.write(text.encode())
+    parent = path.resolve().parent
+    if not parent.is_dir():
+        raise DataFormatError(path, f"the folder {parent} does not exist; create it first")
+    _try_to_write(path if path.is_dir() else parent, path)
 
 
 def as_json(content: dict[str, Any]) -> str:

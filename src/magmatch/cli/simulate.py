@@ -8,7 +8,7 @@ import typer
 
 from magmatch.cli.command import command
 from magmatch.cli.narration import say
-from magmatch.cli.outputs import make_folder
+from magmatch.cli.outputs import check_folder
 
 EXAMPLES = (
     "magmatch simulate office --out pair --seed 3",
@@ -38,7 +38,7 @@ def simulate(
     if scenario not in SCENARIOS:
         msg = f"no scenario '{scenario}'; there are {', '.join(SCENARIOS)}"
         raise ConfigurationError(msg)
-    make_folder(out)
+    check_folder(out)
     from magmatch.simulation.simulate import simulate as run
     from magmatch.simulation.simulate import write_pair
 
