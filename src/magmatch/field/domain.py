@@ -48,7 +48,7 @@ class BoundedPosterior:
     def contains(self, points: Points) -> Mask:
         """Whether points (model frame) lie in the box."""
         p = transform_points(points, self.T_domain_model)
-        return np.asarray(np.all((p >= self.low) & (p <= self.high), axis=1))
+        return np.asarray(np.all((p >= self.low) & (p <= self.high), axis=1), dtype=np.bool_)
 
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """See `Posterior.evaluate`."""
@@ -74,4 +74,4 @@ class BoundedPosterior:
         return self.inner.knows(points) & self.contains(points)
 
     def _or_nowhere(self, points: Points) -> Points:
-        return np.where(self.contains(points)[:, None], points, NOWHERE)
+        return np.asarray(np.where(self.contains(points)[:, None], points, NOWHERE), dtype=np.float64)
