@@ -91,8 +91,9 @@ def _transform(result: RegistrationResult) -> str:
         ["Turned by", _angle(T)],
         ["Moved by", ", ".join(f"{t:.4f}" for t in T.translation) + " m"],
     ]
-    matrix = [[f"row {k + 1}", *(f"{v:.6f}" for v in row)] for k, row in enumerate(T.as_matrix())]
-    return table(rows) + table(matrix, ["T_base_target", "x", "y", "z", "shift (m)"])
+    matrix = [[name, *(f"{v:.5f}" for v in row)] for name, row in zip("xyz1", T.as_matrix(), strict=True)]
+    words = paragraph("T_base_target, with p_base = T_base_target p_target:")
+    return table(rows) + words + table(matrix, ["", "x", "y", "z", "shift (m)"])
 
 
 def _certainty(result: RegistrationResult) -> list[str]:
