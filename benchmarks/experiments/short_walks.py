@@ -80,8 +80,10 @@ def try_one(index: WalkIndex, stretch: Survey, rng: np.random.Generator, config:
     start = time.perf_counter()
     result = register_walk(index, target, config, rng)
     seconds = time.perf_counter() - start
-    best = result.T_base_target or (result.alternatives[0].T_base_target if result.alternatives else None)
-    distance, angle = transform_error(best, T_base_target, target.centroid) if best else (np.inf, np.inf)
+    considered = [T for T in (result.T_base_target, *(a.T_base_target for a in result.alternatives)) if T is not None]
+    distance, angle = np.inf, np.inf
+    if considered:
+        distance, angle = transform_error(considered[0], T_base_target, target.centroid)
     nees = np.nan
     if result.T_base_target is not None and result.covariance is not None:
         xi = log_se3(result.T_base_target.inv() * T_base_target)
@@ -134,9 +136,10 @@ def main() -> None:
     )
     built = time.perf_counter()
     index = index_walks(prepare(base_map, 8, rng), config, rng)
+    indexed = time.perf_counter()
     print(
-        f"base: {len(walks['training'])} samples, map {built - start:.1f} s, "
-        f"index {time.perf_counter() - built:.1f} s ({len(index.table.first)} pairs of points), field length {index.length:.2f} m\n{index.noise}"
+        f"base: {len(walks['training'])} samples, map {built - start:.1f} s, index {indexed - built:.1f} s "
+        f"({len(index.table.first)} pairs of points), field length {index.length:.2f} m\n{index.noise}"
     )
     for length in map(float, arguments.lengths.split(",")):
         rng = np.random.default_rng([arguments.seed, int(length)])

@@ -44,6 +44,9 @@ class LineConfig(BaseModel):
     # Fewest bins, and their share, that a pose must put inside the base map.
     min_bins: int = Field(default=8, ge=7)
     min_coverage: float = Field(default=0.3, gt=0, le=1)
+    # What each field length of path outside the base map costs, nats: at the map's border there are many ways out,
+    # and wrong poses like to hang there by the few bins that fit.
+    price_outside: float = Field(default=3.0, ge=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,7 +64,8 @@ class LineEvidence:
     coverage : float
         Share of the bins inside the base map.
     log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C - ln(volume 8 pi^2)``.
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C - ln(volume 8 pi^2)``, less the price of the
+        path outside the map.
     residual : float
         Normalised rms residual (1 when the covariance explains everything).
     is_covered : (n,) bool array
@@ -108,13 +112,13 @@ def weigh_walk(
     coarse = _covered(squares.run(R, p, config.n_coarse_steps, is_full=False), config)
     if not len(coarse.chi2):
         return []
-    gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null)])
+    gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null, config)])
     order = np.argsort(-gain, kind="stable")
     coarse = coarse.rows(order)
     best = coarse.rows(np.arange(min(config.n_fine, len(order))))
     fine = squares.run(best.rotations, best.centers, config.n_fine_steps, is_full=True)
-    weighed = _weigh(_covered(fine, config), squares, null)
-    weighed += _weigh(coarse.rows(np.arange(config.n_fine, len(order))), squares, null)
+    weighed = _weigh(_covered(fine, config), squares, null, config)
+    weighed += _weigh(coarse.rows(np.arange(config.n_fine, len(order))), squares, null, config)
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
 
@@ -231,9 +235,10 @@ class _LeastSquares:
         return _whiten(_isolate(C, np.repeat(known, 3, axis=1)), rows.reshape(h, 3 * n, 7))
 
 
-def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[LineEvidence]:
+def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
     """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
     found = []
+    price_per_bin = config.price_outside * squares.walk.bin_length / squares.length
     for k in range(len(fits.chi2)):
         known = fits.known[k]
         inflation, log_likelihood = squares.noise.most_likely_factor(fits.chi2[k], 3 * int(known.sum()) - 6)
@@ -256,6 +261,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[Lin
                     - null.log_likelihood(known)
                     + 0.5 * log_det
                     - np.log(volume * 8 * np.pi**2)
+                    - price_per_bin * (~known).sum()
                 ),
                 residual=float(np.sqrt(fits.chi2[k] / (3 * known.sum() - 6))),
                 is_covered=known,

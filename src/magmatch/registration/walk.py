@@ -47,6 +47,12 @@ class Walk:
     def __len__(self) -> int:
         return len(self.positions)
 
+    @property
+    def bin_length(self) -> float:
+        """Path per bin, m."""
+        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
+        return float(np.median(steps)) if len(steps) else 0.0
+
 
 def field_length(base: PreparedMap) -> float:
     """Distance over which a map's field changes by as much as it varies: its spread over its gradient, m.

@@ -29,7 +29,7 @@ class WalkDecisionConfig(BaseModel):
     # Fewest bins' share inside the base map.
     min_coverage: float = Field(default=0.6, ge=0, le=1)
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
-    min_log_evidence: float = 8.0
+    min_log_evidence: float = 4.0
     min_lead: float = 8.0
     # Largest normalised residual: beyond it the learned covariance does not describe what was measured.
     max_residual: float = Field(default=2.0, gt=0)
