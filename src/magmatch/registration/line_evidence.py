@@ -47,6 +47,12 @@ class LineConfig(BaseModel):
     # What each field length of path outside the base map costs, nats: at the map's border there are many ways out,
     # and wrong poses like to hang there by the few bins that fit.
     price_outside: float = Field(default=3.0, ge=0)
+    # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
+    # (something moved): their standard deviation grows, at a price each, nats, and up to a share of the path.
+    piece_bins: int = Field(default=5, ge=1)
+    max_power: float = Field(default=3.0, gt=1)
+    price_piece: float = Field(default=3.0, ge=0)
+    max_strained_share: float = Field(default=0.3, ge=0, le=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,14 +115,17 @@ def weigh_walk(
     null = UnrelatedWalk.most_likely(walk, distance, noise, length)
     R = np.stack([T.rotation.as_matrix() for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
-    coarse = _covered(squares.run(R, p, config.n_coarse_steps, is_full=False), config)
+    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False), config)
     if not len(coarse.chi2):
         return []
     gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null, config)])
     order = np.argsort(-gain, kind="stable")
     coarse = coarse.rows(order)
     best = coarse.rows(np.arange(min(config.n_fine, len(order))))
-    fine = squares.run(best.rotations, best.centers, config.n_fine_steps, is_full=True)
+    settled = squares.run(best.rotations, best.centers, _strained(best, config), 2, is_full=False)
+    fine = squares.run(
+        settled.rotations, settled.centers, _strained(settled, config), config.n_fine_steps, is_full=True
+    )
     weighed = _weigh(_covered(fine, config), squares, null, config)
     weighed += _weigh(coarse.rows(np.arange(config.n_fine, len(order))), squares, null, config)
     return sorted(weighed, key=lambda e: -e.log_evidence)
@@ -165,6 +174,8 @@ class _Fits:
     rotations: Tensors  # (h, 3, 3), base from walk
     centers: Points  # (h, 3), m, where each pose puts the walk's centre, base model frame
     known: Matrix  # (h, n) bool
+    strain: Matrix  # (h, n), what each bin's standard deviation is multiplied with
+    normalised: Matrix  # (h, n), squared residual of each bin over its expected value
     information: Matrix  # (h, 6, 6)
     chi2: Scalars
     half_log_det: Scalars
@@ -184,18 +195,18 @@ class _LeastSquares:
     length: float
     center: Vector3
 
-    def run(self, R: Tensors, p: Points, n_steps: int, *, is_full: bool) -> _Fits:
+    def run(self, R: Tensors, p: Points, strain: Matrix, n_steps: int, *, is_full: bool) -> _Fits:
         """Take steps; the last evaluation only states chi^2 and information."""
         scale = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
         for _ in range(n_steps):
-            fits, v = self._evaluate(R, p, is_full=is_full)
+            fits, v = self._evaluate(R, p, strain, is_full=is_full)
             xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
             xi /= np.maximum(1.0, np.abs(xi / scale).max(axis=1))[:, None]
             p = p + np.einsum("hij,hj->hi", R, xi[:, 3:])
             R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
-        return self._evaluate(R, p, is_full=is_full)[0]
+        return self._evaluate(R, p, strain, is_full=is_full)[0]
 
-    def _evaluate(self, R: Tensors, p: Points, *, is_full: bool) -> tuple[_Fits, Matrix]:
+    def _evaluate(self, R: Tensors, p: Points, strain: Matrix, *, is_full: bool) -> tuple[_Fits, Matrix]:
         """Where the poses stand, and the gradient of half their chi^2."""
         n_poses, n = len(R), len(self.walk)
         y = self.walk.positions - self.center
@@ -210,29 +221,30 @@ class _LeastSquares:
         G = np.swapaxes(R, 1, 2)[:, None] @ values.gradient.reshape(n_poses, n, 3, 3) @ R[:, None]
         J = np.concatenate([G @ skew(y) - skew(self.walk.field), -G], axis=3)
         rows = np.concatenate([(self.walk.field - expected)[..., None], J], axis=3) * known[..., None, None]
+        # Where something moved since, residuals of a whole piece are larger by a common factor.
+        rows = rows / strain[..., None, None]
         G = G * known[..., None, None]
-        white, half_log_det = (self._whiten_full if is_full else self._whiten_alike)(rows, G, sd, known)
+        C = (self._full_covariance if is_full else self._alike_covariance)(G, sd, known)
+        white, half_log_det, variance = _whiten(C, rows)
+        half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
+        normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / variance
         z, JW = white[:, :, 0], white[:, :, 1:]
         free = np.repeat([FREE_TURN, FREE_SHIFT * self.length], 3)
         information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
         v = np.einsum("hki,hk->hi", JW, z)
-        return _Fits(R, p, known, information, (z**2).sum(axis=1), half_log_det), v
+        return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
 
-    def _whiten_alike(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
-        """Components taken alike: one small factor serves all three, the drift sees the gradient's mean square."""
-        drift2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
+    def _alike_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
+        """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""
+        moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
+        moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
         C = self.noise.isotropic(self.distance, sd)
-        drift2 = drift2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
-        C = C + drift2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
-        h, n = known.shape
-        white, half_log_det = _whiten(_isolate(C, known), rows.reshape(h, n, 21))
-        return white.reshape(h, 3 * n, 7), 3 * half_log_det
+        return _isolate(C + moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length), known)
 
-    def _whiten_full(self, rows: Matrix, G: Tensors, sd: Matrix, known: Matrix) -> tuple[Matrix, Scalars]:
-        """Components coupled by poses that drift through the gradient."""
-        h, n = known.shape
-        C = self.noise.full(self.distance, sd, G, np.broadcast_to(self.walk.field, (h, n, 3)))
-        return _whiten(_isolate(C, np.repeat(known, 3, axis=1)), rows.reshape(h, 3 * n, 7))
+    def _full_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
+        """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
+        field = np.broadcast_to(self.walk.field, (*known.shape, 3))
+        return _isolate(self.noise.full(self.distance, sd, G, field), np.repeat(known, 3, axis=1))
 
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
@@ -262,6 +274,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
                     + 0.5 * log_det
                     - np.log(volume * 8 * np.pi**2)
                     - price_per_bin * (~known).sum()
+                    - config.price_piece / config.piece_bins * (fits.strain[k] > 1).sum()
                 ),
                 residual=float(np.sqrt(fits.chi2[k] / (3 * known.sum() - 6))),
                 is_covered=known,
@@ -278,12 +291,30 @@ def _isolate(C: Matrix, known: Matrix) -> Matrix:
     return C
 
 
-def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars]:
-    """``L^-1 rows`` and ``ln det L`` of each covariance ``C = L L^T``."""
+def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
+    """Whiten rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
+
+    Returns the whitened rows (h, 3 n, k), half the log-determinants (h,), and the expected square of each bin (h, n).
+    """
+    h, n, _, k = rows.shape
+    n_alike = 3 * n // C.shape[1]
+    flat = rows.reshape(h, C.shape[1], n_alike * k)
     L = np.linalg.cholesky(C)
-    white = np.stack([solve_triangular(a, b, lower=True, check_finite=False) for a, b in zip(L, rows, strict=True)])
-    half_log_det = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-    return white, half_log_det
+    white = np.stack([solve_triangular(a, b, lower=True, check_finite=False) for a, b in zip(L, flat, strict=True)])
+    half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
+    return white.reshape(h, 3 * n, k), half_log_det, variance
+
+
+def _strained(fits: _Fits, config: LineConfig) -> Matrix:
+    """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
+    window = np.ones(config.piece_bins)
+    counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
+    power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
+    is_strained = (power > config.max_power) & fits.known
+    # A pose that disagrees nearly everywhere is wrong rather than disturbed.
+    is_disturbed = is_strained.sum(axis=1) <= config.max_strained_share * fits.known.sum(axis=1)
+    return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
 
 
 def _unrelated_covariance(d2: Matrix, length: float, variance: float, constant: float, noise: PathNoise) -> Matrix:
