@@ -7,9 +7,8 @@ import numpy as np
 
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.covariance import pose_covariance
-from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refinement import RefinedPose
-from magmatch.registration.scoring import MEDIAN_CHI2_3
 from magmatch.registration.unrelated import UnrelatedField, average_cells, fit_unrelated_field
 from magmatch.typing import Matrix
 
@@ -88,8 +87,7 @@ def weigh_pose(base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrela
         return PoseEvidence(pose, covariance, overlap, 0, 0, 0, -np.inf, 1.0, np.inf)
 
     r, map_variance = cells.mean(residual)[rows], cells.mean(sd[:, None] ** 2)[rows, 0]
-    explained, unexplained = unrelated.log_likelihood_of_residual(r, map_variance, rows)
-    log_ratio = explained - unrelated.log_likelihood(rows)
+    log_ratio, unexplained = unrelated.log_ratio(r, map_variance, rows)
     # A sensor that must differ implausibly speaks against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
     n2 = ((unrelated.field[rows] - unrelated.field.mean(axis=0)) ** 2).sum(axis=1)

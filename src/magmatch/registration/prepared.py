@@ -16,6 +16,11 @@ from magmatch.field.values import FieldValues
 from magmatch.registration.raster import Raster, rasterize
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
+# Median of a chi-square variable with three degrees of freedom: robust variance from squared norms.
+MEDIAN_CHI2_3 = 2.366
+# Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
+MEDIAN_GRADIENT2 = 8.69
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PreparedMap:
@@ -39,6 +44,8 @@ class PreparedMap:
         See `magmatch.features.invariants`.
     raster : Raster
     lengthscale : float, m
+        Distance over which the field changes by as much as it varies (see `field_length`): the scale of all steps,
+        cells and tolerances. The prior's own lengthscale says how smooth the field is, not how far it reaches.
     noise_sd : float, T
     """
 
@@ -74,9 +81,10 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     PreparedMap
     """
     survey = field_map.survey.transformed(field_map.T_map_model.inv())
-    lengthscale = field_map.hyperparameters.lengthscale
-    points = survey.positions[thin(survey.positions, lengthscale / 8, limit=4000)]
     posterior = field_map.posterior
+    some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
+    lengthscale = field_length(posterior.evaluate(some, order=1))
+    points = survey.positions[thin(survey.positions, lengthscale / 8, limit=4000)]
     mean = posterior.evaluate(points, order=1)
     draws = [posterior.evaluate(points, 1, w) for w in posterior.draw_weights(n_draws, rng)]
     gradient = _lawful_gradient(mean)
@@ -98,6 +106,24 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         lengthscale=lengthscale,
         noise_sd=field_map.hyperparameters.noise_sd,
     )
+
+
+def field_length(values: FieldValues) -> float:
+    """Distance over which a field changes by as much as it varies: its spread over its gradient.
+
+    Parameters
+    ----------
+    values : FieldValues
+        Field and gradient at points all over the map.
+
+    Returns
+    -------
+    float, m
+        Medians, so that one magnet does not decide. Equals the lengthscale of a squared-exponential field.
+    """
+    deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
+    g2 = gradient_norm(_lawful_gradient(values)) ** 2
+    return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))
 
 
 def thin(points: Points, distance: float, limit: int) -> Indices:

@@ -11,6 +11,8 @@ from magmatch.grid import RegularGrid
 from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 
 MAX_POINTS = 1_500_000
+# Least share of the map's own samples that its raster must know.
+MIN_COVERED = 0.95
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,7 +67,8 @@ def rasterize(field_map: FieldMap, spacing: float, n_draws: int, rng: np.random.
     field_map : FieldMap
         Map to look up.
     spacing : float, m
-        Distance of grid points; widened where the region would need more than `MAX_POINTS`.
+        Distance of grid points; widened where the region would need more than `MAX_POINTS`, narrowed where the
+        map knows only a thin layer.
     n_draws : int
         Posterior samples that give the spread.
     rng : numpy Generator
@@ -75,9 +78,21 @@ def rasterize(field_map: FieldMap, spacing: float, n_draws: int, rng: np.random.
     -------
     Raster
     """
-    posterior = field_map.posterior
     samples = field_map.survey.transformed(field_map.T_map_model.inv()).positions
-    margin = 0.5 * field_map.hyperparameters.lengthscale
+    while True:
+        raster = _rasterize(field_map, samples, spacing, n_draws, rng)
+        *_, is_known = raster.lookup(samples)
+        # A thin layer of known field may fall between the points of a coarse grid.
+        if is_known.mean() > MIN_COVERED or raster.spacing > spacing or raster.sd.size > MAX_POINTS / 8:
+            return raster
+        spacing /= 2
+
+
+def _rasterize(
+    field_map: FieldMap, samples: Points, spacing: float, n_draws: int, rng: np.random.Generator
+) -> Raster:
+    posterior = field_map.posterior
+    margin = 2 * spacing
     extent = np.ptp(samples, axis=0) + 2 * margin
     spacing = max(spacing, float(np.cbrt(np.prod(np.maximum(extent, spacing)) / MAX_POINTS)))
     grid = RegularGrid.over(samples, spacing, margin)

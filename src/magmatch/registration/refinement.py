@@ -15,8 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import FieldValues
 from magmatch.geometry import rotate_vectors, skew, transform_points
-from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.scoring import MEDIAN_CHI2_3
+from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 

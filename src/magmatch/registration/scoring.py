@@ -12,12 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.raster import interpolate_field
 from magmatch.typing import Points, Scalars, Tensors, Vectors
-
-# Median of a chi-square variable with three degrees of freedom: robust variance from squared norms.
-MEDIAN_CHI2_3 = 2.366
 
 
 @dataclass(frozen=True, eq=False, slots=True)

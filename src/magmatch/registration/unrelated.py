@@ -20,12 +20,12 @@ MAX_CELLS = 150
 # Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
 LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
 STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
-# Share of cells that may disagree although the pose is right (moved objects).
-OUTLIER_SHARE = 0.05
-# Share of the field that the base may leave unexplained, as variance; residuals are as smooth as the field.
-UNEXPLAINED = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0)
-# Rough part of what is not modelled (jitter of poses in a steep field), in the cells' standard deviation.
-ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
+# Rough part of a field that follows no smooth one (jitter of poses), in the cells' standard deviation.
+ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
+# Share of modes that may disagree although the pose is right (moved objects).
+OUTLIER_SHARE = 0.1
+# Variance of what the base may leave unexplained, as a share of the field's.
+UNEXPLAINED = tuple(float(s) for s in np.geomspace(1e-4, 1.0, 17))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -79,41 +79,43 @@ class UnrelatedField:
     noise: Scalars
     roughness: float
 
-    def log_likelihood(self, rows: np.ndarray) -> float:
-        """Log-likelihood of the field of some cells, its constant given for free."""
-        return _with_free_constant(
-            self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise[rows] + self.roughness
-        )
+    def log_ratio(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
+        """Log of 'the base explains these cells' over 'unrelated field'.
 
-    def log_likelihood_of_residual(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
-        """Log-likelihood of what a pose leaves unexplained in some cells, at the most likely unexplained share.
+        The cells' field and residual are taken apart into the independent modes of the unrelated field, smooth ones
+        first. A mode counts by how far its residual stays below what the unrelated field would have there, and
+        never less than an outlier does; modes too faint to rise above the residuals count nothing.
 
         Parameters
         ----------
         residual : (r, 3) array, T
-            Of the cells in ``rows``.
+            What the base leaves of the cells in ``rows``.
         extra : (r,) array, T^2
             Further variance of each cell (the base map's spread).
         rows : (r,) int array
 
         Returns
         -------
-        log_likelihood : float, nats
+        log_ratio : float, nats
         unexplained : float
-            Share of the field's variance.
+            Variance of the residuals that explains them best, as a share of the cells' field's.
         """
-        K, noise = self.covariance[np.ix_(rows, rows)], self.noise[rows] + extra
-        r2, variance = (residual**2).sum(axis=1), float(self.field.var(axis=0).mean())
-        best, best_share = -np.inf, 1.0
-        for share, rough in product(UNEXPLAINED, ROUGHNESS):
-            N = noise + rough**2 * variance
-            # A cell that disagrees grossly (something moved) falls back to the unrelated field, at a price.
-            is_outlier = r2 > 16 * (share * np.diag(K) + N)
-            price = is_outlier.sum() * np.log(OUTLIER_SHARE)
-            found = price + gaussian_log_likelihood(residual, share * K, N + np.where(is_outlier, np.diag(K), 0.0))
-            if found > best:
-                best, best_share = found, share + rough**2
-        return float(best), min(1.0, best_share)
+        power, modes = np.linalg.eigh(self.covariance[np.ix_(rows, rows)])
+        noise = float((self.noise[rows] + extra).mean())
+        k = np.maximum(power, 0.0) + noise + self.roughness
+        constant = self.field[rows].mean(axis=0)
+        b2 = ((modes.T @ (self.field[rows] - constant)) ** 2).sum(axis=1)
+        r2 = ((modes.T @ residual) ** 2).sum(axis=1)
+        variance = float(self.field.var(axis=0).mean())
+        found = []
+        for share in UNEXPLAINED:
+            v = np.minimum(k, noise + share * variance)
+            L = np.minimum(b2, 9 * k) / (2 * k) - r2 / (2 * v) + 1.5 * np.log(k / v)
+            L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
+            # A mode that the residuals' level drowns is no evidence for or against.
+            found.append(float(L[v < 0.8 * k].sum()))
+        best = int(np.argmax(found))
+        return found[best], UNEXPLAINED[best]
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
@@ -160,20 +162,13 @@ def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, length
     variance = max(float(field.var(axis=0).mean()), float(noise.min()))
     best, covariance = -np.inf, np.zeros_like(distance2)
     rough = 0.0
-    for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS[:5]):
+    for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS):
         # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
         K = strength**2 * variance / (1 + distance2 / (2 * (factor * lengthscale) ** 2))
         log_likelihood = _with_free_constant(field, K, noise + roughness**2 * variance)
         if log_likelihood > best:
             best, covariance, rough = log_likelihood, K, roughness**2 * variance
     return UnrelatedField(cells, field, covariance, noise, rough)
-
-
-def gaussian_log_likelihood(values: Vectors, K: Matrix, noise: Scalars) -> float:
-    """Log density of three independent components, each with covariance ``K + diag(noise)``; constants left out."""
-    L = cholesky(K + np.diag(noise + 1e-9 * np.trace(K) / len(K)), lower=True, check_finite=False)
-    z = solve_triangular(L, values, lower=True, check_finite=False)
-    return float(-0.5 * (z**2).sum() - 3 * np.log(np.diag(L)).sum())
 
 
 def _with_free_constant(values: Vectors, K: Matrix, noise: Scalars) -> float:
