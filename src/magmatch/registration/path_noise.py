@@ -7,29 +7,34 @@ the residuals' covariance are the most likely ones; where the base never passes 
 """
 
 import logging
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
+from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
 from magmatch.geometry import skew
 from magmatch.registration.walk import bin_along_path
-from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
 log = logging.getLogger(__name__)
 
-# Of the base's path: length of a left-out stretch in field lengths, and every how many-th is left out.
+# Of the base's path: length of a left-out stretch in field lengths, every how many-th is left out at a time, and
+# which ones, one refit each.
 STRETCH_LENGTH = 5.0
 EVERY = 5
+FOLDS = (1, 3)
 # Bins per stretch and its step in field lengths.
 STEP_LENGTH = 0.25
 MIN_BINS = 8
-MAX_STRETCHES = 40
+MAX_STRETCHES = 80
 # Spread (natural log) of the guess that the data correct.
 PRIOR_LOG_SD = 0.7
+# Lengths and the map's factor are told apart from the rest by little: they stay nearer.
+PRIOR_LOG_SD_LENGTH = 0.35
 PRIOR_STRETCHES = 5
 N_DRAWS = 12
 # Guess of how well a hand-held or wheeled sensor knows its own orientation, rad.
@@ -184,7 +189,7 @@ def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generato
 
 
 def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generator) -> list[Stretch]:
-    """Leave out every fifth stretch of the survey's path and predict it from the rest.
+    """Leave out some stretches of the survey's path at a time and predict them from the rest.
 
     Parameters
     ----------
@@ -198,35 +203,40 @@ def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generat
     list of Stretch
         Those that the rest of the survey still knows.
     """
-    h = field_map.hyperparameters
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     steps = np.linalg.norm(np.diff(samples.positions, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
-    stretch = (arc / (STRETCH_LENGTH * length)).astype(np.int64)
-    is_left_out = stretch % EVERY == EVERY // 2
-    if not is_left_out.any() or is_left_out.all():
-        return []
+    number = (arc / (STRETCH_LENGTH * length)).astype(np.int64)
+    found = []
+    for fold in FOLDS:
+        is_left_out = number % EVERY == fold
+        if is_left_out.any() and not is_left_out.all():
+            found += _predict(field_map, samples, is_left_out, number, length, rng)
+    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MAX_STRETCHES)).astype(np.int64))
+    return [found[k] for k in chosen]
+
+
+def _predict(
+    field_map: FieldMap, samples: Survey, is_left_out: Mask, number: Indices, length: float, rng: np.random.Generator
+) -> list[Stretch]:
+    """Left-out stretches as the rest of the survey predicts them."""
+    h = field_map.hyperparameters
     rest = fit_posterior(samples.subset(~is_left_out), h, field_map.config)
-    x, b, stretch = samples.positions[is_left_out], samples.field[is_left_out], stretch[is_left_out]
+    x, b, number = samples.positions[is_left_out], samples.field[is_left_out], number[is_left_out]
     values = rest.evaluate(x, order=1)
     draws = [rest.evaluate(x, 0, w).field for w in rest.draw_weights(N_DRAWS, rng)]
     sd = np.sqrt(np.mean([((d - values.field) ** 2).mean(axis=1) for d in draws], axis=0))
     # What the rest hardly knows says little about residuals where a map does know the field.
     is_known = rest.knows(x) & (sd < 0.5 * h.signal_sd)
     found = []
-    for k in np.unique(stretch):
-        rows = np.flatnonzero((stretch == k) & is_known)
-        if len(rows) < MIN_BINS:
+    for k in np.unique(number):
+        rows = np.flatnonzero((number == k) & is_known)
+        if len(rows) < MIN_BINS or values.gradient is None:
             continue
         bins = bin_along_path(np.ascontiguousarray(x[rows]), STEP_LENGTH * length)
-        if bins[-1] + 1 >= MIN_BINS and values.gradient is not None:
-            found.append(
-                Stretch(
-                    *(_bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b)),
-                )
-            )
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MAX_STRETCHES)).astype(np.int64))
-    return [found[k] for k in chosen]
+        if bins[-1] + 1 >= MIN_BINS:
+            found.append(Stretch(*(_bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b))))
+    return found
 
 
 def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
@@ -242,6 +252,8 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     PathNoise
     """
     center = np.log(astuple(guess)[:-1])
+    is_loose = [f.name.endswith("_sd") for f in fields(guess)][:-1]
+    prior_log_sd = np.where(is_loose, PRIOR_LOG_SD, PRIOR_LOG_SD_LENGTH)
     stacks = _stack_alike(stretches)
 
     def whiten(noise: PathNoise) -> tuple[Scalars, Scalars]:
@@ -256,7 +268,7 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
 
     def cost(offset: np.ndarray) -> float:
         chi2, half_log_det = whiten(PathNoise(*np.exp(center + offset).tolist()))
-        return float(0.5 * ((offset / PRIOR_LOG_SD) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
+        return float(0.5 * ((offset / prior_log_sd) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
 
     start = np.zeros(len(center))
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 700, "initial_simplex": _simplex(start)})

@@ -37,12 +37,15 @@ class Walk:
         Mean field of each bin.
     counts : (n,) array
         Samples per bin.
+    pose_sd : float, m
+        Accuracy of the survey's own positions.
     """
 
     T_survey_walk: RigidTransform
     positions: Points
     field: Vectors
     counts: Scalars
+    pose_sd: float = 0.0
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -91,7 +94,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
         np.stack([np.bincount(rows, column) for column in values.T], axis=1) / counts[:, None]
         for values in (local.positions, local.field)
     )
-    return Walk(T_survey_walk, positions, field, counts)
+    return Walk(T_survey_walk, positions, field, counts, survey.pose_sd)
 
 
 @njit(cache=True)

@@ -73,8 +73,10 @@ def by_line_evidence(
     rivals = _distinct(ranked, SAME_PLACE * length)[1:]
     lead = best.log_evidence - max((e.log_evidence for e in rivals), default=-np.inf)
     poses = [base.T_map_model * e.T_base_walk * walk.T_survey_walk.inv() for e in (best, *rivals)]
+    # The base's own stretches show how its poses drift, not how far the walk's frame is off as a whole.
+    covariance = best.covariance + np.diag([0.0] * 3 + [walk.pose_sd**2] * 3)
     free = free_directions(
-        best.covariance,
+        covariance,
         best.center,
         walk.T_survey_walk,
         poses[0].rotation.as_matrix(),
@@ -92,7 +94,7 @@ def by_line_evidence(
         status=verdict.status,
         reason=verdict.reason,
         T_base_target=poses[0] if is_accepted else None,
-        covariance=to_survey_axes(best.covariance, best.center, walk.T_survey_walk) if is_accepted else None,
+        covariance=to_survey_axes(covariance, best.center, walk.T_survey_walk) if is_accepted else None,
         overlap=best.coverage,
         alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
         degenerate_directions=free,
