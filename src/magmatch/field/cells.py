@@ -10,6 +10,7 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.element_matrices import ball_offsets
 from magmatch.typing import Points, Scalars, Vector3
 
+# Memory: about 4 kB per active cell for the matrices, as much again for the factor; 8 bytes per cell of the box.
 MAX_ACTIVE_CELLS = 400_000
 MAX_BOX_CELLS = 40_000_000
 # Two nodes interact when they touch a common cell: offsets -3..3 along each axis, 343 in all. Symmetric matrices
@@ -35,6 +36,8 @@ class CellGrid:
         Side of a cell.
     cells : (c, 3) int array
         Indices of the active cells; cell (i, j, k) is touched by nodes (i..i+3, j..j+3, k..k+3).
+    distance : (c,) array
+        From each active cell's centre to that of the nearest occupied one, in cells.
     cell_index : (nx, ny, nz) int32 array
         Number of each active cell in ``cells``; -1 elsewhere.
     node_index : (nx + 9, ny + 9, nz + 9) int32 array
@@ -48,6 +51,7 @@ class CellGrid:
     origin: Vector3
     spacing: float
     cells: np.ndarray
+    distance: np.ndarray
     cell_index: np.ndarray
     node_index: np.ndarray
     nodes: np.ndarray
@@ -99,7 +103,8 @@ def count_active_cells(points: Points, spacing: float, reach: float) -> tuple[in
     Parameters
     ----------
     points : (n, 3) array, m
-    spacing, reach : float, m
+    spacing : float, m
+    reach : float, cells
 
     Returns
     -------
@@ -108,12 +113,10 @@ def count_active_cells(points: Points, spacing: float, reach: float) -> tuple[in
     n_box : float
     """
     _, occupied, shape = _occupied(points, spacing, reach)
-    n_box = float(np.prod(shape.astype(float)))
+    n_box = float(np.prod(shape))
     if n_box > MAX_BOX_CELLS:
         return -1, n_box
-    is_active = np.zeros(tuple(shape), dtype=np.bool_)
-    _activate(occupied, ball_offsets(reach / spacing), is_active)
-    return int(is_active.sum()), n_box
+    return int(np.isfinite(_distances(occupied, shape, reach)).sum()), n_box
 
 
 def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
@@ -125,7 +128,7 @@ def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
         Where samples are.
     spacing : float, m
         Side of a cell.
-    reach : float, m
+    reach : float, cells
         Cells are active whose centre lies this near to the centre of a cell that holds a sample.
 
     Returns
@@ -138,59 +141,72 @@ def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
         If more cells would be needed than memory allows.
     """
     low, occupied, shape = _occupied(points, spacing, reach)
-    n_box = float(np.prod(shape.astype(float)))
+    n_box = float(np.prod(shape))
     if n_box > MAX_BOX_CELLS:
         _refuse(f"{n_box:.3g} cells in the box of the samples, at most {MAX_BOX_CELLS:,}", spacing)
-    is_active = np.zeros(tuple(shape), dtype=np.bool_)
-    _activate(occupied, ball_offsets(reach / spacing), is_active)
+    distance = _distances(occupied, shape, reach)
+    is_active = np.isfinite(distance)
     cells = np.argwhere(is_active)
     if len(cells) > MAX_ACTIVE_CELLS:
         _refuse(f"{len(cells):,} cells near samples, at most {MAX_ACTIVE_CELLS:,}", spacing)
-    cell_index = np.full(tuple(shape), -1, dtype=np.int32)
+    cell_index = np.full(distance.shape, -1, dtype=np.int32)
     cell_index[is_active] = np.arange(len(cells), dtype=np.int32)
-    node_index = np.full(tuple(shape + 3 + 2 * STENCIL_REACH), -1, dtype=np.int32)
+    node_index = np.full(tuple(np.add(distance.shape, 3 + 2 * STENCIL_REACH)), -1, dtype=np.int32)
     _mark_nodes(cells, node_index)
     nodes = np.argwhere(node_index >= 0)
     node_index[tuple(nodes.T)] = np.arange(len(nodes), dtype=np.int32)
     cell_nodes = np.empty((len(cells), 64), dtype=np.int32)
     _list_nodes(cells, node_index, cell_nodes)
-    return CellGrid(low, float(spacing), cells, cell_index, node_index, nodes - STENCIL_REACH, cell_nodes)
+    return CellGrid(
+        origin=low,
+        spacing=float(spacing),
+        cells=cells,
+        distance=distance[is_active].astype(np.float64),
+        cell_index=cell_index,
+        node_index=node_index,
+        nodes=nodes - STENCIL_REACH,
+        cell_nodes=cell_nodes,
+    )
 
 
 def _refuse(needed: str, spacing: float) -> None:
-    msg = (
-        f"the region is too large for a spacing of {spacing:.3g} m: {needed}; use a wider spacing or map it in parts"
-    )
+    msg = f"the region is too large for a spacing of {spacing:.3g} m: {needed}; widen the spacing or map it in parts"
     raise ConfigurationError(msg)
 
 
 def _occupied(points: Points, spacing: float, reach: float) -> tuple[Vector3, np.ndarray, np.ndarray]:
-    """Origin, distinct occupied cells and number of cells along each axis."""
+    """Origin, distinct occupied cells (none where the box is too large) and number of cells along each axis."""
     if len(points) == 0:
         msg = "expected at least one sample to lay cells around, got none"
         raise ValueError(msg)
     if not (spacing > 0 and reach >= 0):
-        msg = f"expected a positive spacing and a reach of at least 0, got {spacing} m and {reach} m"
+        msg = f"expected a positive spacing and a reach of at least 0, got {spacing} m and {reach} cells"
         raise ValueError(msg)
-    # Half a cell of slack centres a flat survey in its layer of cells instead of leaving it on a boundary.
-    pad = int(np.floor(reach / spacing + 1e-9))
+    # Half a cell of slack puts a flat survey in the middle of its layer of cells instead of on a boundary.
+    pad = int(np.floor(reach))
     low = points.min(axis=0) - (pad + 0.5) * spacing
-    extent = np.floor((points.max(axis=0) - low) / spacing) + 1 + pad
-    if np.prod(extent) > MAX_BOX_CELLS:
-        return low, np.zeros((0, 3), dtype=np.int64), extent
-    shape = extent.astype(np.int64)
-    ijk = np.floor((points - low) / spacing).astype(np.int64)
-    flat = np.unique(np.ravel_multi_index(tuple(ijk.T), tuple(shape)))
-    return low, np.stack(np.unravel_index(flat, tuple(shape)), axis=1).astype(np.int64), shape
+    shape = np.floor((points.max(axis=0) - low) / spacing) + 1 + pad
+    if np.prod(shape) > MAX_BOX_CELLS:
+        return low, np.zeros((0, 3), dtype=np.int64), shape
+    sizes = tuple(shape.astype(np.int64))
+    flat = np.unique(np.ravel_multi_index(tuple(np.floor((points - low) / spacing).astype(np.int64).T), sizes))
+    return low, np.stack(np.unravel_index(flat, sizes), axis=1).astype(np.int64), shape
+
+
+def _distances(occupied: np.ndarray, shape: np.ndarray, reach: float) -> np.ndarray:
+    """Distance of every cell of the box to the nearest occupied one, infinite beyond the reach (all in cells)."""
+    distance = np.full(tuple(shape.astype(np.int64)), np.inf, dtype=np.float32)
+    offsets = ball_offsets(reach)
+    _spread(occupied, offsets, np.sqrt((offsets**2).sum(axis=1)).astype(np.float32), distance)
+    return distance
 
 
 @njit(cache=True)
-def _activate(occupied: np.ndarray, offsets: np.ndarray, is_active: np.ndarray) -> None:
+def _spread(occupied: np.ndarray, offsets: np.ndarray, length: np.ndarray, distance: np.ndarray) -> None:
     for i in range(occupied.shape[0]):
         for k in range(offsets.shape[0]):
-            is_active[
-                occupied[i, 0] + offsets[k, 0], occupied[i, 1] + offsets[k, 1], occupied[i, 2] + offsets[k, 2]
-            ] = True
+            x, y, z = occupied[i, 0] + offsets[k, 0], occupied[i, 1] + offsets[k, 1], occupied[i, 2] + offsets[k, 2]
+            distance[x, y, z] = min(distance[x, y, z], length[k])
 
 
 @njit(cache=True)

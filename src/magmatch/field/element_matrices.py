@@ -25,6 +25,25 @@ from magmatch.field.spline_basis import (
 )
 
 HIGHEST_TERM = 3
+# The prior weakens with the distance from where a sensor was: that is where the sources stand, and where the field
+# may change fast. Factor per cell beyond the first ring.
+OUTSIDE_DECAY = 0.1
+
+
+def cell_weights(distance: np.ndarray) -> np.ndarray:
+    """Weight of each cell's energy.
+
+    Parameters
+    ----------
+    distance : (c,) array
+        From the nearest occupied cell, in cells.
+
+    Returns
+    -------
+    (c,) array
+        1 up to the first ring of neighbours, less beyond.
+    """
+    return np.asarray(OUTSIDE_DECAY ** np.maximum(distance - 1.0, 0.0))
 
 
 @cache
@@ -116,9 +135,8 @@ def lone_cell_covariance(relative_lengthscale: float, stiffness: float, reach: f
         Of the 3 field components and the 6 distinct gradient entries times the spacing, averaged over the cell and
         over the symmetries of the cube.
     """
-    cells = ball_offsets(reach)
-    cells = cells - cells.min(axis=0)
-    centre = -ball_offsets(reach).min(axis=0)
+    offsets = ball_offsets(reach)
+    cells = offsets - offsets.min(axis=0)
     width = cells.max(axis=0) + 4
     local = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     nodes, flat = np.unique(
@@ -127,9 +145,10 @@ def lone_cell_covariance(relative_lengthscale: float, stiffness: float, reach: f
     flat = flat.reshape(-1, SPLINES_PER_CELL)
     Q = np.zeros((len(nodes), len(nodes)))
     E = prior_element(relative_lengthscale, stiffness)
-    for n in flat:
-        Q[np.ix_(n, n)] += E
-    own = flat[np.flatnonzero((cells == centre).all(axis=1))[0]]
+    distance = np.sqrt((offsets**2).sum(axis=1))
+    for n, weight in zip(flat, cell_weights(distance), strict=True):
+        Q[np.ix_(n, n)] += weight * E
+    own = flat[int(np.argmin(distance))]
     factor = scipy.linalg.cho_factor(Q, lower=True)
     block = scipy.linalg.cho_solve(factor, np.eye(len(nodes))[:, own])[own]
     return _average_over_cell(block)

@@ -21,6 +21,10 @@ class Hyperparameters:
         Distance of the basis nodes (inducing points, spline knots).
     stiffness : float
         Weight of the soft law ``div B = 0`` relative to the prior's own scale; 0 where the prior has none.
+    looseness : float
+        Prior standard deviation of the basis relative to ``signal_sd``, where held-out data chose it.
+    inflation : float
+        Factor on posterior standard deviations that held-out data ask for.
     """
 
     lengthscale: float
@@ -28,6 +32,8 @@ class Hyperparameters:
     noise_sd: float
     spacing: float
     stiffness: float = 0.0
+    looseness: float = 1.0
+    inflation: float = 1.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for saving."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.field.cells import HALF_OFFSET, CellGrid, lay_cells
-from magmatch.field.element_matrices import lone_cell_covariance, prior_element
+from magmatch.field.element_matrices import cell_weights, lone_cell_covariance, prior_element
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
 from magmatch.field.multifrontal import CholeskyFactor, factorise
@@ -20,8 +20,11 @@ from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
 CONSTANT_SD = 1e-4
-# How far beyond occupied cells the basis reaches, in cells. Less leaves gaps to guesses; more costs time.
+# How far the basis reaches beyond cells that hold samples, in cells. Less leaves gaps without a prediction; more
+# costs time, since every cell beyond is one more to solve for.
 REACH_IN_CELLS = 2.5
+# Finer spacings than this share of the lengthscale change nothing but rounding errors.
+HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,7 +79,7 @@ class SplineModel:
     @classmethod
     def over(cls, points: Points, hyperparameters: Hyperparameters) -> "SplineModel":
         """Lay splines over the surroundings of points."""
-        cells = lay_cells(points, hyperparameters.spacing, REACH_IN_CELLS * hyperparameters.spacing)
+        cells = lay_cells(points, hyperparameters.spacing, REACH_IN_CELLS)
         return cls(hyperparameters, cells, order_elimination(cells))
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> SplineInformation:
@@ -99,8 +102,8 @@ class SplineModel:
         """Prior precision of the weights in units of the noise's, ``noise_sd^2 P0``."""
         h = self.hyperparameters
         element, covariance = prior_terms(h)
-        scale = (h.noise_sd / h.signal_sd) ** 2 * covariance[0, 0]
-        stencil = sum_of_elements(self.cells, element * scale)
+        scale = (h.noise_sd / (h.looseness * h.signal_sd)) ** 2 * covariance[0, 0]
+        stencil = sum_of_elements(self.cells, element * scale, cell_weights(self.cells.distance))
         return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2)
 
     def infer(self, information: SplineInformation) -> "SplinePosterior":
@@ -111,7 +114,7 @@ class SplineModel:
 
 def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
-    relative = h.lengthscale / h.spacing
+    relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
     return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, REACH_IN_CELLS)
 
 
@@ -172,14 +175,15 @@ class SplinePosterior:
             np.argsort(cell, kind="stable"), cell, t, self.cells.cell_nodes, derivatives, self.cells.spacing,
             HALF_OFFSET, inverse.stencil, inverse.border, inverse.corner, out,
         )  # fmt: skip
-        out *= h.noise_sd**2
+        out *= (h.inflation * h.noise_sd) ** 2
         out[cell < 0] = self._outside(inverse)[: len(derivatives), : len(derivatives)]
         return out if order == 0 else _expand(out)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m + 3)."""
         white = rng.standard_normal((len(self.weights), n_draws))
-        return np.ascontiguousarray(self.weights + self.hyperparameters.noise_sd * self.factor.solve_half(white).T)
+        scale = self.hyperparameters.inflation * self.hyperparameters.noise_sd
+        return np.ascontiguousarray(self.weights + scale * self.factor.solve_half(white).T)
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
@@ -197,7 +201,7 @@ class SplinePosterior:
         prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
         per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
         covariance = h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing)
-        covariance[:3, :3] += h.noise_sd**2 * inverse.corner
+        covariance[:3, :3] += (h.inflation * h.noise_sd) ** 2 * inverse.corner
         return np.asarray(covariance)
 
 

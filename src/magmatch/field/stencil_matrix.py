@@ -60,28 +60,32 @@ class StencilMatrix:
         return dense
 
 
-def sum_of_elements(cells: CellGrid, element: np.ndarray) -> np.ndarray:
-    """Stencils (m, 172) of the sum of one 64 x 64 matrix over all active cells.
+def sum_of_elements(cells: CellGrid, element: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Stencils (m, 172) of the weighted sum of one 64 x 64 matrix over all active cells.
 
     Parameters
     ----------
     cells : CellGrid
     element : (64, 64) array
         Symmetric.
+    weights : (c,) array
+        Factor of each cell.
 
     Returns
     -------
     (m, 172) array
     """
     stencil = np.zeros((cells.n_nodes, HALF_STENCIL))
-    _add_element(stencil, element, cells.cell_nodes, HALF_OFFSET)
+    _add_element(stencil, element, weights, cells.cell_nodes, HALF_OFFSET)
     return stencil
 
 
 @njit(cache=True)
-def _add_element(stencil: np.ndarray, element: np.ndarray, cell_nodes: np.ndarray, half_offset: np.ndarray) -> None:
+def _add_element(
+    stencil: np.ndarray, element: np.ndarray, weights: np.ndarray, cell_nodes: np.ndarray, half_offset: np.ndarray
+) -> None:
     for n in range(cell_nodes.shape[0]):
         for a in range(64):
             p = cell_nodes[n, a]
             for b in range(a, 64):
-                stencil[p, half_offset[a, b]] += element[a, b]
+                stencil[p, half_offset[a, b]] += weights[n] * element[a, b]

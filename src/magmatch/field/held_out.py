@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What to leave out of a survey to see how well the rest predicts it, and how far its field reaches."""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from magmatch.typing import Indices, Mask, Points, Vectors
+
+# A squared-exponential potential's field differs from itself one lengthscale away by this share of its variance.
+SHARE_AT_LENGTHSCALE = 0.6
+SMALLEST_STRUCTURE = 0.1
+
+
+def typical_length(points: Points, field: Vectors) -> float:
+    """Distance at which field vectors have lost most of their likeness: where the variogram reaches 60 %.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+
+    Returns
+    -------
+    float, m
+        Between the samples' spacing and half their extent; 0 where all points coincide.
+    """
+    n = len(points)
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if extent == 0 or n < 3:
+        return 0.0
+    anchors = np.unique(np.linspace(0, n - 1, min(n, 400)).astype(np.int64))
+    # Neighbours of rank 1, 2, 4, ...: pairs at all distances from the samples' spacing to the whole region.
+    ranks = np.unique(np.minimum((2.0 ** np.arange(0, np.log2(n), 0.5)).astype(np.int64), n - 1))
+    subset = points if n <= 20_000 else points[:: -(-n // 20_000)]
+    values = field if n <= 20_000 else field[:: -(-n // 20_000)]
+    ranks = ranks[ranks < len(subset)]
+    found = cKDTree(subset).query(points[anchors], k=(ranks + 1).tolist())
+    distance, other = np.asarray(found[0]), np.asarray(found[1])
+    half_square = 0.5 * ((values[other] - field[anchors][:, None]) ** 2).sum(axis=2)
+    order = np.argsort(distance, axis=None)
+    d, g = distance.ravel()[order], half_square.ravel()[order]
+    edges = np.linspace(0, len(d), 25).astype(np.int64)
+    bins = [slice(a, b) for a, b in pairwise(edges) if b > a]
+    d, g = np.array([d[k].mean() for k in bins]), np.array([g[k].mean() for k in bins])
+    sill, nugget = float(((field - field.mean(axis=0)) ** 2).sum(axis=1).mean()), float(g[0])
+    reached = np.flatnonzero(g >= nugget + SHARE_AT_LENGTHSCALE * max(sill - nugget, 0.0))
+    # Without structure beyond the nugget, what there is changes slowly.
+    has_structure = sill - nugget > SMALLEST_STRUCTURE * sill and len(reached) > 0
+    length = d[reached[0]] if has_structure else extent / 4
+    return float(np.clip(length, 1e-3 * extent, extent / 2))
+
+
+def has_path_order(points: Points) -> bool:
+    """Whether consecutive samples are neighbours in space, as along a walk."""
+    if len(points) < 3:
+        return False
+    step = np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    spread = np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1))
+    return bool(step < 0.15 * spread)
+
+
+def path_segments(points: Points, length: float) -> Indices:
+    """Number the stretches of a path.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        In the order of the path.
+    length : float, m
+        Path length of one stretch, shortened where the path would not give ten.
+
+    Returns
+    -------
+    (n,) int array
+    """
+    step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
+    # Jumps between merged surveys are no path.
+    along = np.cumsum(np.minimum(step, 10 * np.median(step) + length / 10))
+    n_segments = max(10, int(along[-1] / max(length, 1e-12)))
+    segment = (along / max(along[-1], 1e-300) * n_segments).astype(np.int64)
+    return np.asarray(np.minimum(segment, n_segments - 1))
+
+
+def space_blocks(points: Points, size: float, rng: np.random.Generator) -> Indices:
+    """Number the cubes that hold samples, at random.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    size : float, m
+        Side of a cube.
+    rng : numpy Generator
+        Shuffles the numbers.
+
+    Returns
+    -------
+    (n,) int array
+    """
+    cube = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    _, block = np.unique(cube, axis=0, return_inverse=True)
+    return np.asarray(rng.permutation(int(block.max()) + 1)[block.reshape(-1)], dtype=np.int64)
+
+
+def choose_part(points: Points, n_samples: int, n_places: int) -> Mask:
+    """Samples around a few places far from one another.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    n_samples : int
+        About how many to take.
+    n_places : int
+        Over how many places.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    is_chosen = np.zeros(len(points), dtype=bool)
+    first = int(np.argmin(((points - np.median(points, axis=0)) ** 2).sum(axis=1)))
+    distance = ((points - points[first]) ** 2).sum(axis=1)
+    for _ in range(n_places):
+        nearest = np.argpartition(distance, min(n_samples // n_places, len(points) - 1))
+        is_chosen[nearest[: max(1, n_samples // n_places)]] = True
+        chosen = points[is_chosen]
+        # Next: the place of median distance to what was chosen, so that corners do not stand for the whole.
+        away = cKDTree(chosen).query(points)[0]
+        centre = int(np.argsort(away, kind="stable")[int(0.75 * len(points))])
+        distance = ((points - points[centre]) ** 2).sum(axis=1)
+    return is_chosen
