@@ -12,6 +12,7 @@ the covariance (NEES per degree of freedom) and the seconds per query with the m
 
 import argparse
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,6 +46,7 @@ class Outcome:
     angle_deg: float
     nees: float
     seconds: float
+    status: str
     reason: str
 
 
@@ -91,7 +93,15 @@ def try_one(index: WalkIndex, stretch: Survey, rng: np.random.Generator, config:
     is_right = bool(distance <= MAX_M and np.degrees(angle) <= MAX_DEG)
     is_elsewhere = bool(distance > OTHER_PLACE_M)
     return Outcome(
-        result.is_accepted, is_right, is_elsewhere, distance, float(np.degrees(angle)), nees, seconds, result.reason
+        result.is_accepted,
+        is_right,
+        is_elsewhere,
+        distance,
+        float(np.degrees(angle)),
+        nees,
+        seconds,
+        result.status,
+        result.reason,
     )
 
 
@@ -104,6 +114,8 @@ def report(length: float, outcomes: list[Outcome]) -> None:
         f"accepted in another place {sum(o.is_elsewhere for o in accepted)}, "
         f"accepted in place but out of tolerance {sum(not o.is_right and not o.is_elsewhere for o in accepted)}"
     )
+    refusals = Counter(o.status for o in outcomes if not o.is_accepted)
+    print(f"        refused: {', '.join(f'{n} {status}' for status, n in refusals.most_common()) or 'none'}")
     if accepted:
         print(
             f"        median error {1e3 * np.median([o.distance for o in accepted]):.0f} mm, "
