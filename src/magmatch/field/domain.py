@@ -74,4 +74,7 @@ class BoundedPosterior:
         return self.inner.knows(points) & self.contains(points)
 
     def _or_nowhere(self, points: Points) -> Points:
-        return np.asarray(np.where(self.contains(points)[:, None], points, NOWHERE), dtype=np.float64)
+        moved: Points = np.full_like(points, NOWHERE)
+        is_inside = self.contains(points)
+        moved[is_inside] = points[is_inside]
+        return moved

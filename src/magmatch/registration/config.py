@@ -10,6 +10,7 @@ from magmatch.registration.decision import DecisionConfig
 from magmatch.registration.invariant_search import InvariantSearchConfig
 from magmatch.registration.keypoint_search import KeypointSearchConfig
 from magmatch.registration.refinement import RefinementConfig
+from magmatch.registration.register_walk import WalkConfig
 
 
 class RegistrationConfig(BaseModel):
@@ -19,9 +20,12 @@ class RegistrationConfig(BaseModel):
 
     # How the two maps are made, where surveys are given.
     field: FieldConfig = Field(default_factory=FieldConfig)
-    # 'invariants': a frame and a descriptor at every point; 'keypoints': the published detector, HOV and MSAC.
-    search: Literal["invariants", "keypoints"] = "invariants"
+    # 'invariants': a frame and a descriptor at every point; 'pairs': pairs of points, for a walk that is a line and
+    # has no gradient across itself; 'auto': pairs for short lines, invariants otherwise and where pairs refuse;
+    # 'keypoints': the published detector, HOV and MSAC.
+    search: Literal["auto", "invariants", "pairs", "keypoints"] = "auto"
     invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
+    walks: WalkConfig = Field(default_factory=WalkConfig)
     keypoints: KeypointSearchConfig = Field(default_factory=KeypointSearchConfig)
     refinement: RefinementConfig = Field(default_factory=RefinementConfig)
     decision: DecisionConfig = Field(default_factory=DecisionConfig)

@@ -20,10 +20,12 @@ from magmatch.registration.invariant_search import invariant_search
 from magmatch.registration.keypoint_search import keypoint_search
 from magmatch.registration.prepared import PreparedMap, prepare
 from magmatch.registration.refinement import refine
+from magmatch.registration.register_walk import index_walks, register_walk
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensors import levels_to_try
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
+from magmatch.registration.walk import choose_search, field_length
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
@@ -61,34 +63,57 @@ def register(
     config = config or PRESETS["default"]
     clock = Stopwatch()
     base_map = clock.time("base map", as_map, base, config)
-    target_map = clock.time("target map", as_map, target, config)
-    answer = (
-        register_by_keypoints(base_map, target_map, config, seed, clock)
-        if config.search == "keypoints" and config.decision.rule == "fitness"
-        else register_by_field(base_map, target_map, config, seed, clock)
-    )
+    if config.search == "keypoints" and config.decision.rule == "fitness":
+        target_map = clock.time("target map", as_map, target, config)
+        answer = register_by_keypoints(base_map, target_map, config, seed, clock)
+    else:
+        answer = register_by_field(base_map, target, config, seed, clock)
     return replace(
         answer,
         seconds=clock.seconds(),
         config=config.model_dump(mode="json"),
         version=__version__,
         seed=seed,
-        inputs=(describe_input(base_map.survey), describe_input(target_map.survey)),
+        inputs=(describe_input(base_map.survey), describe_input(_survey(target))),
     )
 
 
 def register_by_field(
-    base_map: FieldMap, target_map: FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
+    base_map: FieldMap, target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
 ) -> RegistrationResult:
-    """Search, refine against the field, decide from independent cells."""
+    """Compare the target with the base's field: as a walk where it is a line, as a map otherwise."""
+    base = clock.time("prepare", prepare, base_map, config.invariants.n_draws, np.random.default_rng(seed))
+    survey, search = _survey(target), config.search
+    if search == "auto":
+        search = choose_search(survey, field_length(base))
+    if search == "pairs":
+        answer = register_as_walk(base, survey, config, seed, clock)
+        if answer.is_accepted or config.search == "pairs":
+            return answer
+    return register_as_map(base, target, config, seed, clock)
+
+
+def register_as_walk(
+    base: PreparedMap, survey: Survey, config: RegistrationConfig, seed: int, clock: Stopwatch
+) -> RegistrationResult:
+    """Pairs of points, least squares along the path, decide by the walk's evidence."""
     rng = np.random.default_rng(seed)
-    n_draws = config.invariants.n_draws
-    base = clock.time("prepare", prepare, base_map, n_draws, rng)
-    target = clock.time("prepare", prepare, target_map, n_draws, rng)
-    found = clock.time("search", _search, base, target, config, rng)
+    log.info("searching for the walk by pairs of points")
+    index = clock.time("index", index_walks, base, config.walks, rng)
+    return clock.time("walk", register_walk, index, survey, config.walks, rng)
+
+
+def register_as_map(
+    base: PreparedMap, target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
+) -> RegistrationResult:
+    """Search, refine against the field, decide by the evidence of independent modes."""
+    rng = np.random.default_rng(seed)
+    target_map = clock.time("target map", as_map, target, config)
+    prepared = clock.time("prepare", prepare, target_map, config.invariants.n_draws, rng)
+    found = clock.time("search", _search, base, prepared, config, rng)
     log.info("refining the best poses")
-    ranked = clock.time("refine", _refine_and_rank, base, target, found, config, seed)
-    return clock.time("decide", by_evidence, base, target, found, ranked, config.decision)
+    ranked = clock.time("refine", _refine_and_rank, base, prepared, found, config, seed)
+    return clock.time("decide", by_evidence, base, prepared, found, ranked, config.decision)
 
 
 def register_by_keypoints(
@@ -102,6 +127,10 @@ def register_by_keypoints(
     return by_fitness(found, fitness, config.decision)
 
 
+def _survey(survey_or_map: Survey | FieldMap) -> Survey:
+    return survey_or_map.survey if isinstance(survey_or_map, FieldMap) else survey_or_map
+
+
 def as_map(survey_or_map: Survey | FieldMap, config: RegistrationConfig) -> FieldMap:
     """Map a survey; a map is taken as it is."""
     if isinstance(survey_or_map, FieldMap):
@@ -113,7 +142,7 @@ def _search(
     base: PreparedMap, target: PreparedMap, config: RegistrationConfig, rng: np.random.Generator
 ) -> SearchResult:
     """Poses in model frames, whichever search is configured."""
-    if config.search == "invariants":
+    if config.search != "keypoints":
         return invariant_search(base, target, config.invariants, rng)
     found = keypoint_search(base.field_map, target.field_map, config.keypoints, rng)
     to_model = base.T_map_model.inv()
