@@ -71,7 +71,8 @@ class BoundedPosterior:
 
     def knows(self, points: Points) -> Mask:
         """See `Posterior.knows`."""
-        return self.inner.knows(points) & self.contains(points)
+        known: Mask = self.inner.knows(points) & self.contains(points)
+        return known
 
     def _or_nowhere(self, points: Points) -> Points:
         moved: Points = np.full_like(points, NOWHERE)
