@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cells, elimination, factor and selected inverse against dense linear algebra."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.errors import ConfigurationError
+from magmatch.field.cells import lay_cells
+from magmatch.field.element_matrices import divergence_matrix, lone_cell_covariance, prior_element, smoothness_matrix
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.multifrontal import factorise
+from magmatch.field.nested_dissection import order_elimination
+from magmatch.field.selected_inverse import selected_inverse
+from magmatch.field.spline_model import SplineModel
+from magmatch.field.stencil_matrix import StencilMatrix
+
+few = settings(deadline=None, derandomize=True, max_examples=8)
+SHAPES = {"volume": (1.0, 0.7, 0.4), "plane": (1.2, 1.0, 0.0), "line": (2.5, 0.0, 0.0), "point": (0.0, 0.0, 0.0)}
+
+
+def system(shape, seed=0, leaf_size=60, n=150):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, 1, (n, 3)) * shape
+    h = Hyperparameters(0.4, 1e-5, 1e-6, 0.15, 100.0)
+    cells = lay_cells(x, h.spacing, 1.5)
+    model = SplineModel(h, cells, order_elimination(cells, leaf_size))
+    information = model.observe(x, 1e-5 * rng.normal(size=(n, 3)))
+    return model, information.gram + model.prior_precision(), information
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_factor_solves_like_dense_cholesky(shape):
+    model, A, information = system(shape)
+    dense = A.to_dense(model.cells)
+    factor = factorise(model.elimination, A)
+    solution = factor.solve(information.eta)
+    scale = np.linalg.norm(dense, 2) * np.linalg.norm(solution)
+    assert np.linalg.norm(dense @ solution - information.eta) < 1e-12 * scale
+    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_half_solve_has_the_inverse_as_its_covariance(shape):
+    model, A, _ = system(shape)
+    root = factorise(model.elimination, A).solve_half(np.eye(len(model.elimination.unknown)))
+    inverse = np.linalg.inv(A.to_dense(model.cells))
+    np.testing.assert_allclose(root @ root.T, inverse, atol=1e-9 * np.abs(inverse).max())
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_selected_inverse_equals_the_dense_inverse_in_every_cell(shape):
+    model, A, _ = system(shape)
+    inverse = np.linalg.inv(A.to_dense(model.cells))
+    selected = selected_inverse(factorise(model.elimination, A)).to_dense(model.cells)
+    m = model.cells.n_nodes
+    for nodes in model.cells.cell_nodes:
+        rows = np.ix_(np.r_[nodes, m : m + 3], np.r_[nodes, m : m + 3])
+        np.testing.assert_allclose(selected[rows], inverse[rows], atol=1e-9 * np.abs(inverse).max())
+
+
+@few
+@given(leaf_size=st.integers(10, 2000), seed=st.integers(0, 50))
+def test_any_elimination_tree_gives_the_same_answer(leaf_size, seed):
+    model, A, information = system((1.0, 0.8, 0.2), seed, leaf_size)
+    reference = factorise(order_elimination(model.cells, 10**9), A)
+    factor = factorise(model.elimination, A)
+    assert factor.log_determinant == pytest.approx(reference.log_determinant, rel=1e-12)
+    expected = reference.solve(information.eta)
+    np.testing.assert_allclose(factor.solve(information.eta), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_elimination_order_is_a_permutation_with_later_borders():
+    model, _, _ = system((1.5, 1.5, 0.3))
+    e = model.elimination
+    assert np.array_equal(np.sort(e.unknown), np.arange(e.n_unknowns))
+    assert np.array_equal(e.unknown[e.position], np.arange(e.n_unknowns))
+    assert all(np.all(f.border >= f.stop) and np.all(np.diff(f.border) > 0) for f in e.fronts)
+    assert sum(f.stop - f.start for f in e.fronts) == e.n_unknowns
+
+
+def test_indefinite_matrix_is_refused_with_the_pivot():
+    model, A, _ = system((0.5, 0.5, 0.0))
+    broken = StencilMatrix(A.stencil.copy(), A.border, A.corner)
+    broken.stencil[7, 0] = -1.0
+    with pytest.raises(np.linalg.LinAlgError, match="pivot"):
+        factorise(model.elimination, broken)
+
+
+def test_sum_of_two_matrices_adds_their_dense_forms():
+    model, A, information = system((0.6, 0.4, 0.1))
+    cells = model.cells
+    np.testing.assert_allclose(
+        (A - information.gram).to_dense(cells), A.to_dense(cells) - information.gram.to_dense(cells), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("k", [0, 1, 2, 3])
+def test_smoothness_is_the_integral_of_squared_derivatives_of_monomials(k):
+    """Node values of ``x^k / k!`` sampled by B-splines reproduce it, and |grad^k x^k / k!|^2 = 1."""
+    i = np.arange(-1.0, 3.0)
+    along = {0: np.ones(4), 1: i, 2: i**2 - 1 / 3, 3: i**3 - i}[k] / [1, 1, 2, 6][k]
+    w = np.einsum("a,b,c->abc", along, np.ones(4), np.ones(4)).ravel()
+    assert w @ smoothness_matrix(k) @ w == pytest.approx(1.0, rel=1e-10)
+
+
+def test_harmonic_potential_has_no_divergence_energy():
+    i = np.arange(-1.0, 3.0)
+    square, one = i**2 - 1 / 3, np.ones(4)
+    w = np.einsum("a,b,c->abc", square, one, one) - np.einsum("a,b,c->abc", one, one, square)
+    assert w.ravel() @ divergence_matrix() @ w.ravel() == pytest.approx(0.0, abs=1e-10)
+
+
+@given(a=st.floats(0.2, 12.0), stiffness=st.floats(0.0, 1e4))
+@few
+def test_prior_is_positive_definite_at_extremes(a, stiffness):
+    assert np.linalg.eigvalsh(prior_element(a, stiffness)).min() > 0
+    covariance = lone_cell_covariance(a, stiffness, 1.5)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-9 * covariance.max()
+
+
+def test_region_too_large_for_its_spacing_is_refused_in_one_line():
+    x = np.array([[0.0, 0, 0], [1e4, 1e4, 1e4]])
+    with pytest.raises(ConfigurationError, match="widen the spacing"):
+        lay_cells(x, 0.1, 2.5)
+
+
+@pytest.mark.parametrize(("x", "message"), [(np.zeros((0, 3)), "at least one"), (np.zeros((1, 3)), "positive")])
+def test_impossible_cells_are_refused(x, message):
+    with pytest.raises(ValueError, match=message):
+        lay_cells(x, 0.1 if len(x) == 0 else -1.0, 1.0)
+
+
+def test_points_fall_in_active_cells_exactly_within_reach():
+    cells = lay_cells(np.zeros((1, 3)), 1.0, 2.0)
+    inside, _ = cells.locate(np.array([[0.0, 0, 0], [2.4, 0, 0], [2.6, 0, 0], [np.nan, 0, 0], [2.0, 2.0, 0]]))
+    assert (inside >= 0).tolist() == [True, True, False, False, False]

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is left out, and what length a field has."""
+
+import numpy as np
+import pytest
+
+from magmatch.field.cross_validation import affordable_spacing
+from magmatch.field.held_out import choose_part, has_path_order, path_segments, space_blocks, typical_length
+
+rng = np.random.default_rng(0)
+CLOUD = rng.uniform(0, 3, (2000, 3))
+WALK = np.c_[np.linspace(0, 20, 2000), np.sin(np.linspace(0, 9, 2000)), np.zeros(2000)]
+
+
+@pytest.mark.parametrize("length", [0.3, 0.6, 1.0])
+def test_typical_length_of_a_squared_exponential_potential_is_its_lengthscale(length):
+    draw = np.random.default_rng(1)
+    k = draw.normal(size=(400, 3)) / length
+    phase = draw.uniform(0, 2 * np.pi, 400)
+    field = 1e-6 * np.sin(CLOUD @ k.T + phase) @ k
+    assert typical_length(CLOUD, field) == pytest.approx(length, rel=0.35)
+
+
+def test_typical_length_of_noise_is_that_of_the_region():
+    noise = np.random.default_rng(2).normal(size=CLOUD.shape)
+    assert typical_length(CLOUD, noise) == pytest.approx(np.linalg.norm(np.ptp(CLOUD, axis=0)) / 4)
+
+
+def test_walks_have_path_order_and_clouds_do_not():
+    assert has_path_order(WALK)
+    assert not has_path_order(CLOUD)
+    assert not has_path_order(WALK[rng.permutation(len(WALK))])
+
+
+def test_segments_are_contiguous_and_of_the_length_asked_for():
+    segment = path_segments(WALK, 1.0)
+    assert np.all(np.isin(np.diff(segment), [0, 1]))
+    along = np.linalg.norm(np.diff(WALK, axis=0), axis=1)
+    lengths = np.bincount(segment[1:], weights=along)
+    assert np.all(np.abs(lengths - 1.0) < 0.15)
+
+
+def test_samples_of_one_block_lie_within_its_cube():
+    block = space_blocks(CLOUD, 0.5, np.random.default_rng(0))
+    for k in range(10):
+        assert np.ptp(CLOUD[block == k], axis=0).max() <= 0.5
+
+
+def test_part_has_about_the_samples_asked_for():
+    part = choose_part(WALK, 600, 3)
+    assert 300 <= part.sum() <= 600
+
+
+def test_spacing_of_a_country_is_widened_with_a_word(caplog):
+    x = rng.uniform(0, 5e4, (500, 3)) * [1, 1, 0.01]
+    spacing = affordable_spacing(x, 0.1)
+    assert spacing > 0.1
+    assert "widened" in caplog.text
