@@ -98,17 +98,15 @@ def measure(name, scenario, has_truth=True):
     t.append(clock())
     steps = " ".join(f"{s} {d:.2f}" for s, d in zip(("hyper", "fit", "eval", "sd"), np.diff(t), strict=True))
     print(f"{name}: {len(x)} samples, {model.cells.n_nodes} nodes at {h.spacing:.3f} m")
-    print(
-        f"    lengthscale {h.lengthscale:.2f} m, noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.1f}; {steps}, total {t[-1] - t[0]:.2f} s"
-    )
+    print(f"    lengthscale {h.lengthscale:.2f} m, noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.1f}")
+    print(f"    {steps}, total {t[-1] - t[0]:.2f} s")
     for label, (points, truth) in tests.items():
         error = posterior.evaluate(points).field - truth
         variance = np.diagonal(posterior.covariance(points), axis1=1, axis2=2)
         sd = np.sqrt(variance if has_truth else variance + h.noise_sd**2)
         rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
-        print(
-            f"    {label}: RMSE {rmse:.3f} uT (3-vectors), 95 % intervals cover {np.mean(abs(error) < 1.96 * sd):.1%}"
-        )
+        cover = np.mean(abs(error) < 1.96 * sd)
+        print(f"    {label}: RMSE {rmse:.3f} uT (3-vectors), 95 % intervals cover {cover:.1%}")
 
 
 def main():
