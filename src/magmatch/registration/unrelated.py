@@ -100,16 +100,18 @@ class UnrelatedField:
         unexplained : float
             Variance of the residuals that explains them best, as a share of the cells' field's.
         """
-        power, modes = np.linalg.eigh(self.covariance[np.ix_(rows, rows)])
-        noise = float((self.noise[rows] + extra).mean())
-        k = np.maximum(power, 0.0) + noise + self.roughness
-        constant = self.field[rows].mean(axis=0)
-        b2 = ((modes.T @ (self.field[rows] - constant)) ** 2).sum(axis=1)
-        r2 = ((modes.T @ residual) ** 2).sum(axis=1)
-        variance = float(self.field.var(axis=0).mean())
+        # Cells in units of their own uncertainty: where the base map is unsure, little is asked of it.
+        noise = self.noise[rows] + extra + self.roughness
+        W = 1 / np.sqrt(noise)
+        power, modes = np.linalg.eigh(W[:, None] * self.covariance[np.ix_(rows, rows)] * W)
+        k = np.maximum(power, 0.0) + 1.0
+        constant = np.average(self.field[rows], axis=0, weights=W**2)
+        b2 = ((modes.T @ (W[:, None] * (self.field[rows] - constant))) ** 2).sum(axis=1)
+        r2 = ((modes.T @ (W[:, None] * residual)) ** 2).sum(axis=1)
+        variance = float(self.field.var(axis=0).mean() * (W**2).mean())
         found = []
         for share in UNEXPLAINED:
-            v = np.minimum(k, noise + share * variance)
+            v = np.minimum(k, 1.0 + share * variance)
             L = np.minimum(b2, 9 * k) / (2 * k) - r2 / (2 * v) + 1.5 * np.log(k / v)
             L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
             # A mode that the residuals' level drowns is no evidence for or against.
