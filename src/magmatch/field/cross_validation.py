@@ -30,9 +30,19 @@ LENGTHSCALE_IN_SPACINGS = 3.5
 SIGNAL_TO_NOISE, STIFFNESS = 100.0, 3000.0
 # Two fifths are held out, one fifth at a time.
 N_GROUPS, FOLDS = 5, (1, 3)
-# What is varied in turn, by which factor, and by which share it must predict better to be taken: held-out errors are
-# themselves uncertain, and the last two are known well from the start.
-STEPS = (("signal_sd", 3.0, 0.01), ("spacing", 0.75, 0.02), ("lengthscale", 1.6, 0.04), ("stiffness", 0.1, 0.04))
+# Moves tried in turn: what is multiplied, by which factor, and by which share it must predict better to be taken.
+# Held-out errors are themselves uncertain and the start is a good one, so those that would cost most if they were
+# wrong (a stiffer, coarser or rougher model) need the best reasons.
+MOVES = (
+    ("signal_sd", 3.0, 0.03),
+    ("spacing", 0.75, 0.02),
+    ("spacing", 1 / 0.75, 0.05),
+    ("lengthscale", 1.6, 0.04),
+    ("lengthscale", 1 / 1.6, 0.04),
+    ("stiffness", 0.1, 0.04),
+)
+# Of the absolute value of a standard normal variable.
+MEDIAN_OF_NORMAL = 0.6745
 ROUNDS, MOST_STEPS = 2, 3
 # Bounds of the ratio of lengthscale and spacing, and of the stiffness.
 RELATIVE_LENGTHSCALES, STIFFNESSES = (1.5, 12.0), (3.0, 3001.0)
@@ -72,7 +82,7 @@ BLOCK_SCORE, PATH_SCORE = Score(2.0, 1.0), Score(0.5, 0.5)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Trial:
-    """One point of the search: its numbers (noise 1) and the error of held-out predictions."""
+    """One point of the search: its numbers and the error of held-out predictions."""
 
     hyperparameters: Hyperparameters
     error: float
@@ -128,20 +138,25 @@ class HeldOutSearch:
     def calibration(self, h: Hyperparameters) -> tuple[float, float]:
         """Noise level and inflation of the posterior: the sharpest that cover 95 % of the held-out components.
 
-        Trials have noise 1, so the posterior variance v of a trial is in units of the noise's; held-out residuals
-        are taken to have variance ``s^2 (1 + r v)``. For each r, s is set by coverage; the r of the smallest mean
-        log width wins. The inflation is relative to the noise s: ``sqrt(r)``.
+        With v the posterior variance of a trial in units of its noise variance, held-out residuals are taken to have
+        variance ``s^2 (1 + r v)``. For each r, s is set by coverage; the r of the smallest mean
+        log width wins, among those with s no smaller than the residuals of samples that were fitted. The inflation
+        is relative to the noise s: ``sqrt(r)``.
         """
-        residuals, variance = [], []
+        residuals, variance, fitted = [], [], []
         for posterior, fold in self._fits(h):
             residuals.append(np.abs(self._residuals(posterior, fold)))
-            variance.append(np.diagonal(posterior.covariance(self.points[fold]), axis1=1, axis2=2))
+            fitted.append(np.abs(self._residuals(posterior, ~fold)).ravel())
+            covariance = posterior.covariance(self.points[fold]) / h.noise_sd**2
+            variance.append(np.diagonal(covariance, axis1=1, axis2=2))
         size, v = np.concatenate(residuals), np.concatenate(variance)
-        best = (np.inf, 1.0, 1.0)
+        smallest = float(np.median(np.concatenate(fitted))) / MEDIAN_OF_NORMAL
+        best = (np.inf, smallest, 1.0)
         for ratio in INFLATIONS**2:
             width = np.sqrt(1.0 + ratio * v)
             noise = float(np.quantile(size / width, 0.95) / 1.96)
-            best = min(best, (float(np.log(max(noise, 1e-300)) + np.log(width).mean()), noise, float(np.sqrt(ratio))))
+            noise = max(noise, smallest, 1e-300)
+            best = min(best, (float(np.log(noise) + np.log(width).mean()), noise, float(np.sqrt(ratio))))
         return best[1], best[2]
 
     def _fits(self, h: Hyperparameters) -> Iterator[tuple[SplinePosterior, Mask]]:
@@ -183,18 +198,20 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
     if len(points) < FEWEST_SAMPLES or length == 0 or np.ptp(field, axis=0).max() <= floor:
         return _without_evidence(points, field, length, floor)
     spacing = affordable_spacing(points, length / LENGTHSCALE_IN_SPACINGS)
-    start = Hyperparameters(max(length, 2 * spacing), SIGNAL_TO_NOISE, 1.0, spacing, STIFFNESS)
+    signal = float(np.sqrt(field.var(axis=0).mean()))
+    noise = signal / SIGNAL_TO_NOISE
+    start = Hyperparameters(max(length, 2 * spacing), signal, noise, spacing, STIFFNESS)
     search = _prepare(points, field, start)
     if not search.folds:
         return _without_evidence(points, field, length, floor)
     best = _search(search, start)
     noise, inflation = search.calibration(best.hyperparameters)
-    noise, signal = max(noise, floor), float(np.sqrt(field.var(axis=0).mean()))
+    noise = max(noise, floor)
     chosen = replace(
         best.hyperparameters,
         signal_sd=signal,
         noise_sd=noise,
-        looseness=best.hyperparameters.signal_sd * noise / signal,
+        looseness=best.hyperparameters.signal_sd / best.hyperparameters.noise_sd * noise / signal,
         inflation=inflation,
     )
     log.info("held-out error %.3g T with %s", best.error, chosen)
@@ -271,7 +288,7 @@ def _search(search: HeldOutSearch, start: Hyperparameters) -> Trial:
     best = Trial(start, search.error(start))
     for _ in range(ROUNDS):
         before = best
-        for name, factor, gain in STEPS:
+        for name, factor, gain in MOVES:
             best = _along(search, best, name, factor, gain)
         if best.hyperparameters == before.hyperparameters:
             break
@@ -279,20 +296,15 @@ def _search(search: HeldOutSearch, start: Hyperparameters) -> Trial:
 
 
 def _along(search: HeldOutSearch, best: Trial, name: str, factor: float, gain: float) -> Trial:
-    """Best of a geometric sequence of one number, in the direction that helps."""
-    for step in (factor, 1 / factor):
-        moved = False
-        for _ in range(MOST_STEPS):
-            value = getattr(best.hyperparameters, name) * step
-            h = replace(best.hyperparameters, **{name: value})
-            if not _is_allowed(search, h):
-                break
-            error = search.error(h)
-            if error >= (1 - gain) * best.error:
-                break
-            best, moved = Trial(h, error), True
-        if moved:
+    """Repeat one move as long as it helps."""
+    for _ in range(MOST_STEPS):
+        h = replace(best.hyperparameters, **{name: getattr(best.hyperparameters, name) * factor})
+        if not _is_allowed(search, h):
             break
+        error = search.error(h)
+        if error >= (1 - gain) * best.error:
+            break
+        best = Trial(h, error)
     return best
 
 
