@@ -205,13 +205,18 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
     if not search.folds:
         return _without_evidence(points, field, length, floor)
     best = _search(search, start)
-    noise, inflation = search.calibration(best.hyperparameters)
-    noise = max(noise, floor)
+    calibrated, inflation = search.calibration(best.hyperparameters)
+    noise = max(calibrated, floor)
+    if has_path_order(points):
+        # Along a path the nearest samples share their error (a pose that drifts, steel under the wheels): what other
+        # passes miss by is the noise that a map for other surveys must reckon with.
+        noise = max(noise, best.error / np.sqrt(3))
+        inflation = max(1.0, inflation * calibrated / noise)
     chosen = replace(
         best.hyperparameters,
         signal_sd=signal,
         noise_sd=noise,
-        looseness=best.hyperparameters.signal_sd / best.hyperparameters.noise_sd * noise / signal,
+        looseness=best.hyperparameters.signal_sd / best.hyperparameters.noise_sd * max(calibrated, floor) / signal,
         inflation=inflation,
     )
     log.info("held-out error %.3g T with %s", best.error, chosen)
