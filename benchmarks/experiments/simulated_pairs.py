@@ -7,7 +7,6 @@ import argparse
 import time
 
 import numpy as np
-
 from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
