@@ -1,0 +1,91 @@
+"""The whole path on a small office: two surveys in, one transform out, whatever the frames."""
+
+import numpy as np
+import pytest
+
+import magmatch as mm
+from magmatch.geometry import log_se3, random_transform, transform_error
+from magmatch.registration.config import PRESETS
+from magmatch.simulation.config import SimulationConfig
+
+pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
+
+SMALL = SimulationConfig(n_samples=900)
+
+
+@pytest.fixture(scope="module")
+def office():
+    pair = mm.simulate("office-random", 11, SMALL)
+    base_map, target_map = mm.build_map(pair.base), mm.build_map(pair.target)
+    return pair, base_map, target_map, mm.register(base_map, target_map)
+
+
+def test_two_surveys_of_a_room_are_registered(office):
+    pair, _, _, result = office
+    distance, angle = transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)
+    assert result.status == "accepted"
+    assert distance < 0.005
+    assert angle < np.radians(0.3)
+
+
+def test_carried_grids_give_the_carried_answer_to_rounding(office):
+    # register(T1 base, T2 target) = T1 T T2^-1: maps, grids and random choices move with their surveys.
+    _, base_map, target_map, result = office
+    rng = np.random.default_rng(0)
+    T1, T2 = random_transform(rng, 1.0), random_transform(rng, 1.0)
+    moved = mm.register(base_map.transformed(T1), target_map.transformed(T2))
+    expected = T1 * result.T_base_target * T2.inv()
+    np.testing.assert_allclose(moved.T_base_target.as_matrix(), expected.as_matrix(), atol=1e-9)
+
+
+def test_surveys_in_other_frames_give_the_same_answer_within_its_covariance(office):
+    pair, _, _, result = office
+    rng = np.random.default_rng(1)
+    T1, T2 = random_transform(rng), random_transform(rng)
+    moved = mm.register(pair.base.transformed(T1), pair.target.transformed(T2))
+    back = T1.inv() * moved.T_base_target * T2
+    xi = log_se3(result.T_base_target.inv() * back)
+    assert xi @ np.linalg.solve(result.covariance, xi) < 6.0
+
+
+def test_swapping_base_and_target_inverts_the_answer_within_its_covariance(office):
+    _, base_map, target_map, result = office
+    swapped = mm.register(target_map, base_map)
+    xi = log_se3(result.T_base_target.inv() * swapped.T_base_target.inv())
+    assert xi @ np.linalg.solve(result.covariance, xi) < 12.0
+
+
+def test_the_same_seed_gives_the_same_bits(office):
+    _, base_map, target_map, result = office
+    again = mm.register(base_map, target_map)
+    np.testing.assert_array_equal(again.T_base_target.as_matrix(), result.T_base_target.as_matrix())
+
+
+def test_a_walk_along_the_path_of_another_is_registered_as_a_walk():
+    pair = mm.simulate("corridor", 0, SMALL)
+    result = mm.register(pair.base, pair.target)
+    assert result.is_accepted
+    assert "walk" in result.seconds
+    distance, angle = transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)
+    assert distance < 0.5
+    assert angle < np.radians(4)
+
+
+@pytest.mark.parametrize("scenario", ["nowhere", "uniform"])
+def test_what_cannot_be_known_is_refused_with_a_reason(scenario):
+    pair = mm.simulate(scenario, 5, SMALL)
+    result = mm.register(pair.base, pair.target)
+    assert not result.is_accepted
+    assert result.T_base_target is None
+    assert result.covariance is None
+    assert len(result.reason) > 20
+
+
+def test_preset_paper_registers_a_room_without_refinement():
+    pair = mm.simulate("office-z30", 3)
+    result = mm.register(pair.base, pair.target, PRESETS["paper"])
+    distance, angle = transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)
+    assert result.is_accepted
+    assert result.covariance is None  # the published method gives none
+    assert distance < 0.1
+    assert angle < np.radians(3)
