@@ -4,9 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
+from magmatch.registration.covariance import to_survey_axes
 from magmatch.registration.decision import DecisionConfig, decide, decide_by_fitness
-from magmatch.registration.result import Status
+from magmatch.registration.result import RegistrationResult, Status
 
 CONFIG = DecisionConfig()
 
@@ -31,6 +33,16 @@ def evidence(**changes):
 )
 def test_each_check_gives_its_own_status(changes, is_free, lead, status):
     assert decide([evidence(**changes)], is_free, lead, CONFIG).status is status
+
+
+def test_uncertainty_is_said_where_the_target_lies_not_at_a_far_origin():
+    # 1 mrad about a centre 100 m from the origin, known to 5 mm there: the origin itself is unsure by 0.1 m.
+    center, turn, shift = np.array([100.0, 0.0, 0.0]), 1e-3, 5e-3
+    about_center = np.diag([turn**2] * 3 + [shift**2] * 3)
+    C = to_survey_axes(about_center, center, RigidTransform.identity())
+    result = RegistrationResult(Status.ACCEPTED, "", RigidTransform.identity(), covariance=C)
+    np.testing.assert_allclose(result.standard_deviations, [np.sqrt(3) * turn, np.sqrt(3) * shift], rtol=1e-6)
+    assert np.sqrt(np.trace(C[3:, 3:])) > 0.1
 
 
 def test_no_pose_at_all_is_a_result():

@@ -87,9 +87,9 @@ def _motion(result: "RegistrationResult") -> str:
     if T is None:
         return ""
     text = f"turned by {np.rad2deg(T.rotation.magnitude()):.2f} deg, moved by {np.linalg.norm(T.translation):.3f} m"
-    if result.covariance is not None:
-        sd = np.sqrt(np.diag(result.covariance))
-        text += f"; sd {np.rad2deg(np.linalg.norm(sd[:3])):.2f} deg, {1e3 * np.linalg.norm(sd[3:]):.1f} mm"
+    if result.standard_deviations is not None:
+        turn, shift = result.standard_deviations
+        text += f"; sd {np.rad2deg(turn):.2f} deg, {1e3 * shift:.1f} mm where the target lies"
     return text
 
 

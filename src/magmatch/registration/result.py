@@ -78,6 +78,19 @@ class RegistrationResult:
         """Whether a transform is given."""
         return self.status is Status.ACCEPTED
 
+    @property
+    def standard_deviations(self) -> tuple[float, float] | None:
+        """How sure the pose is: of the turn (rad) and of the place where the target lies (m); None if not known.
+
+        The covariance is about the target frame's origin, which may be far from its samples, where every turn is a
+        large shift. The place that the data fix best is the one whose shift does not correlate with the turn.
+        """
+        if self.covariance is None:
+            return None
+        turn, cross, shift = self.covariance[:3, :3], self.covariance[3:, :3], self.covariance[3:, 3:]
+        at_target = shift - cross @ np.linalg.solve(turn, cross.T)
+        return float(np.sqrt(np.trace(turn))), float(np.sqrt(max(float(np.trace(at_target)), 0.0)))
+
     def to_dict(self) -> dict[str, Any]:
         """What the result says, in lists, numbers and words, keys and order as in the file."""
         return document_of(self)

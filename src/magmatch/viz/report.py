@@ -101,9 +101,11 @@ def _certainty(result: RegistrationResult) -> list[str]:
     sections: list[str] = []
     if result.covariance is not None:
         sd = np.sqrt(np.diag(result.covariance))
-        axes = ["about x", "about y", "about z", "along x", "along y", "along z"]
+        axes = ["about x", "about y", "about z", "origin along x", "origin along y", "origin along z"]
         text = [f"{np.rad2deg(s):.3f} deg" for s in sd[:3]] + [f"{1e3 * s:.1f} mm" for s in sd[3:]]
         rows = [[axis, words] for axis, words in zip(axes, text, strict=True)]
+        turn, shift = result.standard_deviations or (0.0, 0.0)
+        rows.insert(0, ["where the target lies", f"{np.rad2deg(turn):.3f} deg, {1e3 * shift:.1f} mm"])
         sections += [heading("Standard deviations, in the target's axes"), table(rows)]
     if result.alternatives:
         rows = [
