@@ -14,7 +14,14 @@ CONFIG = DecisionConfig()
 
 
 def evidence(**changes):
-    good = {"overlap": 0.9, "n_informative": 40, "n_good": 38, "good_share": 0.95, "log_evidence": 200.0}
+    good = {
+        "overlap": 0.9,
+        "n_informative": 40,
+        "n_good": 38,
+        "good_share": 0.95,
+        "log_evidence": 200.0,
+        "residual": 1.0,
+    }
     return SimpleNamespace(**(good | changes))
 
 
@@ -27,6 +34,7 @@ def evidence(**changes):
         ({"n_informative": 2}, False, np.inf, Status.UNINFORMATIVE),
         ({"n_good": 10, "good_share": 0.25}, False, np.inf, Status.INCONSISTENT),
         ({"log_evidence": 5.0}, False, np.inf, Status.INCONSISTENT),
+        ({"residual": 5.0}, False, np.inf, Status.INCONSISTENT),
         ({}, False, 1.0, Status.AMBIGUOUS),
         ({}, True, np.inf, Status.DEGENERATE),
     ],

@@ -24,8 +24,10 @@ class DecisionConfig(BaseModel):
     # Fewest informative cells that agree, and their share among the informative ones.
     min_good_cells: int = Field(default=6, ge=1)
     min_good_share: float = Field(default=0.7, ge=0, le=1)
+    # Largest robust normalised residual: about 1 when right, 3 and more where a wrong pose matches only what is smooth.
+    max_residual: float = Field(default=3.0, gt=0)
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
-    # Different places reached at most -4 on the development pairs, right poses 17 and more.
+    # Different places with residuals below the limit reached at most 10, right poses 17 and more.
     min_log_evidence: float = 15.0
     min_lead: float = 10.0
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
@@ -90,6 +92,12 @@ def _refusals(best: PoseEvidence, is_free: bool, lead: float, config: DecisionCo
             Status.INCONSISTENT,
             f"under the best pose {best.n_good} of {best.n_informative} informative cells agree "
             f"(needs {config.min_good_share:.0%} and {config.min_good_cells}): probably different places",
+        )
+    if best.residual > config.max_residual:
+        yield Verdict(
+            Status.INCONSISTENT,
+            f"the field differs by {best.residual:.1f} times what the maps' spread allows under the best pose "
+            f"(at most {config.max_residual:.1f}): probably different places",
         )
     if not is_free and best.log_evidence < config.min_log_evidence:
         yield Verdict(
