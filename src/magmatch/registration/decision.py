@@ -24,7 +24,7 @@ class DecisionConfig(BaseModel):
     # Fewest informative cells that agree, and their share among the informative ones.
     min_good_cells: int = Field(default=6, ge=1)
     min_good_share: float = Field(default=0.7, ge=0, le=1)
-    # Largest robust normalised residual: about 1 when right, 3 and more where a wrong pose matches only what is smooth.
+    # Largest robust normalised residual: about 1 when right, 3 and more for a wrong pose that matches what is smooth.
     max_residual: float = Field(default=3.0, gt=0)
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
     # Different places with residuals below the limit reached at most 10, right poses 17 and more.
