@@ -67,7 +67,6 @@ def by_evidence(
     verdict = decide(ranked, bool(free) or best.covariance is None, lead, config)
     is_accepted = verdict.status is Status.ACCEPTED
     covariance = None if best.covariance is None else to_survey_axes(best.covariance, center, frame)
-    others = poses[1:] if is_accepted else poses
     return RegistrationResult(
         status=verdict.status,
         reason=verdict.reason,
@@ -75,7 +74,7 @@ def by_evidence(
         covariance=covariance if is_accepted else None,
         overlap=best.overlap,
         # A unique answer has no alternatives; a refusal shows what was considered, best first.
-        alternatives=() if is_accepted else tuple(Alternative(T) for T in others),
+        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
         degenerate_directions=free,
         sensor=_sensor(best, target),
         residual=best.residual if np.isfinite(best.residual) else None,
