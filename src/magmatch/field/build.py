@@ -5,7 +5,10 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
@@ -41,6 +44,7 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     """
     config = config or FieldConfig()
     merged = survey if isinstance(survey, Survey) else survey[0].merged(*survey[1:])
+    _check_finite(merged)
     T_map_model = merged.principal_frame()
     samples = merged.transformed(T_map_model.inv())
     prior = PRIORS[config.prior]
@@ -48,6 +52,16 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
     posterior = fit_posterior(samples, hyperparameters, config, T_map_model)
     return FieldMap(merged, posterior, T_map_model, config, T_map_model)
+
+
+def _check_finite(survey: Survey) -> None:
+    is_bad = ~(np.isfinite(survey.positions) & np.isfinite(survey.field)).all(axis=1)
+    if is_bad.any():
+        msg = (
+            f"{survey.name}: expected finite positions and field, got NaN or infinity in {is_bad.sum()} of "
+            f"{len(survey)} samples, first in sample {np.argmax(is_bad)}: leave them out"
+        )
+        raise SurveyError(msg)
 
 
 def _hyperparameters(prior: Prior, points: Points, field: Vectors, config: FieldConfig) -> Hyperparameters:

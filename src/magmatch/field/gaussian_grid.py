@@ -19,6 +19,7 @@ from magmatch.field.kernels import (
     hermite_functions,
     highest_derivative,
     stack_products,
+    weights_per_node,
 )
 from magmatch.field.linear_model import Axes
 from magmatch.field.values import FieldValues
@@ -34,7 +35,7 @@ _MOST_BOX_PER_NODE = 30
 class GaussianGrid:
     """A vector basis made of Gaussians on grid nodes by a differential operator; unit prior variance.
 
-    Weights are component-major: ``weights[b m + j]`` is component b of node j.
+    Weights are component-major: ``weights[b m + j]`` is component b of node j; a potential has one component.
 
     Attributes
     ----------
@@ -50,8 +51,22 @@ class GaussianGrid:
 
     @property
     def n_weights(self) -> int:
-        """Three per node."""
-        return 3 * len(self.grid)
+        """One or three per node."""
+        return self.n_components * len(self.grid)
+
+    @property
+    def n_components(self) -> int:
+        """How many weights a node has."""
+        return weights_per_node(self.terms)
+
+    def gram(self) -> Matrix:
+        """Prior covariance of what the weights stand for: the field at the nodes, or the potential over l."""
+        if self.n_components == 3:
+            return self.design(self.grid.nodes)
+        nodes = self.grid.nodes
+        x, y, z = self._tables((nodes[:, 0], nodes[:, 1], nodes[:, 2]), 0)
+        i, j, k = self.grid.levels()[1]
+        return np.asarray(x[0][:, i] * y[0][:, j] * z[0][:, k])
 
     def design(self, points: Points, order: int = 0) -> Matrix:
         """Field and derivatives at points per unit of each weight.
@@ -64,7 +79,7 @@ class GaussianGrid:
 
         Returns
         -------
-        (rows n, 3 m) array
+        (rows n, n_weights) array
             Component-major rows: ``r n + i`` is row r of point i (see `kernels.N_ROWS`).
         """
         x, y, z = self._tables((points[:, 0], points[:, 1], points[:, 2]), order)
@@ -82,7 +97,7 @@ class GaussianGrid:
         Parameters
         ----------
         points : (n, 3) array, m
-        weights : (3 m,) array, T
+        weights : (n_weights,) array, T
         order : int
             Highest derivative.
         constant : (3,) array, T
@@ -99,7 +114,7 @@ class GaussianGrid:
                 out[:, rows] = part.reshape(N_ROWS[order], -1)
         else:
             box = self._scattered(weights)
-            n_lines = 3 * (highest_derivative(self.terms, order) + 1) * box.shape[2] * box.shape[3]
+            n_lines = self.n_components * (highest_derivative(self.terms, order) + 1) * box.shape[2] * box.shape[3]
             for rows in _chunks(len(points), n_lines):
                 self._sum_at_points(points[rows], box, order, out[:, rows])
         return _as_values(out, order, constant)
@@ -110,7 +125,7 @@ class GaussianGrid:
         Parameters
         ----------
         axes : three (q,) arrays, m
-        weights : (3 m,) array, T
+        weights : (n_weights,) array, T
         order : int
             Highest derivative.
         constant : (3,) array, T
@@ -125,13 +140,13 @@ class GaussianGrid:
             return self.evaluate(points, weights, order, constant)
         x, y, z = self._tables(axes, order)
         box = self._scattered(weights)
-        plan = derivative_plan(self.terms, order)
+        plan, n = derivative_plan(self.terms, order), self.n_components
         out = np.zeros((N_ROWS[order], len(axes[0]) * len(axes[1]) * len(axes[2])))
         along_z = {a: box @ z[a].T for a in {alpha[2] for alpha, _ in plan}}
         along_yz = {a: y[a[0]] @ along_z[a[1]] for a in {alpha[1:] for alpha, _ in plan}}
         for alpha, targets in plan:
             inner = along_yz[alpha[1:]]
-            summed = (x[alpha[0]] @ inner.reshape(3, inner.shape[1], -1)).reshape(3, -1)
+            summed = (x[alpha[0]] @ inner.reshape(n, inner.shape[1], -1)).reshape(n, -1)
             for target in targets:
                 out[target.row] += (target.factor / self.lengthscale**target.n_derivatives) * summed[target.weight]
         return _as_values(out, order, constant)
@@ -149,19 +164,19 @@ class GaussianGrid:
         return bool(np.prod([float(len(x)) for x in self.grid.levels()[0]]) > _MOST_BOX_PER_NODE * len(self.grid))
 
     def _scattered(self, weights: np.ndarray) -> np.ndarray:
-        """Weights in the full box of the coordinates in use, zero where there is no node: (3, nx, ny, nz)."""
+        """Weights in the full box of the coordinates in use, 0 where no node is: (components, nx, ny, nz)."""
         coordinates, (i, j, k) = self.grid.levels()
-        box = np.zeros((3, *(len(x) for x in coordinates)))
-        box[:, i, j, k] = weights.reshape(3, -1)
+        box = np.zeros((self.n_components, *(len(x) for x in coordinates)))
+        box[:, i, j, k] = weights.reshape(self.n_components, -1)
         return box
 
     def _sum_at_points(self, points: Points, box: np.ndarray, order: int, out: np.ndarray) -> None:
         """Add the field of a full box of nodes at some points to ``out`` (rows, n)."""
         x, y, z = self._tables((points[:, 0], points[:, 1], points[:, 2]), order)
-        _, nx, ny, nz = box.shape
+        n, nx, ny, nz = box.shape
         plan = derivative_plan(self.terms, order)
         flat = np.ascontiguousarray(box.transpose(0, 2, 3, 1)).reshape(-1, nx)
-        along_x = {a: (flat @ x[a].T).reshape(3, ny, nz, -1) for a in {alpha[0] for alpha, _ in plan}}
+        along_x = {a: (flat @ x[a].T).reshape(n, ny, nz, -1) for a in {alpha[0] for alpha, _ in plan}}
         yT, zT = (np.ascontiguousarray(t.transpose(0, 2, 1)) for t in (y, z))
         along_xy = {a: _sum_along(along_x[a[0]], yT[a[1]]) for a in {alpha[:2] for alpha, _ in plan}}
         for alpha, targets in plan:
@@ -171,7 +186,7 @@ class GaussianGrid:
 
 
 def _sum_along(values: np.ndarray, table: Matrix) -> np.ndarray:
-    """Sum over the second axis: (3, ny, nz, n) with (ny, n) to (3, nz, n)."""
+    """Sum over the second axis: (components, ny, nz, n) with (ny, n) to (components, nz, n)."""
     return np.asarray(np.einsum("bjkn,jn->bkn", values, table))
 
 

@@ -90,7 +90,7 @@ class InducingModel:
         InducingModel
         """
         n = basis.n_weights
-        gram = basis.design(basis.grid.nodes)
+        gram = basis.gram()
         factor = np.zeros((n + 3, n + 3), order="F")
         factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
         h = hyperparameters
@@ -190,16 +190,18 @@ class InducingPosterior:
         prior = h.signal_sd**2 * self.model.prior_at_point[:k, :k]
         prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
         out = np.empty((len(points), k, k))
+        # The inflation widens the prior too: it was the numbers of the prior that held-out samples found too sure.
         for rows in _blocks(len(points), k * len(self.factor)):
             A = self.model.features(points[rows], order)
             explained = _squares(A, k)
             remaining = _squares(blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1), k)
-            out[rows] = prior - h.noise_sd**2 * (explained - remaining)
+            out[rows] = h.inflation**2 * (prior - h.noise_sd**2 * (explained - remaining))
         return out
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m)."""
         noise = rng.standard_normal((len(self.white), n_draws))
+        noise *= self.hyperparameters.inflation
         white = self.white[:, None] + solve_triangular(self.factor, noise, lower=True, trans=1)
         return np.ascontiguousarray(self.model.weights_of(white).T)
 

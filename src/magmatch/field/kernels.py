@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The published divergence-free kernel and its derivatives, as products of 1-D Hermite functions.
+"""Kernels of vector fields made from the Gaussian, and their derivatives, as products of 1-D Hermite functions.
 
 Every derivative of ``exp(-|d|^2 / 2 l^2)`` is a product of one function per axis, so a kernel that is a linear
 differential operator on it is a short list of terms. The same list gives kernel matrices, their derivatives, and
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -67,6 +67,10 @@ def divergence_free_terms() -> tuple[Term, ...]:
 
 
 DIVERGENCE_FREE = divergence_free_terms()
+# ``-l^2 grad grad^T``: covariance of the gradient of a Gaussian potential, scaled to unit variance.
+CURL_FREE = tuple(Term(a, b, _alpha((a, b)), -1.0) for a, b in product(range(3), repeat=2))
+# ``-l grad``: the field of a potential that is itself the weights' Gaussian, one weight per node.
+GRADIENT = tuple(Term(a, 0, _alpha((a,)), -1.0) for a in range(3))
 
 
 @cache
@@ -103,6 +107,11 @@ def derivative_plan(terms: tuple[Term, ...], order: int) -> tuple[tuple[Alpha, t
 def highest_derivative(terms: tuple[Term, ...], order: int) -> int:
     """How often a single axis is differentiated at most."""
     return max(max(term.alpha) for term in terms) + order
+
+
+def weights_per_node(terms: tuple[Term, ...]) -> int:
+    """How many weights a node has: 1 for a potential, 3 for a field."""
+    return 1 + max(term.weight for term in terms)
 
 
 def hermite_functions(t: np.ndarray, highest: int) -> np.ndarray:
@@ -154,12 +163,12 @@ def stack_products(
 
     Returns
     -------
-    (rows, n, 3, m) array
+    (rows, n, weights per node, m) array
         Rows as in `N_ROWS`; units 1, 1/m, 1/m^2.
     """
     n, m = shape
     plan = derivative_plan(terms, order)
-    out = np.zeros((N_ROWS[order], n, 3, m))
+    out = np.zeros((N_ROWS[order], n, weights_per_node(terms), m))
     for alpha, targets in plan:
         values = product_of(alpha)
         for target in targets:
@@ -188,37 +197,25 @@ class Kernel(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class DivergenceFreeKernel:
-    """Divergence-free squared-exponential kernel.
-
-    ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [(d/l)(d/l)^T + (2 - |d|^2/l^2) I]``, ``d = x - x'``, which is
-    ``sf^2 (grad grad^T - I lap) k_SE``. One component has variance ``2 sf^2/l^2``; that is what is stated here.
+class GaussianKernel:
+    """A second-order differential operator on the squared exponential; the parts of its subclasses.
 
     Attributes
     ----------
     lengthscale : float, m
         l.
     signal_sd : float, T
-        Prior standard deviation of one component, ``sqrt(2) sf / l``.
-
-    References
-    ----------
-    Wahlström, Kok, Schön, Gustafsson (2013), Modeling magnetic fields using Gaussian processes,
-    doi:10.1109/ICASSP.2013.6638313.
+        Prior standard deviation of one component.
     """
 
     lengthscale: float
     signal_sd: float
+    terms: ClassVar[tuple[Term, ...]]
 
     def __post_init__(self) -> None:
         if not (0 < self.lengthscale < np.inf and 0 < self.signal_sd < np.inf):
             msg = f"expected positive lengthscale and signal_sd, got {self.lengthscale} m and {self.signal_sd} T"
             raise ValueError(msg)
-
-    @property
-    def scale(self) -> float:
-        """The scaling factor sf of the printed form, T m."""
-        return self.signal_sd * self.lengthscale / float(np.sqrt(2))
 
     def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
         """Covariance of field (and derivatives) at points with the field at others.
@@ -236,12 +233,12 @@ class DivergenceFreeKernel:
             Component-major: row ``r n + i`` is row r (see `N_ROWS`) of point i, column ``b m + j`` component b
             at other point j. T^2, T^2/m, T^2/m^2.
         """
-        highest = highest_derivative(DIVERGENCE_FREE, order)
+        highest = highest_derivative(self.terms, order)
         offsets = ((points[:, None, k] - others[None, :, k]) / self.lengthscale for k in range(3))
         x, y, z = (hermite_functions(t, highest) for t in offsets)
         shape = (len(points), len(others))
         stacked = stack_products(
-            lambda alpha: x[alpha[0]] * y[alpha[1]] * z[alpha[2]], DIVERGENCE_FREE, order, self.lengthscale, shape
+            lambda alpha: x[alpha[0]] * y[alpha[1]] * z[alpha[2]], self.terms, order, self.lengthscale, shape
         )
         stacked *= self.signal_sd**2
         return stacked.reshape(N_ROWS[order] * shape[0], 3 * shape[1])
@@ -259,6 +256,43 @@ class DivergenceFreeKernel:
         array
         """
         return prior_at_one_point(self, order)
+
+
+class DivergenceFreeKernel(GaussianKernel):
+    """Divergence-free squared-exponential kernel.
+
+    ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [(d/l)(d/l)^T + (2 - |d|^2/l^2) I]``, ``d = x - x'``, which is
+    ``sf^2 (grad grad^T - I lap) k_SE``. One component has variance ``2 sf^2/l^2 = signal_sd^2``.
+
+    References
+    ----------
+    Wahlström, Kok, Schön, Gustafsson (2013), Modeling magnetic fields using Gaussian processes,
+    doi:10.1109/ICASSP.2013.6638313.
+    """
+
+    __slots__ = ()
+    terms = DIVERGENCE_FREE
+
+    @property
+    def scale(self) -> float:
+        """The scaling factor sf of the printed form, T m."""
+        return self.signal_sd * self.lengthscale / float(np.sqrt(2))
+
+
+class CurlFreeKernel(GaussianKernel):
+    """Curl-free squared-exponential kernel: minus the gradient of a Gaussian-process potential.
+
+    ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [I - (d/l)(d/l)^T]``, ``d = x - x'``, ``-sf^2 grad grad^T k_SE``, with
+    ``signal_sd = sf / l``.
+
+    References
+    ----------
+    Solin, Kok, Wahlström, Schön, Särkkä (2018), Modeling and interpolation of the ambient magnetic field by Gaussian
+    processes, doi:10.1109/TRO.2018.2830326.
+    """
+
+    __slots__ = ()
+    terms = CURL_FREE
 
 
 def prior_at_one_point(kernel: Kernel, order: int) -> Matrix:

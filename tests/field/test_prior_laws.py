@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Laws that hold for every prior: one posterior whatever the order, the physics promised, derivatives, covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.fit import fit_posterior
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.map import FieldMap
+from magmatch.field.priors import PRIORS
+from magmatch.geometry import random_transform, transform_points
+
+laws = settings(deadline=None, derandomize=True, max_examples=6)
+H = Hyperparameters(lengthscale=0.6, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.4, stiffness=300.0)
+EARTH = np.array([18e-6, 2e-6, -44e-6])
+BOX = np.array([2.0, 1.5, 0.8])
+CURL_FREE = {"spline", "curl_free", "harmonic"} & PRIORS.keys()
+DIVERGENCE_FREE = {"divergence_free", "harmonic"} & PRIORS.keys()
+
+
+def dipoles_at(points, seed=0):
+    """Field of dipoles at least half a metre outside of the box, about 15 uT, on top of the Earth's."""
+    rng = np.random.default_rng(seed)
+    sources = rng.uniform(-1.2, BOX + 1.2, size=(40, 3))
+    is_outside = np.linalg.norm(np.maximum(np.maximum(-sources, sources - BOX), 0), axis=1) > 0.5
+    field = np.zeros_like(points)
+    for source, moment in zip(sources[is_outside], rng.normal(size=(is_outside.sum(), 3)), strict=True):
+        r = points - source
+        d = np.linalg.norm(r, axis=1)[:, None]
+        field += 4e-6 * (3 * r * (r @ moment)[:, None] / d**5 - moment / d**3)
+    return EARTH + field
+
+
+def room(seed=0, n=300, noise_sd=0.5e-6):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, BOX, size=(n, 3))
+    return points, dipoles_at(points, seed) + rng.normal(scale=noise_sd, size=(n, 3))
+
+
+QUERIES = np.random.default_rng(9).uniform(0.1, BOX - 0.1, size=(12, 3))
+SAMPLES = room()
+
+
+@pytest.fixture(scope="module", params=sorted(PRIORS))
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def model(name):
+    return PRIORS[name].build(*SAMPLES, H)
+
+
+@pytest.fixture(scope="module")
+def posterior(model):
+    return model.infer(model.observe(*SAMPLES))
+
+
+def assert_same_posterior(one, other):
+    field, covariance = one.evaluate(QUERIES, 1), one.covariance(QUERIES, 1)
+    expected, expected_covariance = other.evaluate(QUERIES, 1), other.covariance(QUERIES, 1)
+    np.testing.assert_allclose(field.field, expected.field, rtol=0, atol=1e-8 * np.abs(expected.field).max())
+    np.testing.assert_allclose(field.gradient, expected.gradient, rtol=0, atol=1e-8 * np.abs(expected.gradient).max())
+    for part in (slice(3), slice(3, 12)):
+        block = expected_covariance[:, part, part]
+        np.testing.assert_allclose(covariance[:, part, part], block, rtol=0, atol=1e-8 * H.signal_sd**2)
+
+
+@laws
+@given(st.integers(0, 1000), st.lists(st.integers(0, 300), max_size=4))
+def test_any_order_any_split_and_any_merge_give_the_same_posterior(model, posterior, seed, cuts):
+    points, field = SAMPLES
+    rng = np.random.default_rng(seed)
+    parts = [model.observe(points[rows], field[rows]) for rows in np.split(rng.permutation(300), sorted(cuts))]
+    while len(parts) > 1:
+        i, j = rng.choice(len(parts), 2, replace=False)
+        parts = [parts[i] + parts[j], *(p for k, p in enumerate(parts) if k not in (i, j))]
+    assert_same_posterior(model.infer(parts[0]), posterior)
+
+
+def test_information_taken_off_is_as_if_never_added(model):
+    points, field = SAMPLES
+    first, second = model.observe(points[:200], field[:200]), model.observe(points[200:], field[200:])
+    assert_same_posterior(model.infer(first + second - second), model.infer(first))
+
+
+def test_weights_count_samples(model):
+    points, field = SAMPLES
+    twice = model.observe(np.concatenate([points, points[:50]]), np.concatenate([field, field[:50]]))
+    weighted = model.observe(points, field, np.where(np.arange(300) < 50, 2.0, 1.0))
+    assert_same_posterior(model.infer(twice), model.infer(weighted))
+
+
+def test_the_laws_that_are_promised_hold_exactly(name, posterior):
+    away = QUERIES + np.random.default_rng(1).normal(size=QUERIES.shape) * 0.3
+    for points in (QUERIES, away):
+        gradient = posterior.evaluate(points, 1).gradient
+        size = np.abs(gradient).max()
+        if name in CURL_FREE:
+            np.testing.assert_allclose(gradient, gradient.transpose(0, 2, 1), rtol=0, atol=1e-9 * size)
+        if name in DIVERGENCE_FREE:
+            np.testing.assert_allclose(np.trace(gradient, axis1=1, axis2=2), 0, atol=1e-9 * size)
+
+
+def test_derivatives_equal_finite_differences(posterior):
+    # Splines are differentiated inside of cells; a step this small seldom crosses a cell's side.
+    step = 1e-5
+    values = posterior.evaluate(QUERIES, 2)
+    for axis in range(3):
+        d = step * np.eye(3)[axis]
+        after, before = posterior.evaluate(QUERIES + d, 1), posterior.evaluate(QUERIES - d, 1)
+        slope = (after.field - before.field) / (2 * step)
+        bend = (after.gradient - before.gradient) / (2 * step)
+        np.testing.assert_allclose(slope, values.gradient[:, :, axis], atol=1e-6 * np.abs(values.gradient).max())
+        np.testing.assert_allclose(bend, values.second[..., axis], atol=1e-5 * np.abs(values.second).max())
+
+
+def test_a_grid_equals_its_points(posterior):
+    axes = tuple(np.linspace(0.1, high, 5) for high in BOX)
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_grid, scattered = posterior.evaluate_on_grid(axes, 2), posterior.evaluate(points, 2)
+    for part in ("field", "gradient", "second"):
+        expected = getattr(scattered, part)
+        np.testing.assert_allclose(getattr(on_grid, part), expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_covariance_is_symmetric_positive_and_the_draws_have_it(posterior):
+    covariance = posterior.covariance(QUERIES, 1)
+    np.testing.assert_array_equal(covariance, covariance.transpose(0, 2, 1))
+    scale = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    correlation = covariance / (scale[:, :, None] * scale[:, None])
+    assert np.linalg.eigvalsh(correlation).min() > -1e-6
+    draws = posterior.draw_weights(400, np.random.default_rng(0))
+    field = np.stack([posterior.evaluate(QUERIES[:4], weights=w).field for w in draws])
+    drawn, said = field.var(axis=0), np.diagonal(covariance[:4, :3, :3], axis1=1, axis2=2)
+    # Draws leave out what lies between the nodes; 400 of them know their variance to 7 %.
+    assert np.all(drawn < 1.4 * said)
+    assert np.all(drawn > 0.02 * said)
+
+
+def test_far_away_the_prior_returns(posterior):
+    far = np.array([[30.0, 0.0, 0.0], [1e7, 1e7, 1e7]])
+    covariance = posterior.covariance(far, 1)
+    near = posterior.covariance(QUERIES, 1)
+    assert np.isfinite(covariance).all()
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    assert np.all(variance[:, :3] >= 0.99 * H.signal_sd**2)
+    assert np.all(variance[:, 3:].max(axis=1) > 2 * np.diagonal(near, axis1=1, axis2=2)[:, 3:].max())
+    assert not posterior.knows(far).any()
+    assert np.abs(posterior.evaluate(far, 0).field - EARTH).max() < 30e-6
+
+
+def test_more_samples_never_make_it_less_certain(model):
+    points, field = SAMPLES
+    few, more = (model.infer(model.observe(points[:n], field[:n])).covariance(QUERIES) for n in (100, 300))
+    assert np.linalg.eigvalsh(few - more).min() > -1e-9 * H.signal_sd**2
+
+
+def mapped(survey, name):
+    """What `build_map` does once the numbers are known."""
+    T_map_model, config = survey.principal_frame(), FieldConfig(prior=name)
+    posterior = fit_posterior(survey.transformed(T_map_model.inv()), H, config, T_map_model)
+    return FieldMap(survey, posterior, T_map_model, config, T_map_model)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_map_turns_and_moves_with_its_survey(name, seed):
+    T = random_transform(np.random.default_rng(seed))
+    turned, expected = mapped(Survey(*SAMPLES).transformed(T), name), mapped(Survey(*SAMPLES), name)
+    there = turned.evaluate(transform_points(QUERIES, T), 1)
+    here = expected.evaluate(QUERIES, 1).rotated(T)
+    np.testing.assert_allclose(there.field, here.field, rtol=0, atol=1e-6 * np.abs(here.field).max())
+    np.testing.assert_allclose(there.gradient, here.gradient, rtol=0, atol=1e-6 * np.abs(here.gradient).max())
+    spread = np.trace(turned.covariance(transform_points(QUERIES, T)), axis1=1, axis2=2)
+    np.testing.assert_allclose(spread, np.trace(expected.covariance(QUERIES), axis1=1, axis2=2), rtol=1e-5)
+
+
+def test_a_map_of_any_prior_is_saved_and_loaded_bit_for_bit(name, tmp_path):
+    built = mapped(Survey(*SAMPLES), name)
+    built.save(tmp_path / "room.map")
+    loaded = FieldMap.load(tmp_path / "room.map")
+    assert loaded.hyperparameters == built.hyperparameters
+    np.testing.assert_array_equal(loaded.evaluate(QUERIES, 2).second, built.evaluate(QUERIES, 2).second)
+    np.testing.assert_array_equal(loaded.covariance(QUERIES), built.covariance(QUERIES))
+
+
+def test_numbers_that_are_none_are_refused(name):
+    points, field = room(n=20)
+    field[3, 1] = np.nan
+    with pytest.raises(SurveyError):
+        build_map(Survey(points, field), FieldConfig(prior=name))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_very_few_samples_are_refused_or_bounded(name, n):
+    points, field = room(n=n)
+    try:
+        built = build_map(Survey(points, field), FieldConfig(prior=name))
+    except SurveyError as error:
+        message = str(error)
+        assert f"got {n}" in message
+    else:
+        assert np.abs(built.evaluate(points).field).max() < 3 * np.abs(field).max()
+
+
+FILLS = {
+    "coincident": lambda: (np.ones((30, 3)), dipoles_at(np.ones((30, 3)))),
+    "coincident, different": lambda: (np.ones((30, 3)), room(n=30)[1]),
+    "constant": lambda: (room(n=30)[0], np.tile(EARTH, (30, 1))),
+    "zero": lambda: (room(n=30)[0], np.zeros((30, 3))),
+    "line": lambda: (room(n=30)[0] * [1, 0, 0], dipoles_at(room(n=30)[0] * [1, 0, 0])),
+    "four": lambda: room(n=4),
+}
+
+
+@pytest.mark.parametrize("fill", FILLS)
+def test_singular_surveys_give_bounded_answers(name, fill):
+    points, field = FILLS[fill]()
+    survey = Survey(points, field)
+    built = build_map(survey, FieldConfig(prior=name))
+    at = np.concatenate([points, points + 0.2])
+    assert np.isfinite(built.evaluate(at, 2).second).all()
+    assert np.abs(built.evaluate(at).field).max() <= 3 * np.abs(field).max() + 1e-9
+    assert np.linalg.eigvalsh(built.covariance(at)).min() > -1e-20
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [
+        {"lengthscale": 1e-6},
+        {"lengthscale": 1e6},
+        {"spacing": 1e5},
+        {"signal_sd": 1e-18},
+        {"signal_sd": 1e3},
+        {"noise_sd": 1e-15},
+        {"noise_sd": 1e3},
+    ],
+    ids=lambda d: "-".join(map(str, next(iter(d.items())))),
+)
+def test_absurd_hyperparameters_give_one_clear_error_or_a_bounded_answer(name, absurd):
+    points, field = room(n=60)
+    h = replace(H, **absurd)
+    try:
+        model = PRIORS[name].build(points, field, h)
+        posterior = model.infer(model.observe(points, field))
+    except (ValueError, SurveyError) as error:
+        assert "\n" not in str(error)  # noqa: PT017
+        return
+    assert np.isfinite(posterior.evaluate(QUERIES, 1).gradient).all()
+    assert np.abs(posterior.evaluate(points).field).max() < 10 * np.abs(field).max()
+    assert np.isfinite(posterior.covariance(QUERIES)).all()
