@@ -65,6 +65,14 @@ class BoundedPosterior:
         """See `Posterior.covariance`."""
         return self.inner.covariance(self._or_nowhere(points), order)
 
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """See `Posterior.joint_covariance`; points outside the box share nothing but the constant."""
+        moved = self._or_nowhere(points)
+        outside = np.flatnonzero(~self.contains(points))
+        # Each to a nowhere of its own, so that they do not count as one place.
+        moved[outside] *= 1 + np.arange(len(outside))[:, None]
+        return self.inner.joint_covariance(moved)
+
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """See `Posterior.draw_weights`."""
         return self.inner.draw_weights(n_draws, rng)

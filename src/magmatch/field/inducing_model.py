@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from magmatch.field.gaussian_grid import GaussianGrid
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.information import DenseInformation
-from magmatch.field.kernels import N_ROWS
+from magmatch.field.kernels import N_ROWS, Kernel
 from magmatch.field.linear_model import Axes
 from magmatch.field.values import FieldValues
 from magmatch.field.whitening import gram_factor
@@ -37,8 +37,8 @@ class InducingModel:
     hyperparameters : Hyperparameters
     basis : GaussianGrid
         Kernel of unit variance at the inducing points.
-    prior_at_point : (12, 12) array
-        Prior covariance of field and gradient at one point, for unit variance.
+    kernel : Kernel
+        Prior covariance of the field, for unit variance.
     constant_sd : float, T
         Prior standard deviation of the constant field.
     factor : (m, m) array
@@ -51,7 +51,7 @@ class InducingModel:
 
     hyperparameters: Hyperparameters
     basis: GaussianGrid
-    prior_at_point: Matrix
+    kernel: Kernel
     constant_sd: float
     factor: Matrix
     samples: cKDTree
@@ -63,7 +63,7 @@ class InducingModel:
         points: Points,
         hyperparameters: Hyperparameters,
         basis: GaussianGrid,
-        prior_at_point: Matrix,
+        kernel: Kernel,
         *,
         constant_sd: float,
         jitter: float,
@@ -77,8 +77,8 @@ class InducingModel:
             Samples of the region.
         hyperparameters : Hyperparameters
         basis : GaussianGrid
-        prior_at_point : (12, 12) array
-            For unit variance.
+        kernel : Kernel
+            Of unit variance.
         constant_sd : float, T
             0 holds the constant field at zero.
         jitter : float
@@ -96,7 +96,7 @@ class InducingModel:
         h = hyperparameters
         factor[:n, :n] *= h.noise_sd / h.signal_sd
         factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
-        return cls(h, basis, prior_at_point, constant_sd, factor, cKDTree(points), known_reach)
+        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> DenseInformation:
         """Information in samples; ``weights`` scale each sample's inverse noise variance."""
@@ -187,7 +187,7 @@ class InducingPosterior:
         points = np.asarray(points, dtype=np.float64)
         k = N_ROWS[order]
         h = self.hyperparameters
-        prior = h.signal_sd**2 * self.model.prior_at_point[:k, :k]
+        prior = h.signal_sd**2 * self.model.kernel.at_one_point(order)
         prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
         out = np.empty((len(points), k, k))
         # The inflation widens the prior too: it was the numbers of the prior that held-out samples found too sure.
@@ -197,6 +197,18 @@ class InducingPosterior:
             remaining = _squares(blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1), k)
             out[rows] = h.inflation**2 * (prior - h.noise_sd**2 * (explained - remaining))
         return out
+
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Posterior covariance of the field at all points together (DTC): (3 n, 3 n), row ``3 i + a``."""
+        points = np.asarray(points, dtype=np.float64)
+        n, h = len(points), self.hyperparameters
+        prior = h.signal_sd**2 * self.model.kernel.covariance(points, points)
+        prior += self.model.constant_sd**2 * np.kron(np.eye(3), np.ones((n, n)))
+        A = self.model.features(points, 0)
+        explained = A.T @ A
+        half = blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1)
+        covariance = prior - h.noise_sd**2 * (explained - half.T @ half)
+        return np.asarray(covariance.reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m)."""

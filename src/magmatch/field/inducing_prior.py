@@ -137,7 +137,7 @@ class InducingPrior:
             points,
             replace(h, spacing=grid.spacing),
             GaussianGrid(grid, h.lengthscale, self.terms),
-            self._unit_kernel(h.lengthscale).at_one_point(1),
+            self._unit_kernel(h.lengthscale),
             constant_sd=config.constant_sd,
             jitter=config.jitter,
             known_reach=config.known_ratio * h.lengthscale,

@@ -77,6 +77,10 @@ class Posterior(Protocol):
         """
         ...
 
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Posterior covariance of the field at all points together: (3 n, 3 n), T^2, row ``3 i + a``."""
+        ...
+
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, n_weights), for `evaluate`."""
         ...

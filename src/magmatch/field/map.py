@@ -13,9 +13,9 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
 from magmatch.field.store import MapRecord
 from magmatch.field.values import FieldValues
-from magmatch.geometry import rotate_tensors, transform_points
+from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
-from magmatch.typing import Mask, Points, Scalars, Tensors
+from magmatch.typing import Mask, Points, Scalars
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,12 +90,40 @@ class FieldMap:
         """
         return self.posterior.evaluate(self._to_model(points), order).rotated(self.T_map_model)
 
-    def covariance(self, points: Points) -> Tensors:
-        """Posterior covariance of the noise-free field at each point: (n, 3, 3), T^2, map frame.
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Posterior covariance of the noise-free field, or of field and gradient, at each point.
 
-        Returns to the prior's variance where the map knows nothing.
+        Parameters
+        ----------
+        points : (n, 3) array, m, map frame
+            Where to evaluate.
+        order : int
+            0: field; 1: field, then gradient row-major (``bxx, bxy, ...``).
+
+        Returns
+        -------
+        (n, 3, 3) or (n, 12, 12) array, T^2, T^2/m, T^2/m^2, map frame
+            Returns to the prior's where the map knows nothing.
         """
-        return rotate_tensors(self.posterior.covariance(self._to_model(points)), self.T_map_model)
+        turn = FieldValues.turning_matrix(self.T_map_model, order)
+        return np.asarray(turn @ self.posterior.covariance(self._to_model(points), order) @ turn.T)
+
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Posterior covariance of the noise-free field at all points together.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m, map frame
+            Up to a few hundred: memory and time grow with their square.
+
+        Returns
+        -------
+        (3 n, 3 n) array, T^2, map frame
+            Row and column ``3 i + a`` belong to component a at point i.
+        """
+        n, turn = len(points), FieldValues.turning_matrix(self.T_map_model, 0)
+        blocks = self.posterior.joint_covariance(self._to_model(points)).reshape(n, 3, n, 3).swapaxes(1, 2)
+        return np.asarray((turn @ blocks @ turn.T).swapaxes(1, 2).reshape(3 * n, 3 * n))
 
     def knows(self, points: Points) -> Mask:
         """Whether the map has data near each point (map frame): (n,) bool."""

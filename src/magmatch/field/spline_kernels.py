@@ -76,95 +76,47 @@ def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  #
 
 
 @njit(cache=True, fastmath=True)
-def evaluate_grid(ix, iy, iz, vx, vy, vz, cell_index, node_index, weights, derivatives, spacing, out):  # type: ignore[no-untyped-def]  # noqa: PLR0912
-    """Minus the listed derivatives at the points spanned by three axes: sums along x, then y, then z."""
-    highest = derivatives[-1].sum()
-    n_y, n_z = cell_index.shape[1] + 3, cell_index.shape[2] + 3
-    plane, line = np.zeros((highest + 1, n_y, n_z)), np.zeros((highest + 1, highest + 1, n_z))
-    scale = np.ones(highest + 1)
-    for d in range(2, highest + 1):
-        scale[d] = scale[d - 1] / spacing
-    for i in range(len(ix)):
-        if ix[i] < 0 or ix[i] >= cell_index.shape[0]:
-            continue
-        plane[:] = 0.0
-        for a in range(4):
-            for y in range(n_y):
-                for z in range(n_z):
-                    node = node_index[ix[i] + a + 3, y + 3, z + 3]
-                    if node >= 0:
-                        for d in range(highest + 1):
-                            plane[d, y, z] += vx[i, d, a] * weights[node]
-        for j in range(len(iy)):
-            if iy[j] < 0 or iy[j] >= cell_index.shape[1]:
-                continue
-            line[:] = 0.0
-            for dx in range(highest + 1):
-                for dy in range(highest + 1 - dx):
-                    for b in range(4):
-                        for z in range(n_z):
-                            line[dx, dy, z] += vy[j, dy, b] * plane[dx, iy[j] + b, z]
-            for k in range(len(iz)):
-                if iz[k] < 0 or iz[k] >= cell_index.shape[2] or cell_index[ix[i], iy[j], iz[k]] < 0:
-                    continue
-                row = (i * len(iy) + j) * len(iz) + k
-                for r in range(derivatives.shape[0]):
-                    dx, dy, dz = derivatives[r, 0], derivatives[r, 1], derivatives[r, 2]
-                    total = 0.0
-                    for c in range(4):
-                        total += vz[k, dz, c] * line[dx, dy, iz[k] + c]
-                    out[row, r] = -scale[dx + dy + dz] * total
-
-
-@njit(cache=True)
-def axis_tables(t: np.ndarray) -> np.ndarray:
-    """Spline values and derivatives at many positions in a cell: (n, 4, 4)."""
-    tables = np.zeros((len(t), 4, 4))
-    for i in range(len(t)):
-        spline_values(t[i], tables[i])
-    return tables
-
-
-@njit(cache=True, fastmath=True)
-def point_covariances(order, cell, t, cell_nodes, derivatives, spacing, half_offset, stencil, border, corner, out):  # type: ignore[no-untyped-def]  # noqa: PLR0912
-    """Covariance of the listed derivatives (the first three with the constant added), points sorted by cell."""
-    n_rows = derivatives.shape[0]
-    vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((n_rows, 64))
-    full, block = np.zeros((n_rows, 67)), np.zeros((67, 67))
-    product, last = np.zeros((n_rows, 67)), -1
-    block[64:, 64:] = corner
-    for k in range(len(order)):
-        i = order[k]
-        if cell[i] < 0:
-            continue
-        if cell[i] != last:
-            last = cell[i]
-            for a in range(64):
-                p = cell_nodes[last, a]
-                for b in range(a, 64):
-                    value = stencil[p, half_offset[a, b]]
-                    block[a, b] = value
-                    block[b, a] = value
-                for c in range(3):
-                    block[a, 64 + c] = border[p, c]
-                    block[64 + c, a] = border[p, c]
+def linear_rows(cell, t, derivatives, spacing, rows):  # type: ignore[no-untyped-def]
+    """Rows of the linear model at points in cells: (n, r, 67), the constant of the field's components last."""
+    vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    for i in range(len(cell)):
         spline_values(t[i, 0], vx)
         spline_values(t[i, 1], vy)
         spline_values(t[i, 2], vz)
-        derivative_rows(vx, vy, vz, derivatives, spacing, rows)
-        full[:, :64] = rows
+        derivative_rows(vx, vy, vz, derivatives, spacing, rows[i, :, :64])
         for c in range(3):
-            full[c, 64 + c] = 1.0
-        for r in range(n_rows):
-            for a in range(67):
-                total = 0.0
-                for b in range(67):
-                    total += block[a, b] * full[r, b]
-                product[r, a] = total
-        for r in range(n_rows):
-            for s in range(r + 1):
-                total = 0.0
-                for a in range(67):
-                    total += full[r, a] * product[s, a]
-                out[i, r, s] = total
-                out[i, s, r] = total
+            rows[i, c, 64 + c] = 1.0
+
+
+@njit(cache=True, fastmath=True)
+def point_covariances(order, cell, t, cell_nodes, derivatives, spacing, half_offset, stencil, border, corner, out):  # type: ignore[no-untyped-def]
+    """Covariance of the listed derivatives (the first three with the constant added), points sorted by cell."""
+    n_rows = derivatives.shape[0]
+    block, first = np.zeros((67, 67)), 0
+    block[64:, 64:] = corner
+    while first < len(order):
+        here, last = cell[order[first]], first + 1
+        while last < len(order) and cell[order[last]] == here:
+            last += 1
+        if here >= 0:
+            for a in range(64):
+                p = cell_nodes[here, a]
+                for b in range(a, 64):
+                    block[a, b] = stencil[p, half_offset[a, b]]
+                    block[b, a] = block[a, b]
+                for c in range(3):
+                    block[a, 64 + c] = border[p, c]
+                    block[64 + c, a] = border[p, c]
+            points = order[first:last]
+            rows = np.zeros((last - first, n_rows, 67))
+            linear_rows(cell[points], t[points], derivatives, spacing, rows)
+            half = np.dot(rows.reshape(-1, 67), block).reshape(last - first, n_rows, 67)
+            for k in range(last - first):
+                for r in range(n_rows):
+                    for s in range(r + 1):
+                        total = 0.0
+                        for a in range(67):
+                            total += half[k, r, a] * rows[k, s, a]
+                        out[points[k], r, s] = total
+                        out[points[k], s, r] = total
+        first = last

@@ -11,9 +11,11 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
 from magmatch.field.multifrontal import CholeskyFactor, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
+from magmatch.field.point_solves import joint_covariances, marginal_covariances, solve_operations
 from magmatch.field.selected_inverse import selected_inverse
 from magmatch.field.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
-from magmatch.field.spline_kernels import add_gram, axis_tables, evaluate_grid, evaluate_points, point_covariances
+from magmatch.field.spline_grid import evaluate_on_grid
+from magmatch.field.spline_kernels import add_gram, evaluate_points, linear_rows, point_covariances
 from magmatch.field.stencil_matrix import StencilMatrix, sum_of_elements
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
@@ -25,6 +27,8 @@ CONSTANT_SD = 1e-4
 REACH_IN_CELLS = 2.5
 # Finer spacings than this share of the lengthscale change nothing but rounding errors.
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
+# A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
+LARGEST_SHARE_FOR_SOLVES = 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -149,35 +153,47 @@ class SplinePosterior:
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
         """Field and derivatives on the grid spanned by three axes, one axis after the other."""
-        derivatives = derivative_table(order)
-        located = [self.cells.axis_cells(x, k) for k, x in enumerate(axes)]
-        (ix, tx), (iy, ty), (iz, tz) = located
-        out = np.zeros((len(ix) * len(iy) * len(iz), len(derivatives)))
-        evaluate_grid(
-            ix, iy, iz, axis_tables(tx), axis_tables(ty), axis_tables(tz), self.cells.cell_index,
-            self.cells.node_index, self.weights, derivatives, self.cells.spacing, out,
-        )  # fmt: skip
-        return _as_values(out, self.weights[-3:], order)
+        return evaluate_on_grid(self.cells, axes, self.weights, order)
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's outside the active cells.
 
         There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
+        A few points are solved for; many take the selected inverse, which is computed once and kept.
         """
-        derivatives = derivative_table(min(order, 1))
         if order not in (0, 1):
             msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
             raise ValueError(msg)
+        derivatives, h = derivative_table(order), self.hyperparameters
         cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
-        inverse, h = self._selected_inverse(), self.hyperparameters
-        out = np.zeros((len(cell), len(derivatives), len(derivatives)))
-        point_covariances(
-            np.argsort(cell, kind="stable"), cell, t, self.cells.cell_nodes, derivatives, self.cells.spacing,
-            HALF_OFFSET, inverse.stencil, inverse.border, inverse.corner, out,
-        )  # fmt: skip
+        unknowns, n_rows = self._unknowns(cell), len(derivatives)
+        e = self.factor.elimination
+        affordable = LARGEST_SHARE_FOR_SOLVES * 2 * e.n_operations
+        if not self._inverse and solve_operations(e, unknowns, n_rows) < affordable:
+            out = marginal_covariances(self.factor, unknowns, self._rows(cell, t, derivatives))
+        else:
+            inverse, out = self._selected_inverse(), np.zeros((len(cell), n_rows, n_rows))
+            point_covariances(
+                np.argsort(cell, kind="stable"), cell, t, self.cells.cell_nodes, derivatives, self.cells.spacing,
+                HALF_OFFSET, inverse.stencil, inverse.border, inverse.corner, out,
+            )  # fmt: skip
+            out[cell < 0, :3, :3] = inverse.corner
         out *= (h.inflation * h.noise_sd) ** 2
-        out[cell < 0] = self._outside(inverse)[: len(derivatives), : len(derivatives)]
+        out[cell < 0] += self._prior_outside()[:n_rows, :n_rows]
         return out if order == 0 else _expand(out)
+
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Posterior covariance of the field at all points together: (3 n, 3 n), row ``3 i + a``.
+
+        Points without splines share the constant with the others and nothing else.
+        """
+        h = self.hyperparameters
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        out = joint_covariances(self.factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
+        out *= (h.inflation * h.noise_sd) ** 2
+        outside = np.repeat(cell < 0, 3)
+        out[outside, outside] += h.signal_sd**2
+        return out
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m + 3)."""
@@ -195,14 +211,24 @@ class SplinePosterior:
             self._inverse.append(selected_inverse(self.factor))
         return self._inverse[0]
 
-    def _outside(self, inverse: StencilMatrix) -> np.ndarray:
-        """Covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
+    def _unknowns(self, cell: np.ndarray) -> np.ndarray:
+        """Unknowns of each point's cell (any cell's where it has none), then the constant: (n, 67)."""
+        constant = np.tile(self.cells.n_nodes + np.arange(3), (len(cell), 1))
+        return np.concatenate([self.cells.cell_nodes[np.maximum(cell, 0)], constant], axis=1)
+
+    def _rows(self, cell: np.ndarray, t: Points, derivatives: np.ndarray) -> np.ndarray:
+        """Rows of the linear model for `_unknowns`, (n, r, 67): the constant alone where there is no cell."""
+        rows = np.zeros((len(cell), len(derivatives), 67))
+        linear_rows(cell, t, derivatives, self.cells.spacing, rows)
+        rows[cell < 0, :, :64] = 0.0
+        return rows
+
+    def _prior_outside(self) -> np.ndarray:
+        """Prior covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
         h = self.hyperparameters
         prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
         per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
-        covariance = h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing)
-        covariance[:3, :3] += (h.inflation * h.noise_sd) ** 2 * inverse.corner
-        return np.asarray(covariance)
+        return np.asarray(h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing))
 
 
 def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:

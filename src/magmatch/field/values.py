@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors
@@ -34,6 +35,12 @@ class FieldValues:
             None if self.gradient is None else rotate_tensors(self.gradient, T_new_old),
             None if self.second is None else rotate_third_order(self.second, T_new_old),
         )
+
+    @staticmethod
+    def turning_matrix(T_new_old: RigidTransform, order: int) -> np.ndarray:
+        """Matrix that turns a point's field (order 0: (3, 3)) or field and gradient, row-major (1: (12, 12))."""
+        R = T_new_old.rotation.as_matrix()
+        return R if order == 0 else block_diag(R, np.kron(R, R))
 
     @staticmethod
     def concatenate(parts: "list[FieldValues]") -> "FieldValues":

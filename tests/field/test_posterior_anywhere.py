@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every prior's posterior says at points and on grids, against dense algebra, draws and differences."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.point_solves import solve_operations
+from magmatch.field.priors import PRIORS
+from magmatch.field.spline_model import SplineModel, SplinePosterior
+
+H = Hyperparameters(0.5, 1e-5, 5e-7, 0.3, 100.0)
+FAR = np.array([[40.0, 0.0, 0.0], [-40.0, 5.0, 0.0]])
+
+
+def samples(n=200, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, [1.5, 1.5, 0.6], (n, 3))
+    return x, 1e-5 * np.c_[np.sin(2 * x[:, 0]), np.cos(3 * x[:, 1]), x[:, 2]] + 5e-7 * rng.normal(size=x.shape)
+
+
+@pytest.fixture(scope="module", params=sorted(PRIORS))
+def posterior(request):
+    x, b = samples()
+    model = PRIORS[request.param].build(x, b, H)
+    return model.infer(model.observe(x, b))
+
+
+def queries(n=7, seed=3):
+    return np.random.default_rng(seed).uniform(0.1, [1.4, 1.4, 0.5], (n, 3))
+
+
+def test_joint_covariance_holds_each_points_own(posterior):
+    q = np.r_[queries(), FAR]
+    joint = posterior.joint_covariance(q).reshape(9, 3, 9, 3)
+    own = posterior.covariance(q)
+    np.testing.assert_allclose(joint[range(9), :, range(9)], own, atol=1e-8 * own.max())
+    assert np.array_equal(posterior.covariance(q, 1).shape, (9, 12, 12))
+    np.testing.assert_allclose(posterior.covariance(q, 1)[:, :3, :3], own, atol=1e-8 * own.max())
+
+
+def test_joint_covariance_is_that_of_draws_and_what_the_basis_cannot_follow(posterior):
+    q = queries(5)
+    joint = posterior.joint_covariance(q)
+    draws = posterior.draw_weights(3000, np.random.default_rng(1))
+    sample = np.cov(np.array([posterior.evaluate(q, 0, w).field.ravel() for w in draws]).T)
+    sd = np.sqrt(np.diagonal(joint))
+    beyond = (joint - sample) / np.outer(sd, sd)
+    # 3,000 draws give a correlation to about 0.018, an eigenvalue of 15 of them to about 0.15.
+    assert np.linalg.eigvalsh(beyond).min() > -0.2
+    if isinstance(posterior, SplinePosterior):
+        assert np.abs(beyond).max() < 0.1
+
+
+def test_covariance_of_differences_tends_to_that_of_the_gradient(posterior):
+    q, e = queries(1), 1e-3
+    step = e * np.eye(3)[:1]
+    pair = np.concatenate([q - step, q + step])
+    difference = np.kron([[-1, 1]], np.eye(3)) / (2 * e)
+    by_x = difference @ posterior.joint_covariance(pair) @ difference.T
+    exact = posterior.covariance(q, 1)[0][np.ix_([3, 6, 9], [3, 6, 9])]
+    np.testing.assert_allclose(by_x, exact, rtol=2e-3, atol=2e-3 * exact.max())
+
+
+def test_second_derivatives_are_differences_of_the_gradient(posterior):
+    q, e = queries(20), 1e-6
+    second = posterior.evaluate(q, 2).second
+    for axis in range(3):
+        step = e * np.eye(3)[axis]
+        by_difference = (posterior.evaluate(q + step, 1).gradient - posterior.evaluate(q - step, 1).gradient) / (
+            2 * e
+        )
+        np.testing.assert_allclose(second[..., axis], by_difference, atol=1e-5 * np.abs(second).max())
+
+
+def test_grid_is_the_dense_sum(posterior):
+    axes = (np.linspace(-0.6, 2.2, 5), np.linspace(0.0, 1.4, 3)[::-1], np.linspace(-0.2, 0.8, 4))
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    parts = [posterior.evaluate(points, 2, w) for w in np.eye(len(posterior.weights))]
+    for name, order in (("field", 0), ("gradient", 1), ("second", 2)):
+        dense = np.tensordot(posterior.weights, [getattr(p, name) for p in parts], 1)
+        for highest in range(order, 3):
+            grid = getattr(posterior.evaluate_on_grid(axes, highest), name)
+            np.testing.assert_allclose(grid, dense, atol=1e-9 * np.abs(dense).max())
+
+
+def test_covariance_of_other_orders_is_refused(posterior):
+    with pytest.raises(ValueError, match="order 0"):
+        posterior.covariance(queries(), 2)
+
+
+@pytest.mark.parametrize("prior", sorted(PRIORS))
+@pytest.mark.parametrize("box", [None, (0.0, 0.0, 0.0, 1.2, 1.2, 0.5)])
+def test_covariances_turn_with_the_map(prior, box):
+    x, b = samples()
+    numbers = {"lengthscale": 0.5, "signal_sd": 1e-5, "noise_sd": 5e-7, "spacing": 0.3}
+    field_map = build_map(Survey(x, b), FieldConfig(prior=prior, domain=box, **numbers))
+    T = RigidTransform.from_components([1.0, -2.0, 0.5], Rotation.from_rotvec([0.3, -1.1, 0.7]))
+    moved, q = field_map.transformed(T), np.r_[queries(), FAR]
+    R = T.rotation.as_matrix()
+    both = np.zeros((12, 12))
+    both[:3, :3], both[3:, 3:] = R, np.kron(R, R)
+    for turn, order in ((R, 0), (both, 1)):
+        expected = turn @ field_map.covariance(q, order) @ turn.T
+        np.testing.assert_allclose(moved.covariance(T.apply(q), order), expected, atol=1e-7 * expected.max())
+    turn = np.kron(np.eye(9), R)
+    expected = turn @ field_map.joint_covariance(q) @ turn.T
+    np.testing.assert_allclose(moved.joint_covariance(T.apply(q)), expected, atol=1e-7 * expected.max())
+
+
+@pytest.fixture(scope="module")
+def spline():
+    x, b = samples()
+    model = SplineModel.over(x, H)
+    return model, model.infer(model.observe(x, b))
+
+
+def test_solves_equal_the_dense_inverse(spline):
+    model, fitted = spline
+    x, b = samples()
+    precision = (model.observe(x, b).gram + model.prior_precision()).to_dense(model.cells)
+    q = np.r_[queries(30), FAR[:1]]
+    Phi = np.array([fitted.evaluate(q, 0, w).field.ravel() for w in np.eye(len(precision))]).T
+    dense = H.noise_sd**2 * Phi @ np.linalg.inv(precision) @ Phi.T
+    dense[-3:, -3:] += H.signal_sd**2 * np.eye(3)
+    np.testing.assert_allclose(fitted.joint_covariance(q), dense, atol=1e-8 * dense.max())
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_few_points_by_solves_and_many_by_the_selected_inverse_agree(spline, order):
+    model, _ = spline
+    x, b = samples()
+    other = model.infer(model.observe(x, b))
+    q = np.r_[queries(5), FAR[:1]]
+    by_solves = other.covariance(q, order)
+    assert not other._inverse
+    many = other.covariance(np.tile(q, (400, 1)), order)
+    assert other._inverse
+    np.testing.assert_allclose(by_solves, many[:6], atol=1e-9 * by_solves.max())
+    np.testing.assert_allclose(by_solves, other.covariance(q, order), atol=1e-9 * by_solves.max())
+
+
+def test_work_of_solves_is_counted_from_where_a_point_enters(spline):
+    model, _ = spline
+    e, root = model.elimination, model.elimination.fronts[-1]
+    constant = model.cells.n_nodes + np.arange(3)
+    assert solve_operations(e, constant[None], 2) == 2 * (root.stop - root.start) ** 2
+    cells = np.c_[model.cells.cell_nodes, np.tile(constant, (model.cells.n_cells, 1))]
+    every = [solve_operations(e, cell[None], 1) for cell in cells]
+    assert min(every) >= (root.stop - root.start) ** 2
+    assert solve_operations(e, cells, 1) == pytest.approx(sum(every))
+
+
+def test_no_points_have_no_covariance(spline):
+    _, fitted = spline
+    nothing = np.zeros((0, 3))
+    assert fitted.covariance(nothing, 1).shape == (0, 12, 12)
+    assert fitted.joint_covariance(nothing).shape == (0, 0)
