@@ -248,7 +248,7 @@ def test_poses_interpolated_across_a_gap_are_said(log, caplog, tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(b"\x89PNG\r\n\x1a\n", "PNG picture"), (b'{"schema": "magmatch.registration/1"}', "saved registration")],
+    [(b"\x89PNG\r\n\x1a\n", "PNG picture"), (b'{"schema": "magmatch.registration/1"}', "a registration file")],
 )
 def test_trajectory_that_is_another_kind_of_file_is_named(log, tmp_path, content, words):
     path, _, b_survey = log

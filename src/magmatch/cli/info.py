@@ -15,6 +15,7 @@ from magmatch.cli.words import info_table, tell_result
 EXAMPLES = (
     "magmatch info survey.csv --field-unit uT",
     "magmatch info room.map --json",
+    "magmatch info drive.mcap",
     "magmatch info result.json",
 )
 
@@ -26,7 +27,7 @@ def add_to(app: typer.Typer) -> None:
 
 def info(
     file: Annotated[
-        Path, typer.Argument(help="Survey, saved map, trajectory or registration result.", metavar="FILE")
+        Path, typer.Argument(help="Survey, log, saved map, trajectory or registration result.", metavar="FILE")
     ],
     layouts: Layouts,
     json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
@@ -42,25 +43,30 @@ def info(
         result = read_result(file)
         put(as_json({"kind": "registration"} | result.to_dict()) if json else tell_result(result))
         return
-    facts = {"kind": {"csv": "survey", "tum": "trajectory"}.get(kind, kind), "file": str(file)}
-    facts |= {"csv": _of_survey, "map": _of_map, "tum": _of_trajectory}[kind](file, layouts)
+    facts = {"kind": {"tum": "trajectory", "map": "map", "log": "log"}.get(kind, "survey"), "file": str(file)}
+    facts |= {"map": _of_map, "tum": _of_trajectory, "log": _of_log}.get(kind, _of_survey)(file, layouts)
     put(as_json(facts) if json else info_table(facts))
 
 
-def _of_survey(path: Path, layouts: Layouts) -> dict[str, Any]:
-    import logging
-
-    from magmatch.data.describe import describe
-    from magmatch.data.read import read_survey
+def _of_log(path: Path, layouts: Layouts) -> dict[str, Any]:
+    """Topics of a recorder log, and the survey in it where there is one."""
+    from magmatch.data.logs.read import list_topics
+    from magmatch.errors import MagmatchError
 
     layout = layouts.of()
-    # The doubts stand in the description; they need not be said twice.
-    logger = logging.getLogger("magmatch.data.read")
-    logger.disabled = True
+    topics, chosen = list_topics(path, layout)
+    facts: dict[str, Any] = {"topics": [topic.facts() for topic in topics], "chosen": chosen}
     try:
-        return describe(read_survey(path, layout), layout)
-    finally:
-        logger.disabled = False
+        return facts | _of_survey(path, layouts)
+    except MagmatchError as error:
+        return facts | {"no_survey": str(error)}
+
+
+def _of_survey(path: Path, layouts: Layouts) -> dict[str, Any]:
+    from magmatch.data.describe import describe
+    from magmatch.data.read import read_unchecked
+
+    return describe(*read_unchecked(path, layouts.of()))
 
 
 def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:

@@ -60,11 +60,21 @@ def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
         label = (above + name).replace("_", " ")
         if isinstance(value, Mapping):
             rows += _rows(value, f"{above}{name} ")
+        elif name == "topics":
+            rows += [("topic", _topic_text(topic)) for topic in value] or [("topics", "none")]
         elif name == "warnings":
             rows += [("warning", str(w)) for w in value] or [("warnings", "none")]
         else:
             rows.append((label, _text(value, UNITS.get(name, ""))))
     return rows
+
+
+def _topic_text(topic: Mapping[str, Any]) -> str:
+    """One line of a log's contents."""
+    text = f"{topic['name']}  {topic['type']}  {topic['count']} messages"
+    if topic["rate"] is not None:
+        text += f", {topic['rate']:.4g} Hz, {topic['span'][1] - topic['span'][0]:.6g} s"
+    return text
 
 
 def _text(value: Any, unit: str) -> str:

@@ -5,15 +5,14 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from magmatch.data.extrinsic import read_extrinsic
 from magmatch.data.format import SurveyFormat
+from magmatch.data.load_trajectory import load_trajectory
 from magmatch.data.quaternions import QUATERNION
-from magmatch.data.sniff import sniff
+from magmatch.data.recording import Recording
 from magmatch.data.survey import COLUMNS, FIELD_COLUMNS, POSITION_COLUMNS, Survey
 from magmatch.data.table import Table, read_table
-from magmatch.data.trajectory import Trajectory
-from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
 from magmatch.errors import DataFormatError
 from magmatch.typing import Points
 
@@ -28,7 +27,7 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     path : path
         The file.
     layout : SurveyFormat
-        Its units and frames.
+        Its units, frames and column names.
 
     Returns
     -------
@@ -40,13 +39,43 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     DataFormatError
         With line and column wherever one is at fault.
     """
-    table = read_table(path, COLUMNS)
-    survey = _with_own_poses(table) if layout.trajectory is None else _with_poses_from(table, layout.trajectory)
+    names = layout.column_names()
+    known = [*names, *(name for name in COLUMNS if name not in names.values())]
+    return survey_of_table(read_table(path, known).renamed(names), layout)
+
+
+def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
+    """Turn a table of samples, from whatever format, into a survey.
+
+    Parameters
+    ----------
+    table : Table
+        In its own units and under our column names.
+    layout : SurveyFormat
+        Units, frames, and poses from elsewhere.
+
+    Returns
+    -------
+    Survey
+        In tesla and metre, survey frame.
+
+    Raises
+    ------
+    DataFormatError
+        A column is missing or at fault.
+    """
+    if table.has("t") and layout.time_unit != "s":
+        times = table.columns["t"] / UNITS_PER_SECOND[layout.time_unit]
+        table = replace(table, columns=table.columns | {"t": times})
+    if layout.trajectory is not None:
+        survey = recording_of_table(table, layout).survey()
+        return replace(survey, pose_sd=layout.pose_sd or 0.0)
+    survey = _with_own_poses(table)
     field = survey.field * TESLA_PER_UNIT[layout.field_unit]
     if layout.field_frame == "sensor":
         if survey.orientations is None:
             message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"
-            raise DataFormatError(path, message)
+            raise DataFormatError(table.path, message)
         field = survey.orientations.apply(field)
     return replace(
         survey,
@@ -54,6 +83,39 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
         field=field,
         pose_sd=survey.pose_sd if layout.pose_sd is None else layout.pose_sd,
     )
+
+
+def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
+    """Join field samples with the poses of a trajectory file.
+
+    Parameters
+    ----------
+    table : Table
+        Columns ``t`` (s) and ``bx, by, bz``; others are ignored, and said to be.
+    layout : SurveyFormat
+        Units, and the trajectory.
+
+    Returns
+    -------
+    Recording
+    """
+    if layout.trajectory is None:
+        raise DataFormatError(table.path, "holds no positions; they come from a trajectory: --trajectory POSES.tum")
+    table.require(["t", *FIELD_COLUMNS], "With a trajectory the samples need times on its clock")
+    table.require_increasing("t")
+    ignored = [name for name in (*POSITION_COLUMNS, *QUATERNION) if table.has(name)]
+    if ignored:
+        logger.warning(
+            "%s: columns %s are ignored, poses come from %s", table.path, ", ".join(ignored), layout.trajectory
+        )
+    return Recording(
+        path=table.path,
+        times=table.columns["t"],
+        field=table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit],
+        trajectory=load_trajectory(layout.trajectory, layout),
+        field_frame=layout.field_frame,
+        poses_from=layout.trajectory,
+    ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))
 
 
 def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:
@@ -88,51 +150,3 @@ def _with_own_poses(table: Table) -> Survey:
         hint = "A log without positions takes them from a TUM file: --trajectory POSES.tum"
     table.require([*POSITION_COLUMNS, *FIELD_COLUMNS], hint)
     return Survey.from_table(table)
-
-
-def _with_poses_from(table: Table, trajectory_path: Path) -> Survey:
-    """Field samples of a log at poses interpolated from a trajectory file; lengths in that file's unit."""
-    table.require(["t", *FIELD_COLUMNS], "With a trajectory the samples need times on its clock")
-    table.require_increasing("t")
-    ignored = [name for name in (*POSITION_COLUMNS, *QUATERNION) if table.has(name)]
-    if ignored:
-        logger.warning(
-            "%s: columns %s are ignored, poses come from %s", table.path, ", ".join(ignored), trajectory_path
-        )
-    kind = sniff(trajectory_path)
-    if kind in {"map", "registration"}:
-        raise DataFormatError(trajectory_path, f"is a saved {kind}, expected a TUM trajectory (t x y z qx qy qz qw)")
-    trajectory = Trajectory.load(trajectory_path)
-    times = table.columns["t"]
-    is_covered = trajectory.covers(times)
-    n_covered = int(is_covered.sum())
-    if n_covered == 0:
-        message = (
-            f"no sample lies within the trajectory: the field covers {times[0]:.9g} to {times[-1]:.9g} s, "
-            f"{trajectory_path} covers {trajectory.times[0]:.9g} to {trajectory.times[-1]:.9g} s; "
-            "both need the same clock"
-        )
-        raise DataFormatError(table.path, message, column="t")
-    if n_covered < len(times):
-        n_dropped, n_before = len(times) - n_covered, int((times < trajectory.times[0]).sum())
-        logger.warning(
-            "%s: dropped %d of %d samples without a pose (%d before the trajectory begins, %d after it ends)",
-            table.path, n_dropped, len(times), n_before, n_dropped - n_before,
-        )  # fmt: skip
-    kept = times[is_covered]
-    _warn_of_pose_gaps(table.path, trajectory, kept)
-    positions, orientations = trajectory.interpolate(kept)
-    return Survey(positions, table.stack(*FIELD_COLUMNS)[is_covered], kept, orientations, name=table.path.name)
-
-
-def _warn_of_pose_gaps(path: Path, trajectory: Trajectory, times: np.ndarray) -> None:
-    """Say where poses are interpolated across a hole in the trajectory."""
-    intervals = np.diff(trajectory.times)
-    limit = max(1.0, 10 * float(np.median(intervals)))
-    before = np.clip(np.searchsorted(trajectory.times, times, side="right") - 1, 0, len(intervals) - 1)
-    n_in_gaps = int((intervals[before] > limit).sum())
-    if n_in_gaps:
-        logger.warning(
-            "%s: %d samples lie in gaps of the trajectory longer than %.3g s; their poses are interpolated",
-            path, n_in_gaps, limit,
-        )  # fmt: skip

@@ -2,11 +2,14 @@
 """What a survey file means where it does not say so itself: units, frames, poses from elsewhere."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from magmatch.data.units import FieldUnit, LengthUnit
+from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
+from magmatch.errors import ConfigurationError
+
+COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw")
 
 
 class SurveyFormat(BaseModel):
@@ -14,17 +17,57 @@ class SurveyFormat(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    field_unit: FieldUnit = Field(default="T", description="Unit of the field columns.")
+    field_unit: FieldUnit = Field(default="T", description="Unit of the field (phone logs: uT).")
     length_unit: LengthUnit = Field(default="m", description="Unit of the positions (in a trajectory file too).")
     field_frame: Literal["survey", "sensor"] = Field(
         default="survey",
         description="Frame of the field vectors: already turned into the survey's frame, or as the sensor saw them, "
-        "which needs orientations.",
+        "which needs orientations. Bags, MCAP and phone logs: sensor, unless they name the survey's frame.",
+    )
+    time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
+    columns: str | None = Field(
+        default=None, description="Names of a table's columns where they differ: x=pos_x,bx=mag_x,..."
     )
     trajectory: Path | None = Field(
-        default=None, description="Take the poses from this TUM file (t x y z qx qy qz qw), interpolated in time."
+        default=None,
+        description="Take the poses from this TUM (t x y z qx qy qz qw) or EuRoC file, interpolated in time.",
+    )
+    mag_topic: str | None = Field(default=None, description="Topic of the field, where a log has several.")
+    pose_topic: str | None = Field(default=None, description="Topic of the poses, where a log has several.")
+    pose_frames: str | None = Field(
+        default=None, description="Take the poses from tf: of the second frame in the first, such as map,base_link."
+    )
+    extrinsic: str | None = Field(
+        default=None,
+        description="Where the magnetometer sits on the body whose poses are known: 'x y z qx qy qz qw' (metres; "
+        "takes sensor to body coordinates) or a YAML file with translation and rotation. Default: what "
+        "tf_static says, else no offset.",
+    )
+    recover: bool = Field(
+        default=False, description="Read all that is whole of a damaged log, and say what was lost."
     )
     # None: what the file says (files written by this package do), else 0, that is unknown or exact.
     pose_sd: float | None = Field(
         default=None, ge=0, description="Standard deviation of the survey's own positions, metres."
     )
+
+    def settled(self, **found: Any) -> "SurveyFormat":
+        """Return this format with what the file itself says, where nothing was stated."""
+        return self.model_copy(
+            update={key: value for key, value in found.items() if key not in self.model_fields_set}
+        )
+
+    def column_names(self) -> dict[str, str]:
+        """Our names of columns by the file's (lower case), as far as `columns` states them."""
+        names = {}
+        for pair in (self.columns or "").split(","):
+            ours, mark, theirs = (part.strip() for part in pair.partition("="))
+            if self.columns is None:
+                continue
+            if not mark or ours not in COLUMN_NAMES or not theirs or theirs.lower() in names:
+                msg = (
+                    f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
+                )
+                raise ConfigurationError(msg)
+            names[theirs.lower()] = ours
+        return names

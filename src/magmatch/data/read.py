@@ -7,16 +7,25 @@ from dataclasses import replace
 from pathlib import Path
 
 from magmatch.data.checks import check_survey
-from magmatch.data.csv import read_survey_csv
+from magmatch.data.csv import read_survey_csv, recording_of_table
+from magmatch.data.euroc import read_euroc_field
 from magmatch.data.format import SurveyFormat
+from magmatch.data.logs.read import read_log
+from magmatch.data.recording import Recording
 from magmatch.data.sniff import FileKind, sniff
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
 
-# One entry per format; a new one needs a reader here and a signature in `sniff`.
-READERS: Mapping[FileKind, Callable[[str | Path, SurveyFormat], Survey]] = {"csv": read_survey_csv}
+Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
+# One entry per format: gives the survey, and how it was read once the file itself has been asked. A new one needs a
+# reader here and a signature in `sniff`.
+READERS: Mapping[FileKind, Reader] = {
+    "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
+    "euroc": lambda path, layout: _joined(_recording_of_euroc(path, layout), layout),
+    "log": lambda path, layout: _joined(read_log(path, layout), layout),
+}
 
 _NOT_A_SURVEY: Mapping[FileKind, str] = {
     "map": "is a saved map, expected a survey; load it with FieldMap.load, its samples are in .survey",
@@ -58,11 +67,44 @@ def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
     >>> len(read_survey(path))
     50
     """
-    layout = format or SurveyFormat()
+    survey, layout = read_unchecked(path, format)
+    for warning in check_survey(replace(survey, name=str(path)), layout):
+        logger.warning("%s: %s", path, warning)
+    return survey
+
+
+def read_unchecked(path: str | Path, format: SurveyFormat | None = None) -> tuple[Survey, SurveyFormat]:
+    """Read a survey file without asking whether it can be one.
+
+    Parameters
+    ----------
+    path, format
+        As in `read_survey`.
+
+    Returns
+    -------
+    survey : Survey
+    layout : SurveyFormat
+        How it was read: what was stated, and what the file itself says.
+
+    Raises
+    ------
+    DataFormatError
+        The file does not hold a survey.
+    """
     kind = sniff(path)
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
-    survey = READERS[kind](path, layout)
-    for warning in check_survey(replace(survey, name=str(path)), layout):
-        logger.warning("%s: %s", path, warning)
-    return replace(survey, name=Path(path).name)
+    survey, layout = READERS[kind](path, format or SurveyFormat())
+    return replace(survey, name=Path(path).name), layout
+
+
+def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
+    """Field and poses of a log as a survey."""
+    survey = recording.survey()
+    return replace(survey, pose_sd=layout.pose_sd or 0.0), layout.settled(field_frame=recording.field_frame)
+
+
+def _recording_of_euroc(path: str | Path, layout: SurveyFormat) -> Recording:
+    """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
+    return recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor"))

@@ -7,10 +7,10 @@ import zipfile
 from pathlib import Path
 from typing import Literal
 
-from magmatch.data.table import read_bytes, text_lines
+from magmatch.data.table import is_folder, read_bytes, text_lines
 from magmatch.errors import DataFormatError
 
-FileKind = Literal["csv", "map", "registration", "tum"]
+FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log"]
 
 # How files begin that people hand over by mistake, what they are, and what to do about it.
 _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
@@ -19,9 +19,6 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"\xfd7zXZ\0", "xz", "decompress it first (unxz)"),
     (b"\x28\xb5\x2f\xfd", "Zstandard", "decompress it first (unzstd)"),
     (b"7z\xbc\xaf\x27\x1c", "7-Zip", "unpack it first"),
-    (b"SQLite format 3\0", "SQLite database (a ROS 2 bag?)", "export the field and the poses as text"),
-    (b"#ROSBAG V", "ROS 1 bag", "export the field and the poses as text"),
-    (b"\x89MCAP0\r\n", "MCAP log", "export the field and the poses as text"),
     (b"ULog\x01\x12\x35", "PX4 ULog", "export the field and the poses as text"),
     (b"\x89HDF\r\n\x1a\n", "HDF5 (or MATLAB 7.3)", "export it as CSV"),
     (b"MATLAB 5.0 MAT-file", "MATLAB", "export it as CSV"),
@@ -38,6 +35,8 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"<html", "web page", "download the raw file instead"),
     (b"<?xml", "XML document", "export it as CSV"),
 )
+# How recorder logs begin; a ROS 2 bag may also be a folder of such files.
+_LOGS = (b"SQLite format 3\0", b"#ROSBAG V", b"\x89MCAP0\r\n")
 # All that zipfile raises over a damaged archive.
 BROKEN_ZIP = (
     zipfile.BadZipFile,
@@ -66,14 +65,19 @@ def sniff(path: str | Path) -> FileKind:
     -------
     str
         ``csv`` (a table with a header row), ``map`` (a zip archive such as a saved map), ``registration`` (a
-        result of `register`) or ``tum`` (rows of 8 numbers without a header).
+        result of `register`), ``tum`` (rows of 8 numbers without a header), ``euroc`` (rows of numbers under
+        ``#timestamp``) or ``log`` (a ROS 1 bag, ROS 2 bag or MCAP file).
 
     Raises
     ------
     DataFormatError
         None of these; says what it seems to be and what to do.
     """
+    if is_folder(path):
+        return _sniff_folder(path)
     head = read_bytes(path, _HEAD)
+    if head.startswith(_LOGS):
+        return "log"
     if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         return _sniff_archive(path)
     for signature, what, advice in _FOREIGN:
@@ -81,13 +85,33 @@ def sniff(path: str | Path) -> FileKind:
             raise DataFormatError(path, f"is a {what} file, expected a survey (CSV) or a saved map; {advice}")
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in {b"{", b"["}:
         return _sniff_json(path)
+    return _sniff_text(path, head)
+
+
+def _sniff_text(path: str | Path, head: bytes) -> FileKind:
+    """Text is told by its first row, or by a header that looks like a comment."""
     if len(head) == _HEAD and b"\n" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
     for line in text_lines(path, head):
         text = line.strip()
+        if text.startswith("#") and is_euroc_header(text):
+            return "euroc"
         if text and not text.startswith("#"):
             return "tum" if _is_tum_row(text) else "csv"
     return "csv"
+
+
+def _sniff_folder(path: str | Path) -> FileKind:
+    """A folder is a ROS 2 bag where it holds what recorders write."""
+    try:
+        names = [entry.name for entry in Path(path).iterdir()]
+    except PermissionError:
+        raise DataFormatError(path, "no permission to read it") from None
+    if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
+        return "log"
+    raise DataFormatError(
+        path, "is a folder, expected a file or a ROS 2 bag (metadata.yaml with .db3 or .mcap files)"
+    )
 
 
 def _sniff_archive(path: str | Path) -> FileKind:
@@ -121,6 +145,11 @@ def _sniff_json(path: str | Path) -> FileKind:
         f"is JSON with schema {schema!r}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
     )
     raise DataFormatError(path, message)
+
+
+def is_euroc_header(line: str) -> bool:
+    """Whether a comment is the header of an EuRoC file."""
+    return line.lstrip("# \t").lower().startswith("timestamp") and "," in line
 
 
 def _is_tum_row(text: str) -> bool:

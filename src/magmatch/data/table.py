@@ -61,6 +61,11 @@ class Table:
             )
             raise DataFormatError(self.path, f"{message}. {hint}" if hint else message)
 
+    def renamed(self, names: Mapping[str, str]) -> "Table":
+        """Return the table with columns under other names, given as {old: new}."""
+        columns = {names.get(name, name): values for name, values in self.columns.items()}
+        return Table(self.path, self.names, columns, self.line_numbers, self.comments)
+
     def stack(self, *names: str) -> Matrix:
         """Columns side by side: (n, k)."""
         return np.column_stack([self.columns[name] for name in names])
@@ -76,6 +81,14 @@ class Table:
                 f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times"
             )
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
+
+
+def is_folder(path: str | Path) -> bool:
+    """Whether this is a folder; impossible names are none, and are refused where they are read."""
+    try:
+        return Path(path).is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def read_bytes(path: str | Path, limit: int = -1) -> bytes:

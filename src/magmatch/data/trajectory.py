@@ -85,6 +85,12 @@ class Trajectory:
         positions = np.column_stack([np.interp(times, self.times, axis) for axis in self.positions.T])
         return positions, Slerp(self.times, self.orientations)(times)
 
+    def scaled(self, metre_per_unit: float) -> "Trajectory":
+        """Positions in metres, where they came in another unit."""
+        if metre_per_unit == 1:
+            return self
+        return Trajectory(self.times, self.positions * metre_per_unit, self.orientations)
+
     def save(self, path: str | Path) -> None:
         """Write the trajectory as a TUM file."""
         write_tum(path, self.times, self.positions, self.orientations.as_quat())

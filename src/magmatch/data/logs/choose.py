@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which topics to read: by type, and among several by one rule."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from magmatch.data.logs.log import Topic
+from magmatch.data.logs.messages import ENCODINGS
+from magmatch.errors import DataFormatError
+
+FIELD_TYPES = ("sensor_msgs/MagneticField",)
+# Old drivers send the field as a plain vector; so do many other sensors, hence only when named.
+FIELD_TYPES_IF_NAMED = (*FIELD_TYPES, "geometry_msgs/Vector3Stamped")
+TREE_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
+POSE_TYPES = (
+    "nav_msgs/Odometry",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/TransformStamped",
+    "geometry_msgs/PointStamped",
+)
+STATIC_TOPICS = ("/tf_static", "tf_static")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Topics to read.
+
+    Attributes
+    ----------
+    field : Topic
+        Holds the field.
+    pose : Topic or None
+        Holds the poses; None where they come from elsewhere, or from the tree of frames.
+    """
+
+    field: Topic
+    pose: Topic | None
+
+
+def choose_topics(
+    path: Path, topics: Sequence[Topic], mag_topic: str | None, pose_topic: str | None, *, needs_pose: bool
+) -> Choice:
+    """Choose the topic of the field and that of the poses.
+
+    Parameters
+    ----------
+    path : Path
+        The log, for messages.
+    topics : sequence of Topic
+        What it holds.
+    mag_topic, pose_topic : str, optional
+        Names that were asked for.
+    needs_pose : bool
+        False where the poses come from another file or from the tree of frames.
+
+    Returns
+    -------
+    Choice
+
+    Raises
+    ------
+    DataFormatError
+        No topic of a type that serves, or not the one asked for; lists what there is.
+
+    Notes
+    -----
+    Of all pairs of a field and a pose topic, the one with the most messages in the time that both cover (taken as
+    evenly spread over each topic's own time); of equal ones the first by name. Without poses: the field topic with
+    the most messages.
+    """
+    fields = _candidates(path, topics, mag_topic, FIELD_TYPES_IF_NAMED if mag_topic else FIELD_TYPES, "field")
+    if not needs_pose:
+        return Choice(min(fields, key=lambda topic: (-topic.count, topic.name)), None)
+    poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
+    pairs = [Choice(field, pose) for field in fields for pose in poses]
+    best = min(pairs, key=lambda pair: (-_shared(pair.field, pair.pose), pair.field.name, _name(pair.pose)))
+    if not _shared(best.field, best.pose):
+        message = f"{best.field.name} and {_name(best.pose)} do not overlap in time; no field sample has a pose"
+        raise DataFormatError(path, message)
+    return best
+
+
+def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
+    """Whether poses come from a topic of their own; else only the tree of frames may hold them."""
+    if pose_topic is not None:
+        return not any(topic.name == pose_topic and topic.type in TREE_TYPES for topic in topics)
+    return any(topic.count and topic.type in POSE_TYPES for topic in topics)
+
+
+def describe_topics(topics: Sequence[Topic]) -> str:
+    """What a log holds, for a message."""
+    shown = [f"{topic.name} ({topic.type}, {topic.count})" for topic in topics[:8]]
+    return (", ".join(shown) or "none") + (f" and {len(topics) - 8} more" if len(topics) > 8 else "")
+
+
+def _candidates(
+    path: Path, topics: Sequence[Topic], name: str | None, types: Sequence[str], what: str
+) -> list[Topic]:
+    """Topics that may serve."""
+    flag = "--mag-topic" if what == "field" else "--pose-topic"
+    named = [topic for topic in topics if name is None or topic.name == name or topic.name == "/" + name]
+    if not named:
+        raise DataFormatError(path, f"{flag} {name}: no such topic; the log holds {describe_topics(topics)}")
+    typed = [topic for topic in named if topic.type in types]
+    if not typed:
+        found = describe_topics(named)
+        hint = "" if what == "field" else "; poses from elsewhere: --trajectory POSES.tum, or --pose-frames MAP,BODY"
+        raise DataFormatError(path, f"expected a {what} topic ({', '.join(types)}), found {found}{hint}")
+    readable = [topic for topic in typed if topic.encoding in ENCODINGS]
+    if not readable:
+        message = f"{typed[0].name} is encoded as {typed[0].encoding!r}, expected {', '.join(ENCODINGS)}"
+        raise DataFormatError(path, message)
+    filled = [topic for topic in readable if topic.count]
+    if not filled:
+        raise DataFormatError(path, f"{what} topic {readable[0].name} holds no messages")
+    return filled
+
+
+def _shared(first: Topic, second: Topic | None) -> float:
+    """Messages of both in the time that both cover."""
+    if second is None:
+        return 0.0
+    low, high = max(first.first_ns, second.first_ns), min(first.last_ns, second.last_ns)
+    if high < low:
+        return 0.0
+    return sum(_share(topic, low, high) for topic in (first, second))
+
+
+def _share(topic: Topic, low: int, high: int) -> float:
+    span = topic.last_ns - topic.first_ns
+    return topic.count * ((high - low) / span) if span else float(topic.count)
+
+
+def _name(topic: Topic | None) -> str:
+    return topic.name if topic is not None else ""

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The tree of frames that tf messages make: static edges and moving ones."""
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.logs.messages import Entries, Frames
+from magmatch.data.logs.streams import in_order
+from magmatch.data.nanoseconds import seconds_of
+from magmatch.data.trajectory import Trajectory
+from magmatch.errors import DataFormatError
+from magmatch.typing import Scalars
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTree:
+    """Edges between frames, by (parent, child): each takes child coordinates to parent coordinates.
+
+    Attributes
+    ----------
+    static : dict
+        Edges that never move.
+    moving : dict
+        Edges over time.
+    """
+
+    static: dict[Frames, RigidTransform]
+    moving: dict[Frames, Trajectory]
+
+    def static_transform(self, to: str, frm: str) -> RigidTransform | None:
+        """``T_to_from`` along static edges; None where they do not connect the two."""
+        path = _path(list(self.static), to, frm)
+        if path is None:
+            return None
+        T = RigidTransform.identity()
+        for edge, is_forward in path:
+            T = T * (self.static[edge] if is_forward else self.static[edge].inv())
+        return T
+
+    def root_over(self, frame: str) -> str:
+        """The last frame reached from a frame by going to parents."""
+        parents = {child: parent for parent, child in (*self.static, *self.moving)}
+        seen = {frame}
+        while parents.get(frame, frame) not in seen:
+            frame = parents[frame]
+            seen.add(frame)
+        return frame
+
+    def trajectory(self, path: Path, to: str, frm: str) -> Trajectory:
+        """Motion of one frame in another, along static and moving edges.
+
+        Parameters
+        ----------
+        path : Path
+            The log, for messages.
+        to, frm : str
+            Gives ``T_to_from`` at every time at which an edge between them was stamped and all are known.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        DataFormatError
+            The frames are not connected, or only by edges that never move.
+        """
+        edges = _path([*self.static, *self.moving], to, frm)
+        if edges is None:
+            known = sorted({name for edge in (*self.static, *self.moving) for name in edge})
+            message = f"tf does not connect {frm!r} to {to!r}; it knows {', '.join(known[:12]) or 'no frames'}"
+            raise DataFormatError(path, message)
+        parts = [self.moving[edge] for edge, _ in edges if edge in self.moving]
+        if not parts:
+            raise DataFormatError(path, f"tf never moves {frm!r} against {to!r}: no poses between them")
+        times = np.unique(np.concatenate([part.times for part in parts]))
+        for part in parts:
+            times = times[part.covers(times)]
+        if len(times) < 2:
+            raise DataFormatError(path, f"the moving tf edges between {to!r} and {frm!r} do not overlap in time")
+        positions, turns = np.zeros((len(times), 3)), Rotation.identity(len(times))
+        for edge, is_forward in edges:
+            p, R = self._at(edge, times)
+            if not is_forward:
+                R = R.inv()
+                p = -R.apply(p)
+            positions, turns = positions + turns.apply(p), turns * R
+        return Trajectory(times, positions, turns)
+
+    def _at(self, edge: Frames, times: Scalars) -> tuple[np.ndarray, Rotation]:
+        if edge in self.moving:
+            return self.moving[edge].interpolate(times)
+        T = self.static[edge]
+        return np.tile(T.translation, (len(times), 1)), Rotation.from_quat(
+            np.tile(T.rotation.as_quat(), (len(times), 1))
+        )
+
+
+def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> FrameTree:
+    """Build the tree from decoded messages.
+
+    Parameters
+    ----------
+    path : Path
+        The log, for messages.
+    moving, static : dict of Entries
+        Of ``/tf`` and ``/tf_static``.
+
+    Returns
+    -------
+    FrameTree
+        The last static transform of each edge holds.
+    """
+    fixed = {frames: _transform(part) for frames, part in static.items()}
+    edges = {}
+    for frames, part in moving.items():
+        if frames in fixed:
+            continue
+        ordered = in_order(path, f"tf {frames[0]} -> {frames[1]}", part)
+        if len(ordered.number) > 1:
+            edges[frames] = trajectory_of(path, ordered)
+        else:
+            fixed[frames] = _transform(part)
+    return FrameTree(fixed, edges)
+
+
+def trajectory_of(path: Path, entries: Entries) -> Trajectory:
+    """Poses of entries in order; identities where they are positions only."""
+    values = entries.values
+    if len(values) < 2:
+        raise DataFormatError(path, f"expected at least two poses, found {len(values)}")
+    if values.shape[1] == 7:
+        turns = Rotation.from_quat(values[:, 3:])
+    else:
+        turns = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(values), 1)))
+    times = seconds_of(entries.stamp_ns.tolist())
+    is_new = np.concatenate([[True], np.diff(times) > 0])  # float64 seconds since 1970 tell 240 ns apart
+    return Trajectory(times[is_new], values[is_new, :3].copy(), turns[is_new])
+
+
+def _transform(part: Entries) -> RigidTransform:
+    return RigidTransform.from_components(part.values[-1, :3], Rotation.from_quat(part.values[-1, 3:]))
+
+
+def _path(edges: list[Frames], to: str, frm: str) -> list[tuple[Frames, bool]] | None:
+    """Edges from one frame to another, and whether each is passed from parent to child; the fewest possible."""
+    steps: dict[str, list[tuple[Frames, bool, str]]] = {}
+    for parent, child in edges:
+        steps.setdefault(parent, []).append(((parent, child), True, child))
+        steps.setdefault(child, []).append(((parent, child), False, parent))
+    reached: dict[str, list[tuple[Frames, bool]]] = {to: []}
+    waiting = deque([to])
+    while waiting and frm not in reached:
+        frame = waiting.popleft()
+        for edge, is_forward, following in steps.get(frame, []):
+            if following not in reached:
+                reached[following] = [*reached[frame], (edge, is_forward)]
+                waiting.append(following)
+    return reached.get(frm)

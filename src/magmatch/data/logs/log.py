@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every recorder log offers: topics with counts and spans, messages of some topics, and what was lost."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+# Messages handed on at a time, of one channel: enough for array arithmetic, little to hold.
+BATCH = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """Messages of one topic, type and encoding, as one publisher sent them.
+
+    Attributes
+    ----------
+    topic : str
+    type : str
+        Such as ``sensor_msgs/MagneticField``, spelled the same for ROS 1 and ROS 2.
+    encoding : str
+        ``ros1``, ``cdr``, ``json``, or one that is not read here.
+    """
+
+    topic: str
+    type: str
+    encoding: str
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic of a log.
+
+    Attributes
+    ----------
+    name, type, encoding : str
+        As in `Channel`.
+    count : int
+        Messages that can be read.
+    first_ns, last_ns : int
+        When the first and the last of them were logged; 0 where there is none.
+    """
+
+    name: str
+    type: str
+    encoding: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+    @property
+    def duration(self) -> float:
+        """Seconds between the first and the last message."""
+        return (self.last_ns - self.first_ns) / 1e9
+
+    def facts(self) -> dict[str, Any]:
+        """Name, type, count, rate and span, ready for JSON."""
+        rate = (self.count - 1) / self.duration if self.duration > 0 else None
+        span = [self.first_ns / 1e9, self.last_ns / 1e9] if self.count else None
+        return {"name": self.name, "type": self.type, "encoding": self.encoding, "count": self.count, "rate": rate,
+                "span": span}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Some messages of one channel, in the order of the file.
+
+    Attributes
+    ----------
+    channel : Channel
+    log_ns : list of int
+        When each was logged.
+    payloads : list of bytes
+    """
+
+    channel: Channel
+    log_ns: list[int]
+    payloads: list[bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A piece of a damaged log that was left out.
+
+    Attributes
+    ----------
+    start, stop : int
+        Bytes of the file; both 0 where the file does not keep messages in order (SQLite).
+    words : str
+        What was wrong with it.
+    """
+
+    start: int
+    stop: int
+    words: str
+
+    @property
+    def text(self) -> str:
+        """Where and what, in words."""
+        if self.stop > self.start:
+            return f"bytes {self.start} to {self.stop}: {self.words}"
+        return f"at byte {self.start}: {self.words}" if self.stop else self.words
+
+
+class Log(Protocol):
+    """A recorder log, open for reading."""
+
+    path: Path
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+
+    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+        """Messages of some topics, batch by batch; others are skipped without being looked at."""
+
+    def losses(self) -> list[Loss]:
+        """What was left out so far; empty unless damage may be passed over."""
+
+    def close(self) -> None:
+        """Let go of the file."""
+
+
+def plain_type(name: str) -> str:
+    """Message type as ROS 1 spells it.
+
+    Examples
+    --------
+    >>> plain_type("sensor_msgs/msg/MagneticField"), plain_type("sensor_msgs.MagneticField")
+    ('sensor_msgs/MagneticField', 'sensor_msgs/MagneticField')
+    """
+    return name.replace(".", "/").replace("::", "/").replace("/msg/dds_/", "/").replace("/msg/", "/").rstrip("_")
+
+
+class Batcher:
+    """Collects messages by channel and hands on full batches."""
+
+    def __init__(self) -> None:
+        self._open: dict[Channel, tuple[list[int], list[bytes]]] = {}
+
+    def add(self, channel: Channel, log_ns: int, payload: bytes) -> Batch | None:
+        """Take one message; gives a batch when one is full."""
+        times, payloads = self._open.setdefault(channel, ([], []))
+        times.append(log_ns)
+        payloads.append(payload)
+        return self._take(channel) if len(times) >= BATCH else None
+
+    def rest(self) -> Iterator[Batch]:
+        """Whatever has not been handed on."""
+        for channel in list(self._open):
+            yield self._take(channel)
+
+    def _take(self, channel: Channel) -> Batch:
+        times, payloads = self._open.pop(channel)
+        return Batch(channel, times, payloads)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Read a recorder log: choose topics, decode them, settle the clock, find where the sensor sits."""
+
+import logging
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.extrinsic import read_extrinsic
+from magmatch.data.format import SurveyFormat
+from magmatch.data.load_trajectory import load_trajectory
+from magmatch.data.logs.choose import STATIC_TOPICS, TREE_TYPES, Choice, choose_topics, has_poses
+from magmatch.data.logs.frames import FrameTree, frame_tree, trajectory_of
+from magmatch.data.logs.log import Log, Topic
+from magmatch.data.logs.messages import ENCODINGS, Entries, Frames
+from magmatch.data.logs.open import open_log
+from magmatch.data.logs.streams import Stream, in_order, read_stream, settle_clock
+from magmatch.data.nanoseconds import seconds_of
+from magmatch.data.recording import Recording
+from magmatch.data.trajectory import Trajectory
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.errors import ConfigurationError, DataFormatError
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Poses and what they are poses of.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        Of the body, in the fixed frame.
+    fixed, body : str
+        Names of the frames; "" where the log does not say.
+    has_orientations : bool
+    source : Path or None
+        The file they came from, where that is another one.
+    """
+
+    trajectory: Trajectory
+    fixed: str = ""
+    body: str = ""
+    has_orientations: bool = True
+    source: Path | None = None
+
+
+def read_log(path: str | Path, layout: SurveyFormat) -> Recording:
+    """Read field and poses of a ROS 1 bag, ROS 2 bag or MCAP file, each at its own times.
+
+    Parameters
+    ----------
+    path : path
+        The file or folder.
+    layout : SurveyFormat
+        Topics, frames and extrinsic where they are not to be chosen; units.
+
+    Returns
+    -------
+    Recording
+        Poses of the sensor.
+
+    Raises
+    ------
+    DataFormatError
+        Damaged, or without the topics that a survey needs.
+    """
+    with closing(open_log(path, recover=layout.recover)) as log:
+        recording = _read(log, layout)
+        _tell_losses(log)
+    return recording
+
+
+def _read(log: Log, layout: SurveyFormat) -> Recording:
+    topics = log.topics()
+    choice, moving = _choose(log.path, topics, layout)
+    wanted = [choice.field, *([choice.pose] if choice.pose else []), *moving]
+    logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
+    streams = settle_clock(log.path, [read_stream(log, topic, recover=layout.recover) for topic in wanted])
+    static = [
+        read_stream(log, topic, recover=layout.recover) for topic in _trees(topics) if topic.name in STATIC_TOPICS
+    ]
+    tree = frame_tree(log.path, _merged(streams[len(wanted) - len(moving) :]), _merged(static))
+    field = in_order(log.path, choice.field.name, _of_one_frame(log.path, streams[0]))
+    sensor = field.frames[0]
+    poses = _poses(log.path, layout, streams[1] if choice.pose else None, tree, sensor)
+    is_turned = bool(sensor) and sensor == poses.fixed
+    frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
+    extrinsic = _extrinsic(log.path, layout, tree, poses, "" if frame == "survey" else sensor)
+    times = seconds_of(field.stamp_ns.tolist())
+    is_new = np.concatenate([[True], np.diff(times) > 0])  # float64 seconds since 1970 tell 240 ns apart
+    return Recording(
+        path=log.path,
+        times=times[is_new],
+        field=field.values[is_new] * TESLA_PER_UNIT[layout.field_unit],
+        trajectory=poses.trajectory,
+        field_frame=frame,
+        has_orientations=poses.has_orientations,
+        frame=poses.fixed or "survey",
+        poses_from=poses.source,
+    ).carried(extrinsic)
+
+
+def _poses(path: Path, layout: SurveyFormat, stream: Stream | None, tree: FrameTree, sensor: str) -> Poses:
+    """Poses from another file, from a topic, or from the tree of frames."""
+    metre = METRE_PER_UNIT[layout.length_unit]
+    if layout.trajectory is not None:
+        return Poses(load_trajectory(layout.trajectory, layout), source=layout.trajectory)
+    if stream is not None:
+        entries = in_order(path, stream.topic.name, _of_one_frame(path, stream))
+        has_orientations = entries.values.shape[1] == 7
+        return Poses(trajectory_of(path, entries).scaled(metre), *entries.frames, has_orientations)
+    fixed, body = _pose_frames(layout.pose_frames) if layout.pose_frames else (tree.root_over(sensor), sensor)
+    logger.info("%s: poses of %s in %s from tf", path, body, fixed)
+    return Poses(tree.trajectory(path, fixed, body).scaled(metre), fixed, body)
+
+
+def _pose_frames(text: str) -> Frames:
+    """Two names of frames."""
+    names = [name.strip().lstrip("/") for name in text.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        msg = f"--pose-frames: expected two frames such as map,base_link; found '{text}'"
+        raise ConfigurationError(msg)
+    return names[0], names[1]
+
+
+def _extrinsic(path: Path, layout: SurveyFormat, tree: FrameTree, poses: Poses, sensor: str) -> RigidTransform | None:
+    """Where the sensor sits on the body: stated, from tf_static, or, said aloud, nowhere else."""
+    if layout.extrinsic is not None:
+        return read_extrinsic(layout.extrinsic)
+    if poses.source is not None or not sensor or sensor == poses.body:
+        return None
+    T_body_sensor = tree.static_transform(poses.body, sensor) if poses.body else None
+    if T_body_sensor is None:
+        logger.warning(
+            "%s: nothing says where %r sits on %s; the poses are taken as the magnetometer's own (--extrinsic)",
+            path, sensor, repr(poses.body) if poses.body else "the body whose poses these are",
+        )  # fmt: skip
+    return T_body_sensor
+
+
+def _of_one_frame(path: Path, stream: Stream) -> Entries:
+    """The entries of a topic that should speak of one thing; others are counted."""
+    entries = stream.largest
+    n, n_other = len(entries.number), sum(len(part.number) for part in stream.entries.values()) - len(entries.number)
+    if n_other:
+        logger.warning(
+            "%s: %s holds several frames; read are the %d messages of %s, not the other %d",
+            path, stream.topic.name, n, " -> ".join(filter(None, entries.frames)) or "none", n_other,
+        )  # fmt: skip
+    return entries
+
+
+def _merged(streams: list[Stream]) -> dict[Frames, Entries]:
+    """Edges of several topics; one that several have is taken from the first."""
+    return {frames: part for stream in reversed(streams) for frames, part in stream.entries.items()}
+
+
+def _tell_losses(log: Log) -> None:
+    """Say how much of a damaged log was lost, and where."""
+    losses = log.losses()
+    if not losses:
+        return
+    n_bytes = sum(loss.stop - loss.start for loss in losses)
+    shown = "; ".join(loss.text for loss in losses[:5]) + ("; ..." if len(losses) > 5 else "")
+    share = f", {n_bytes} bytes" if n_bytes else ""
+    logger.warning("%s: recovered, but for %d damaged pieces%s: %s", log.path, len(losses), share, shown)
+
+
+def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], dict[str, str | None]]:
+    """Topics of a log, and which of them would be read.
+
+    Parameters
+    ----------
+    path, layout
+        As in `read_log`.
+
+    Returns
+    -------
+    topics : list of Topic
+        By name.
+    chosen : dict
+        Names of the ``field`` and the ``poses`` topic; None where there is no such topic.
+    """
+    with closing(open_log(path, recover=layout.recover)) as log:
+        topics = log.topics()
+        _tell_losses(log)
+        try:
+            choice, moving = _choose(log.path, topics, layout)
+        except DataFormatError as error:
+            logger.info("%s", error)
+            return topics, {"field": None, "poses": None}
+    poses = choice.pose or (moving[0] if moving else None)
+    return topics, {"field": choice.field.name, "poses": poses.name if poses else None}
+
+
+def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Choice, list[Topic]]:
+    """Topics of the field and the poses, and those of moving frames where the poses come from them."""
+    is_elsewhere = layout.trajectory is not None
+    has_own = not is_elsewhere and layout.pose_frames is None and has_poses(topics, layout.pose_topic)
+    choice = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=has_own)
+    trees = [] if is_elsewhere or has_own else _trees(topics)
+    moving = [topic for topic in trees if topic.name not in STATIC_TOPICS]
+    if not (is_elsewhere or has_own or moving):
+        choose_topics(
+            path, topics, layout.mag_topic, layout.pose_topic, needs_pose=True
+        )  # which says what is missing
+    return choice, moving
+
+
+def _trees(topics: list[Topic]) -> list[Topic]:
+    """Topics of tf messages that can be read."""
+    return [topic for topic in topics if topic.type in TREE_TYPES and topic.count and topic.encoding in ENCODINGS]

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""ROS 2 bag folders: ``metadata.yaml`` and the files it names, as one log."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from magmatch.data.logs.log import Batch, Log, Loss, Topic
+from magmatch.data.logs.source import MAX_CHUNK
+from magmatch.data.table import read_bytes
+from magmatch.errors import DataFormatError, MissingExtraError
+
+METADATA = "metadata.yaml"
+SUFFIXES = (".db3", ".mcap")
+MAX_METADATA = 16 << 20
+
+
+class JoinedLog:
+    """Several files of one recording, read as one.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    parts : sequence of Log
+        In the order of recording.
+    unpack : callable
+        Applied to every payload (recorders may compress messages one by one).
+    losses : sequence of Loss
+        What is known to be lost already.
+    """
+
+    def __init__(
+        self, path: Path, parts: Sequence[Log], unpack: Callable[[bytes], bytes] | None, losses: Sequence[Loss]
+    ) -> None:
+        self.path, self._parts, self._unpack, self._lost = path, parts, unpack, list(losses)
+
+    def close(self) -> None:
+        """Let go of the files."""
+        for part in self._parts:
+            part.close()
+
+    def losses(self) -> list[Loss]:
+        """What was left out so far, in all files."""
+        inside = [
+            Loss(loss.start, loss.stop, f"{loss.words} (in {part.path.name})")
+            for part in self._parts
+            for loss in part.losses()
+        ]
+        return self._lost + inside
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        joined: dict[tuple[str, str, str], Topic] = {}
+        for topic in (topic for part in self._parts for topic in part.topics()):
+            key = (topic.name, topic.type, topic.encoding)
+            known = joined.get(key, topic)
+            if known is topic or not topic.count:
+                joined.setdefault(key, topic)
+                continue
+            first = min(known.first_ns, topic.first_ns) if known.count else topic.first_ns
+            joined[key] = Topic(*key, known.count + topic.count, first, max(known.last_ns, topic.last_ns))
+        return sorted(joined.values(), key=lambda topic: (topic.name, topic.type))
+
+    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+        """Messages of some topics, file after file."""
+        for batch in (batch for part in self._parts for batch in part.messages(topics)):
+            if self._unpack is None:
+                yield batch
+            else:
+                yield Batch(batch.channel, batch.log_ns, [self._unpack(payload) for payload in batch.payloads])
+
+
+def open_ros2_folder(folder: str | Path, open_file: Callable[[Path], Log], *, recover: bool = False) -> JoinedLog:
+    """Open a ROS 2 bag folder.
+
+    Parameters
+    ----------
+    folder : path
+        Holds ``metadata.yaml``, or at least files of one recording.
+    open_file : callable
+        Opens one of them.
+    recover : bool
+        Go on where a file is missing or cannot be opened, and note it.
+
+    Returns
+    -------
+    JoinedLog
+    """
+    folder = Path(folder)
+    about = read_metadata(folder)
+    files, losses = _files(folder, about, recover=recover)
+    parts: list[Log] = []
+    try:
+        for file in files:
+            try:
+                parts.append(open_file(file))
+            except DataFormatError as error:
+                if not recover:
+                    raise
+                losses.append(Loss(0, 0, f"a whole file: {error}"))
+    except BaseException:
+        for part in parts:
+            part.close()
+        raise
+    if not parts:
+        raise DataFormatError(folder, f"holds no {' or '.join(SUFFIXES)} file that can be read")
+    return JoinedLog(folder, parts, _unpacker(folder, about), losses)
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """What ``metadata.yaml`` says of a bag; empty where there is none."""
+    path = folder / METADATA
+    if not path.exists():
+        return {}
+    try:
+        # Topic tables of large bags make this long; what is longer is no metadata.
+        content = yaml.safe_load(read_bytes(path, MAX_METADATA).decode("utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        words = " ".join(str(error).split())[:120]
+        raise DataFormatError(path, f"is not YAML ({words}); delete it to read the bag without it") from None
+    about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+    if not isinstance(about, dict):
+        message = "expected rosbag2_bagfile_information in it; delete it to read the bag without it"
+        raise DataFormatError(path, message)
+    return about
+
+
+def _files(folder: Path, about: dict[str, Any], *, recover: bool) -> tuple[list[Path], list[Loss]]:
+    """Files of the recording in order; only names inside the folder are followed."""
+    present = sorted(p for p in folder.iterdir() if p.suffix in SUFFIXES and p.is_file())
+    packed = sorted(p.name for p in folder.iterdir() if p.name.endswith((".db3.zstd", ".mcap.zstd")))
+    if packed:
+        message = f"its files are compressed as a whole; decompress them first (unzstd {packed[0]})"
+        raise DataFormatError(folder, message)
+    named = about.get("relative_file_paths")
+    if named is None:
+        return present, []
+    if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
+        raise DataFormatError(folder / METADATA, "expected a list of names in relative_file_paths")
+    names = [Path(name).name for name in named]  # old recorders wrote the folder in front
+    stray = [name for name in named if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name]
+    if stray:
+        raise DataFormatError(folder / METADATA, f"names a file outside the folder: {stray[0]!r}")
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing and not recover:
+        message = f"names {missing[0]!r}, which is not in the folder; --recover reads the other files"
+        raise DataFormatError(folder / METADATA, message)
+    losses = [Loss(0, 0, f"a whole file: {name!r} is not in the folder") for name in missing]
+    found = [folder / name for name in dict.fromkeys(names) if name not in missing]
+    return (found or present), losses
+
+
+def _unpacker(folder: Path, about: dict[str, Any]) -> Callable[[bytes], bytes] | None:
+    """How messages are compressed one by one, where they are."""
+    if str(about.get("compression_mode", "")).upper() != "MESSAGE":
+        return None
+    kind = about.get("compression_format")
+    if kind != "zstd":
+        raise DataFormatError(folder / METADATA, f"messages are compressed with {kind!r}, expected zstd")
+    try:
+        import zstandard
+    except ImportError:
+        feature = "reading a ROS 2 bag with zstd messages"
+        raise MissingExtraError(feature, "ros") from None
+    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK)
+
+    def unpack(payload: bytes) -> bytes:
+        try:
+            # Field and poses are small; an honest one never reaches this bound.
+            return decompressor.stream_reader(payload, read_across_frames=True).read(1 << 20)
+        except (zstandard.ZstdError, ValueError):
+            return b""  # no message: named as such where it is decoded
+
+    return unpack

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The SQLite files of ROS 2 bags: tables ``topics`` and ``messages``."""
+
+import sqlite3
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import quote
+
+from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic, plain_type
+from magmatch.data.logs.source import MAX_CHUNK
+from magmatch.errors import DataFormatError
+
+Row = tuple[int, int, int, bytes]  # id, topic, log time (ns), payload
+
+
+class SqliteLog:
+    """A ``.db3`` file, open for reading.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    recover : bool
+        Pass over messages on damaged pages and note them, instead of refusing.
+    """
+
+    def __init__(self, path: str | Path, *, recover: bool = False) -> None:
+        self.path, self._recover = Path(path), recover
+        self._losses: dict[str, Loss] = {}
+        with self._refusing():
+            self._database = _open(self.path, recover=recover)
+        try:
+            with self._refusing():
+                self._channels = self._read_channels()
+        except DataFormatError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._database.close()
+
+    def losses(self) -> list[Loss]:
+        """What was left out so far."""
+        return list(self._losses.values())
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        counts: dict[int, tuple[int, int, int]] = {}
+        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+        try:
+            with self._refusing():
+                counts = {key: (n, first, last) for key, n, first, last in self._database.execute(query)}
+        except DataFormatError:
+            if not self._recover:
+                raise
+            for _, key, log_ns, _ in self._rows(set(self._channels)):
+                n, first, last = counts.get(key, (0, log_ns, log_ns))
+                counts[key] = (n + 1, min(first, log_ns), max(last, log_ns))
+        topics = [
+            Topic(channel.topic, channel.type, channel.encoding, *self._checked(counts.get(key, (0, 0, 0))))
+            for key, channel in self._channels.items()
+        ]
+        return sorted(topics, key=lambda topic: (topic.name, topic.type))
+
+    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+        """Messages of some topics, in the order in which they were written."""
+        batcher = Batcher()
+        for _, key, log_ns, payload in self._rows({k for k, c in self._channels.items() if c.topic in topics}):
+            batch = batcher.add(self._channels[key], log_ns, payload)
+            if batch is not None:
+                yield batch
+        yield from batcher.rest()
+
+    def _rows(self, wanted: set[int]) -> Iterator[Row]:
+        """Rows of some topics; where a page is damaged, go on behind it."""
+        marks = ",".join(str(int(key)) for key in wanted)
+        query = (
+            f"SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? AND topic_id IN ({marks}) ORDER BY id"
+        )
+        last, step = -(1 << 62), 0
+        while step < 1 << 40:
+            try:
+                for row in self._database.execute(query, (last + step,)):
+                    self._check_row(row)
+                    if step:
+                        words = f"messages {last + 1} to {row[0] - 1} lie on damaged pages"
+                        self._losses[words] = Loss(0, 0, words)
+                    last, step = row[0], 0
+                    yield row
+            except (sqlite3.Error, OverflowError) as error:
+                if not self._recover:
+                    raise self._refusal(error) from None
+                last = max(last, 0)  # identifiers count from 1
+                step = 2 * step or 1
+                continue
+            break
+        if step:
+            words = f"messages after {last} lie on damaged pages"
+            self._losses[words] = Loss(0, 0, words)
+
+    def _read_channels(self) -> dict[int, Channel]:
+        """Topics by number; only true tables are asked, since a view could compute without end."""
+        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        missing = {"topics", "messages"} - tables
+        if missing:
+            message = f"is a SQLite database without table {', '.join(sorted(missing))}: not a ROS 2 bag"
+            raise DataFormatError(self.path, message)
+        channels = {}
+        for key, name, kind, encoding in self._database.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            if not isinstance(key, int) or not all(isinstance(text, str) for text in (name, kind, encoding)):
+                raise DataFormatError(self.path, "its table of topics holds other things than names")
+            channels[key] = Channel(name, plain_type(kind), encoding)
+        return channels
+
+    def _checked(self, count: tuple[object, object, object]) -> tuple[int, int, int]:
+        if not all(isinstance(number, int) for number in count):
+            raise DataFormatError(self.path, "holds messages whose time stamp is no whole number")
+        n, first, last = count
+        return n, first, last  # type: ignore[return-value]
+
+    def _check_row(self, row: Row) -> None:
+        if not all(isinstance(number, int) for number in row[:3]) or not isinstance(row[3], bytes):
+            raise DataFormatError(self.path, f"message {row[0]} has no number, time stamp or data")
+
+    def _refusal(self, error: Exception) -> DataFormatError:
+        return DataFormatError(
+            self.path, f"is a damaged ROS 2 bag (SQLite: {error}); --recover reads all that is whole of it"
+        )
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Say in words what SQLite finds."""
+        try:
+            yield
+        except (sqlite3.Error, OverflowError) as error:
+            raise self._refusal(error) from None
+
+
+def _open(path: Path, *, recover: bool) -> sqlite3.Connection:
+    """Open read-only, with nothing in the file trusted."""
+    # Where the recorder left a journal, SQLite has to look at it; else the file is not even locked.
+    journal = path.with_name(path.name + "-wal")
+    mode = "mode=ro" if journal.exists() and journal.stat().st_size else "mode=ro&immutable=1"
+    database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
+    database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
+    database.execute("PRAGMA trusted_schema = OFF")
+    if recover:  # lets SQLite look into a file that is shorter than its header says
+        database.execute("PRAGMA writable_schema = ON")
+    return database

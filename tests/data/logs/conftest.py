@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One recording in every container, written by the libraries of the formats themselves."""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND + 123_456_789
+MAG, ODOM, POSE, COVARIANCE = (
+    "sensor_msgs/msg/MagneticField",
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
+TRANSFORM, TF, POINT, VECTOR, STRING = (
+    "geometry_msgs/msg/TransformStamped",
+    "tf2_msgs/msg/TFMessage",
+    "geometry_msgs/msg/PointStamped",
+    "geometry_msgs/msg/Vector3Stamped",
+    "std_msgs/msg/String",
+)
+
+
+@dataclass
+class Series:
+    """Messages of one topic: log times, header stamps (both ns), numbers, and what stands around them."""
+
+    topic: str
+    type: str
+    log_ns: np.ndarray
+    values: np.ndarray
+    frame: str = "map"
+    child: str = ""
+    stamp_ns: np.ndarray = None
+    is_latched: bool = False
+
+    def __post_init__(self):
+        if self.stamp_ns is None:
+            self.stamp_ns = self.log_ns
+
+
+@dataclass
+class Flight:
+    """A walk with a magnetometer: field at 50 Hz in the sensor's frame, poses at 20 Hz."""
+
+    mag_ns: np.ndarray
+    mag: np.ndarray
+    pose_ns: np.ndarray
+    poses: np.ndarray
+    series: list = field(default_factory=list)
+
+    def trajectory(self):
+        from magmatch.data.nanoseconds import seconds_of
+        from magmatch.data.trajectory import Trajectory
+
+        times = seconds_of(self.pose_ns.tolist())
+        return Trajectory(times, self.poses[:, :3], Rotation.from_quat(self.poses[:, 3:]))
+
+
+def make_flight(n_mag=300, n_pose=130, seed=3):
+    rng = np.random.default_rng(seed)
+    mag_ns = START + np.arange(n_mag) * 20_000_001
+    pose_ns = START - 111_111_111 + np.arange(n_pose) * 50_000_003
+    t = (pose_ns - START) / SECOND
+    positions = np.column_stack([np.cos(t), np.sin(1.3 * t), 0.2 * np.sin(0.7 * t)])
+    turns = Rotation.from_rotvec(np.column_stack([0.3 * np.sin(t), 0.2 * np.cos(t), 0.8 * t]))
+    field = 1e-6 * (np.array([18.0, 3.0, -45.0]) + rng.normal(0, 2, (n_mag, 3)))
+    poses = np.hstack([positions, turns.as_quat()])
+    series = [
+        Series("/imu/mag", MAG, mag_ns, field, frame="mag_link"),
+        Series("/odom", ODOM, pose_ns, poses, child="mag_link"),
+    ]
+    return Flight(mag_ns, field, pose_ns, poses, series)
+
+
+class Messages:
+    """Makes messages of a type store, for ROS 1 or ROS 2."""
+
+    def __init__(self, version):
+        from rosbags.typesys import Stores, get_typestore
+
+        self.is_ros1 = version == 1
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
+        self._number = 0
+
+    def make(self, name, **fields):
+        return self.store.types[name](**fields)
+
+    def header(self, stamp, frame):
+        time = self.make("builtin_interfaces/msg/Time", sec=int(stamp // SECOND), nanosec=int(stamp % SECOND))
+        self._number += 1
+        first = {"seq": self._number} if self.is_ros1 else {}
+        return self.make("std_msgs/msg/Header", **first, stamp=time, frame_id=frame)
+
+    def xyz(self, numbers, kind="Vector3"):
+        return self.make(f"geometry_msgs/msg/{kind}", **dict(zip("xyz", map(float, numbers), strict=True)))
+
+    def pose(self, v):
+        turn = self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, v[3:]), strict=True)))
+        return self.make("geometry_msgs/msg/Pose", position=self.xyz(v[:3], "Point"), orientation=turn)
+
+    def transform(self, header, child, v):
+        turn = self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, v[3:]), strict=True)))
+        inner = self.make("geometry_msgs/msg/Transform", translation=self.xyz(v[:3]), rotation=turn)
+        return self.make(TRANSFORM, header=header, child_frame_id=child, transform=inner)
+
+    def build(self, series, i):
+        v, kind = series.values[i], series.type
+        if kind == STRING:
+            return self.make(STRING, data=str(v))
+        header = self.header(series.stamp_ns[i], series.frame)
+        if kind == MAG:
+            return self.make(MAG, header=header, magnetic_field=self.xyz(v), magnetic_field_covariance=np.zeros(9))
+        if kind == ODOM:
+            with_covariance = self.make(
+                "geometry_msgs/msg/PoseWithCovariance", pose=self.pose(v), covariance=np.ones(36)
+            )
+            twist = self.make("geometry_msgs/msg/Twist", linear=self.xyz([1, 2, 3]), angular=self.xyz([4, 5, 6]))
+            moving = self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.ones(36))
+            return self.make(ODOM, header=header, child_frame_id=series.child, pose=with_covariance, twist=moving)
+        if kind == POSE:
+            return self.make(POSE, header=header, pose=self.pose(v))
+        if kind == COVARIANCE:
+            with_covariance = self.make(
+                "geometry_msgs/msg/PoseWithCovariance", pose=self.pose(v), covariance=np.ones(36)
+            )
+            return self.make(COVARIANCE, header=header, pose=with_covariance)
+        if kind == POINT:
+            return self.make(POINT, header=header, point=self.xyz(v, "Point"))
+        if kind == VECTOR:
+            return self.make(VECTOR, header=header, vector=self.xyz(v))
+        if kind == TRANSFORM:
+            return self.transform(header, series.child, v)
+        return self.make(TF, transforms=[self.transform(header, series.child, v)])
+
+    def serialise(self, message, kind):
+        return (self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr)(message, kind)
+
+
+def in_time(series, messages):
+    """All messages of some topics in order of logging: (topic index, log time, bytes)."""
+    rows = [(int(t), k, i) for k, s in enumerate(series) for i, t in enumerate(s.log_ns)]
+    for t, k, i in sorted(rows):
+        yield k, t, bytes(messages.serialise(messages.build(series[k], i), series[k].type))
+
+
+def write_ros1(path, series, compression=None):
+    from rosbags.rosbag1 import Writer
+
+    messages = Messages(1)
+    writer = Writer(path)
+    writer.chunk_threshold = 20_000
+    if compression:
+        writer.set_compression(getattr(Writer.CompressionFormat, compression.upper()))
+    with writer:
+        connections = [writer.add_connection(s.topic, s.type, typestore=messages.store) for s in series]
+        for k, t, data in in_time(series, messages):
+            writer.write(connections[k], t, data)
+    return path
+
+
+def write_ros2(path, series, storage="sqlite3", compression=None):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    messages = Messages(2)
+    writer = Writer(path, version=9, storage_plugin=getattr(StoragePlugin, storage.upper()))
+    if compression:
+        writer.set_compression(getattr(CompressionMode, compression.upper()), CompressionFormat.ZSTD)
+    with writer:
+        connections = [writer.add_connection(s.topic, s.type, typestore=messages.store) for s in series]
+        for k, t, data in in_time(series, messages):
+            writer.write(connections[k], t, data)
+    return path
+
+
+def write_mcap(path, series, encoding="cdr", compression="ZSTD", chunk_size=20_000, **options):
+    from mcap.writer import CompressionType, Writer
+
+    messages = Messages(1 if encoding == "ros1" else 2)
+    with Path(path).open("wb") as stream:
+        writer = Writer(stream, chunk_size=chunk_size, compression=getattr(CompressionType, compression), **options)
+        writer.start()
+        channels = []
+        for s in series:
+            name = s.type.replace("/msg/", "/") if encoding == "ros1" else s.type
+            kind = {"ros1": "ros1msg", "cdr": "ros2msg", "json": "jsonschema"}[encoding]
+            schema = writer.register_schema(name, kind, b"{}" if encoding == "json" else b"# definition")
+            channels.append(writer.register_channel(s.topic, encoding, schema))
+        rows = in_time(series, messages) if encoding != "json" else in_time_json(series)
+        for n, (k, t, data) in enumerate(rows):
+            writer.add_message(channels[k], t, data, t, n)
+        writer.finish()
+    return path
+
+
+def write_bare_mcap(path, series):
+    from mcap.writer import IndexType
+
+    bare = {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False, "use_summary_offsets": False}
+    return write_mcap(path, series, **bare, index_types=IndexType.NONE)
+
+
+def in_time_json(series):
+    rows = [(int(t), k, i) for k, s in enumerate(series) for i, t in enumerate(s.log_ns)]
+    for t, k, i in sorted(rows):
+        s, v = series[k], [float(x) for x in series[k].values[i]]
+        stamp = {"sec": int(s.stamp_ns[i] // SECOND), "nanosec": int(s.stamp_ns[i] % SECOND)}
+        content = {"header": {"stamp": stamp, "frame_id": s.frame}, "child_frame_id": s.child}
+        if s.type == MAG:
+            content["magnetic_field"] = dict(zip("xyz", v, strict=True))
+        else:
+            pose = {
+                "position": dict(zip("xyz", v[:3], strict=True)),
+                "orientation": dict(zip("xyzw", v[3:], strict=True)),
+            }
+            content["pose"] = {"pose": pose} if s.type in {ODOM, COVARIANCE} else pose
+        yield k, t, json.dumps(content).encode()
+
+
+WRITERS = {
+    "ROS 1 bag": lambda folder, series: write_ros1(folder / "log.bag", series),
+    "ROS 1 bag, bz2": lambda folder, series: write_ros1(folder / "log-bz2.bag", series, "bz2"),
+    "ROS 1 bag, lz4": lambda folder, series: write_ros1(folder / "log-lz4.bag", series, "lz4"),
+    "ROS 2 bag, sqlite3": lambda folder, series: write_ros2(folder / "log-db3", series),
+    "ROS 2 bag, messages compressed": lambda folder, series: write_ros2(
+        folder / "log-db3z", series, compression="message"
+    ),
+    "ROS 2 bag, mcap": lambda folder, series: write_ros2(folder / "log-mcap", series, "mcap"),
+    "MCAP of ROS 2": lambda folder, series: write_mcap(folder / "log.mcap", series),
+    "MCAP of ROS 1": lambda folder, series: write_mcap(folder / "log1.mcap", series, "ros1"),
+    "MCAP of JSON": lambda folder, series: write_mcap(folder / "logj.mcap", series, "json"),
+    "MCAP, lz4": lambda folder, series: write_mcap(folder / "logl.mcap", series, compression="LZ4"),
+    "MCAP, not compressed": lambda folder, series: write_mcap(folder / "logn.mcap", series, compression="NONE"),
+    "MCAP without chunks": lambda folder, series: write_mcap(folder / "logc.mcap", series, use_chunking=False),
+    "MCAP without summary": lambda folder, series: write_bare_mcap(folder / "logs.mcap", series),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def made():
+    """Functions that make recordings and write them."""
+    pytest.importorskip("rosbags", reason="logs are written by rosbags and mcap")
+    return SimpleNamespace(
+        flight=make_flight, Series=Series, Messages=Messages, WRITERS=WRITERS,
+        ros1=write_ros1, ros2=write_ros2, mcap=write_mcap, replace=replace,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def flight():
+    return make_flight()

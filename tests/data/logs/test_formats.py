@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The same recording in every container, written by the format's own library, is the same survey bit for bit."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.tum import write_tum
+
+FORMATS = [
+    "ROS 1 bag", "ROS 1 bag, bz2", "ROS 1 bag, lz4", "ROS 2 bag, sqlite3", "ROS 2 bag, messages compressed",
+    "ROS 2 bag, mcap", "MCAP of ROS 2", "MCAP of ROS 1", "MCAP of JSON", "MCAP, lz4", "MCAP, not compressed",
+    "MCAP without chunks", "MCAP without summary",
+]  # fmt: skip
+
+
+def same(first, second):
+    np.testing.assert_array_equal(first.times, second.times)
+    np.testing.assert_array_equal(first.positions, second.positions)
+    np.testing.assert_array_equal(first.field, second.field)
+    np.testing.assert_array_equal(first.orientations.as_quat(), second.orientations.as_quat())
+
+
+@pytest.fixture
+def as_csv(flight, tmp_path):
+    """The recording as a CSV with whole nanoseconds in 17 digits or more, and a TUM file."""
+    lines = [
+        f"{t // 10**9}.{t % 10**9:09d}," + ",".join(f"{v:.17g}" for v in row)
+        for t, row in zip(flight.mag_ns.tolist(), flight.mag, strict=True)
+    ]
+    (tmp_path / "field.csv").write_text("t,bx,by,bz\n" + "\n".join(lines) + "\n")
+    times, poses = flight.trajectory().times, flight.poses
+    write_tum(tmp_path / "poses.tum", times, poses[:, :3], poses[:, 3:])
+    return read_survey(tmp_path / "field.csv", SurveyFormat(trajectory=tmp_path / "poses.tum", field_frame="sensor"))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_container_gives_the_survey_of_the_csv_bit_for_bit(name, made, flight, as_csv, tmp_path):
+    survey = read_survey(made.WRITERS[name](tmp_path, flight.series))
+    same(survey, as_csv)
+    assert survey.frame == "map"
+    assert len(survey) == 300
+
+
+def test_field_is_turned_by_the_interpolated_orientation(made, flight, tmp_path):
+    survey = read_survey(made.WRITERS["MCAP of ROS 2"](tmp_path, flight.series))
+    t, k = survey.times[100], np.searchsorted(flight.trajectory().times, survey.times[100]) - 1
+    poses = flight.trajectory()
+    a = (t - poses.times[k]) / (poses.times[k + 1] - poses.times[k])
+    step = (poses.orientations[k].inv() * poses.orientations[k + 1]).as_rotvec()
+    R = poses.orientations[k] * Rotation.from_rotvec(a * step)
+    np.testing.assert_allclose(survey.field[100], R.apply(flight.mag[100]), rtol=1e-12)
+    np.testing.assert_allclose(
+        survey.positions[100], (1 - a) * poses.positions[k] + a * poses.positions[k + 1], rtol=1e-12
+    )
