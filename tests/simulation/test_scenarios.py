@@ -18,7 +18,7 @@ from magmatch.simulation.simulate import simulate
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=10)
 SAME_PLACE = sorted(set(SCENARIOS) - {"nowhere"})
 ROOMS = ("office", "office-x30", "office-random", "office-overlap", "planar", "nowhere")
-PATHS = ("table", "table-robot", "corridor")
+PATHS = ("table", "table-robot", "corridor", "office-hand-held", "office-robot")
 
 
 def scene_of(scenario, seed=0, **settings_):

@@ -16,7 +16,7 @@ from magmatch.simulation.scenarios import SCENARIOS, build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.simulation.simulate import read_truth, simulate, write_pair
 
-PATHS = ("table", "table-robot", "corridor")
+PATHS = ("table", "table-robot", "corridor", "office-hand-held", "office-robot")
 
 
 @pytest.mark.parametrize("scenario", sorted(SCENARIOS))

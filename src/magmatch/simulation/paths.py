@@ -135,6 +135,32 @@ def circles(center: Vector3, radii: Sequence[float], laps: int, n: int) -> tuple
     return positions, heading_along(positions)
 
 
+def wander(size: tuple[float, float, float], n: int, interval: float, rng: np.random.Generator) -> Points:
+    """Walk to and fro through a box, as somebody does who waves a sensor about to fill it.
+
+    Each coordinate swings with a period of its own, so that the path crosses itself under many headings.
+
+    Parameters
+    ----------
+    size : (float, float, float), m
+        Sides of the box, which is centred on the origin; a side may be 0.
+    n : int
+        Number of points.
+    interval : float, s
+        Time between them; sides of 3 m are crossed at about 0.6 m/s.
+    rng : numpy Generator
+        Draws the phases and, within a tenth, the periods.
+
+    Returns
+    -------
+    (n, 3) array, m
+        Points in the order they are passed.
+    """
+    period = np.array([13.0, 17.3, 7.1]) * rng.uniform(0.9, 1.1, 3)
+    angle = 2 * np.pi * np.arange(n)[:, None] * interval / period + rng.uniform(0, 2 * np.pi, 3)
+    return np.asarray(np.array(size) / 2 * np.sin(angle))
+
+
 def around_loop(size: tuple[float, float], corner_radius: float, s: Scalars) -> tuple[Points, Scalars]:
     """Points and headings on a rectangle with rounded corners, anticlockwise from the start of its first long side.
 

@@ -21,6 +21,7 @@ from magmatch.simulation.paths import (
     smooth_noise,
     times_along,
     uniform_in_box,
+    wander,
 )
 from magmatch.simulation.scene import Scene, Streams
 from magmatch.simulation.structures import (
@@ -45,6 +46,8 @@ CORRIDOR_HALF_WIDTH = 1.0  # m
 CORRIDOR_STRETCH = 25.0  # m walked twice; longer than a side, so that it always holds a corner
 INSIDE_CLEARANCE = 0.15  # m between a sample and the furniture it passes
 N_PROBES = 300
+SAMPLE_INTERVAL = 0.05  # s, of sensors that are carried about a room
+ATTITUDE_SD = np.deg2rad(25)  # of the tilt of a sensor that is waved about by hand
 
 Builder = Callable[[SimulationConfig, Streams], Scene]
 
@@ -174,6 +177,31 @@ def _planar(config: SimulationConfig, streams: Streams) -> Scene:
     )
 
 
+def _carried(config: SimulationConfig, streams: Streams, size: Vector3, tilt_sd: float) -> Scene:
+    """Build a room walked through with a sensor that looks ahead and tilts as it is carried."""
+    scene = _room(config, streams, "any")
+
+    def walk(rng: np.random.Generator) -> SensorPath:
+        n = config.n_samples
+        positions = wander((size[0], size[1], size[2]), n, SAMPLE_INTERVAL, rng)
+        tilt = np.column_stack([smooth_noise(n, 12, tilt_sd, rng) for _ in range(3)])
+        ahead = np.unwrap(heading_along(positions))
+        orientations = _upright(ahead) * Rotation.from_rotvec(tilt)
+        return SensorPath(positions, SAMPLE_INTERVAL * np.arange(n), orientations)
+
+    return replace(scene, base_path=walk(streams.base), target_path=walk(streams.target))
+
+
+def _office_hand_held(config: SimulationConfig, streams: Streams) -> Scene:
+    """A room filled by hand, with all headings and tilts of 25 degrees."""
+    return _carried(config, streams, np.array(config.room_size), ATTITUDE_SD)
+
+
+def _office_robot(config: SimulationConfig, streams: Streams) -> Scene:
+    """A robot about a room: one height, turning about the vertical only."""
+    return _carried(config, streams, np.array([*config.room_size[:2], 0.0]), 0.0)
+
+
 def _table(config: SimulationConfig, streams: Streams) -> Scene:
     """A table swept along its length for the base and across it for the target, with the sensor held askew.
 
@@ -289,6 +317,8 @@ SCENARIOS: dict[str, Builder] = {
     "office-random": _office_random,
     "office-overlap": _office_overlap,
     "office-inside": _office_inside,
+    "office-hand-held": _office_hand_held,
+    "office-robot": _office_robot,
     "planar": _planar,
     "table": _table,
     "table-robot": _table_robot,

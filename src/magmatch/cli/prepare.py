@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch prepare``: from a raw log to a survey, with a report of all that was done."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import check_outputs
+from magmatch.cli.settings import merged, read_settings
+from magmatch.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from magmatch.data.trajectory import Trajectory
+    from magmatch.preparation.earth_field import Place
+
+EXAMPLES = (
+    "magmatch prepare log.csv --field-unit uT --field-frame sensor --trajectory poses.tum --out survey.csv",
+    "magmatch prepare log.csv --out survey.csv --place 48.14,11.58,520 --date 2024-05-01",
+    "magmatch prepare log.csv --out survey.csv --config steps.yaml",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "prepare", EXAMPLES, surveys=())(prepare)
+
+
+def prepare(
+    log: Annotated[Path, typer.Argument(help="Raw log: a survey with orientations.", metavar="LOG")],
+    out: Annotated[Path, typer.Option(help="Write the survey here (CSV).")],
+    layouts: Layouts,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the report here (JSON); beside the survey by default.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file: time_offset, calibration, currents, disturbances, resampling.")
+    ] = None,
+    place: Annotated[
+        str | None, typer.Option(help="LAT,LON,HEIGHT in degrees and metres: compare with the Earth's field there.")
+    ] = None,
+    date: Annotated[str | None, typer.Option(help="Day of the survey, YYYY-MM-DD; goes with --place.")] = None,
+) -> None:
+    """Correct clock and sensor of LOG and check it.
+
+    Each step says what it found, before and after. Corrections are made only where the data show them; samples are
+    flagged, and left out only where the configuration says so.
+    """
+    from magmatch.data.channels import read_channels
+    from magmatch.data.read import read_survey
+    from magmatch.data.sniff import sniff
+    from magmatch.preparation.config import PreparationConfig
+    from magmatch.preparation.prepare import prepare as run
+
+    report = report or out.with_suffix(".json")
+    layout = layouts.of()
+    inputs = [path for path in (log, config, layout.trajectory) if path is not None]
+    check_outputs((out, report), inputs=inputs)
+    where = parse_place(place, date)
+    settings = PreparationConfig()
+    if config is not None:
+        read = read_settings(config)
+        settings = merged(settings, read.get("preparation", read), config)
+    survey = read_survey(log, layout)
+    channels = {}
+    if settings.currents.mode != "off" and sniff(log) == "csv":
+        channels = read_channels(log).at(survey.times, len(survey))
+    trajectory = None if layout.trajectory is None else read_trajectory(layout.trajectory, layout.length_unit)
+    prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where)
+    prepared.save(out)
+    done.save(report)
+    say(f"{done.table()}\nWrote {len(prepared)} of {len(survey)} samples to {out}, the report to {report}")
+
+
+def parse_place(place: str | None, day: str | None) -> "Place | None":
+    """Where and when, if both are given."""
+    from datetime import date
+
+    from magmatch.preparation.earth_field import Place
+
+    if place is None and day is None:
+        return None
+    if place is None or day is None:
+        msg = "--place and --date go together: the Earth's field differs from place to place and from year to year"
+        raise ConfigurationError(msg)
+    try:
+        latitude, longitude, height = (float(part) for part in place.split(","))
+    except ValueError:
+        msg = f"--place: expected LAT,LON,HEIGHT in degrees and metres, found '{place}'"
+        raise ConfigurationError(msg) from None
+    try:
+        when = date.fromisoformat(day)
+    except ValueError:
+        msg = f"--date: expected YYYY-MM-DD, found '{day}'"
+        raise ConfigurationError(msg) from None
+    return Place(latitude, longitude, height, when)
+
+
+def read_trajectory(path: Path, length_unit: str) -> "Trajectory":
+    """Read the poses as recorded, in metres."""
+    from dataclasses import replace
+
+    from magmatch.data.trajectory import Trajectory
+    from magmatch.data.units import METRE_PER_UNIT
+
+    trajectory = Trajectory.load(path)
+    return replace(trajectory, positions=trajectory.positions * METRE_PER_UNIT[length_unit])  # type: ignore[index]

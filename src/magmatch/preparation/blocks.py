@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What each error of a sensor changes in the field of a survey: the columns of the estimate."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from magmatch.preparation.least_squares import Block
+from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASIS, SensorModel
+from magmatch.typing import Scalars, Tensors, Vectors
+
+CHANNEL = "channel "
+
+
+def sensor_blocks(R: Tensors, readings: Vectors, sizes: Mapping[str, float]) -> dict[str, Block]:
+    """Columns of the sensor's own errors.
+
+    Parameters
+    ----------
+    R : (n, 3, 3) array
+        Takes sensor coordinates to survey coordinates.
+    readings : (n, 3) array, T
+        Sensor frame.
+    sizes : dict of str to float
+        Which of ``hard_iron``, ``soft_iron`` and ``misalignment`` are free, and their expected sizes.
+
+    Returns
+    -------
+    dict of str to Block
+        With ``M = I + N``, the corrected field is ``R (b + N b - d)``: linear in N and d.
+    """
+    columns = {}
+    if "hard_iron" in sizes:
+        columns["hard_iron"] = -np.moveaxis(R, 2, 0)
+    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
+        if name in sizes:
+            columns[name] = np.einsum("nij,kjl,nl->kni", R, basis, readings, optimize=True)
+    return {name: Block(values, sizes[name]) for name, values in columns.items()}
+
+
+def channel_blocks(R: Tensors, channels: Mapping[str, Scalars], size: float) -> dict[str, Block]:
+    """Columns of disturbances that follow other channels: ``-R k I``, per standard deviation of the channel.
+
+    Parameters
+    ----------
+    R : (n, 3, 3) array
+        Takes sensor coordinates to survey coordinates.
+    channels : dict of str to (n,) array
+        Values at the readings.
+    size : float, T
+        Expected size of the disturbance.
+
+    Returns
+    -------
+    dict of str to Block
+        Constant channels are left out: they look like hard iron.
+    """
+    blocks = {}
+    for name, values in channels.items():
+        spread = float(values.std())
+        if spread > 1e-9 * max(float(np.abs(values).max(initial=0.0)), 1e-300):
+            columns = -np.moveaxis(R, 2, 0) * ((values - values.mean()) / spread)[:, None]
+            blocks[CHANNEL + name] = Block(columns, size)
+    return blocks
+
+
+def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]) -> SensorModel:
+    """Sensor model of the estimated unknowns; what was not estimated is taken to be perfect.
+
+    Parameters
+    ----------
+    estimate : dict of str to array
+        By block.
+    channels : dict of str to (n,) array
+        The channels' values that were used.
+
+    Returns
+    -------
+    SensorModel
+    """
+    matrix, shift = np.eye(3), np.zeros(3)
+    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
+        if name in estimate:
+            matrix = matrix + np.einsum("k,kij->ij", estimate[name], basis)
+    if "hard_iron" in estimate:
+        shift = shift + estimate["hard_iron"]
+    currents = {}
+    for name, values in channels.items():
+        if CHANNEL + name in estimate:
+            currents[name] = estimate[CHANNEL + name] / values.std()
+            shift = shift - currents[name] * values.mean()
+    offset = float(estimate["time_offset"][0]) if "time_offset" in estimate else 0.0
+    return SensorModel(matrix, shift, offset, currents)

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Clock and sensor errors from the motion itself: passes of one place with other headings must see one field."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magmatch.field.cross_validation import choose_spline_hyperparameters
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.preparation.blocks import CHANNEL, channel_blocks, model_of, sensor_blocks
+from magmatch.preparation.config import PreparationConfig, Switch
+from magmatch.preparation.consistency import MapConsistency, held_out_error
+from magmatch.preparation.least_squares import Block, Solution, System
+from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.time_offset import search_time_offset
+from magmatch.threads import single_threaded
+from magmatch.typing import Mask, Scalars, Vectors
+
+log = logging.getLogger(__name__)
+
+# s; loggers' offsets are of this order. What is known worse than half of it is not known.
+TIME_OFFSET_SD = 0.1
+# T, of a disturbance by one standard deviation of a channel.
+CHANNEL_SD = 5e-6
+MOST_STEPS = 8
+CONVERGED = 1e-5  # s
+FEWEST_READINGS = 100
+# Degrees of freedom of the errors' distribution: heavier tails than normal ones, for what moves and for spikes.
+STUDENT = 4.0
+# How much larger the error of left-out stretches may seem after a correction; it is itself an estimate.
+TOLERATED = 1.05
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Calibration:
+    """What was found of clock and sensor.
+
+    Attributes
+    ----------
+    model : SensorModel
+        The correction; the identity where nothing was shown.
+    full : Solution
+        All unknowns together, before those that are not shown were left out.
+    chosen : Solution
+        Those that were kept.
+    without : dict of str to float, T
+        Inconsistency that would remain without each of those kept (root mean square of a component).
+    watched : dict of str to Solution
+        What was kept and one channel that is reported but not removed, by its block.
+    inconsistency : (float, float), T
+        Of the log as it is, and with the correction; against maps of the same settings.
+    hyperparameters : Hyperparameters
+        Of the map that everything was held against.
+    is_refused : bool
+        Whether the correction was withdrawn because a map predicts left-out stretches worse with it.
+    """
+
+    model: SensorModel
+    full: Solution
+    chosen: Solution
+    without: Mapping[str, float]
+    watched: Mapping[str, Solution]
+    inconsistency: tuple[float, float]
+    hyperparameters: Hyperparameters
+    is_refused: bool = False
+
+    def refused(self) -> "Calibration":
+        """The same findings, withdrawn."""
+        return replace(self, model=SensorModel(), is_refused=True)
+
+
+@single_threaded
+def calibrate(
+    sensor_log: SensorLog, config: PreparationConfig, channels: Mapping[str, Scalars], is_good: Mask
+) -> Calibration | None:
+    """Estimate clock offset, hard and soft iron, misalignment and currents together, against a map of the place.
+
+    Parameters
+    ----------
+    sensor_log : SensorLog
+        Readings and poses.
+    config : PreparationConfig
+        What is free.
+    channels : dict of str to (n,) array
+        Other channels, at the readings.
+    is_good : (n,) bool array
+        Readings to use; spikes, for example, are none.
+
+    Returns
+    -------
+    Calibration or None
+        None where nothing is switched on, or there are too few readings.
+    """
+    switches = switches_of(config, sensor_log, channels)
+    largest = config.time_offset.largest if "time_offset" in switches else 0.0
+    if sensor_log.times is not None:
+        largest = min(largest, 0.1 * float(np.ptp(sensor_log.times)))
+    rows = np.flatnonzero(is_good & sensor_log.covered(0.0, largest))
+    if not switches or len(rows) < FEWEST_READINGS:
+        return None
+    rows = rows[:: -(-len(rows) // config.n_samples)]
+    part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
+    log.info("looking for the offset between the clocks")
+    start = _rough(part, largest, sizes_of(config, switches))
+    estimator = _Estimator(part, values, sizes_of(config, switches))
+    log.info("calibrating against a map of the place")
+    model, system = estimator.refined(start, set(switches))
+    full = system.solve(switches)
+    active, chosen = set(switches), full
+    while dropped := _least_shown(chosen, active, switches, config.significance):
+        active.discard(dropped)
+        chosen = system.solve(active)
+    if active and len(active) < len(switches):
+        model, system = estimator.refined(model_of(chosen.estimate, values), active)
+        chosen = system.solve(active)
+    calibration = Calibration(
+        model_of(chosen.estimate, values),
+        full,
+        chosen,
+        {name: _rms(system.solve(active - {name}).residual) for name in active},
+        estimator.watched(model, active) if config.currents.mode == "flag" else {},
+        (_rms(estimator.as_read()), _rms(chosen.residual)),
+        estimator.hyperparameters,
+    )
+    return calibration if _predicts_better(calibration, part, values) else calibration.refused()
+
+
+def _rms(residual: Vectors) -> float:
+    return float(np.sqrt((residual**2).mean()))
+
+
+def _predicts_better(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> bool:
+    """Whether a map predicts left-out stretches at least as well as without the correction."""
+    if not calibration.chosen.estimate:
+        return True
+    errors = []
+    for model in (SensorModel(), calibration.model):
+        positions, orientations = part.at(model.time_offset)
+        field = orientations.apply(model.corrected(part.readings, channels))
+        errors.append(held_out_error(positions, field, calibration.hyperparameters))
+    return errors[1] <= TOLERATED * errors[0]
+
+
+def switches_of(
+    config: PreparationConfig, sensor_log: SensorLog, channels: Mapping[str, Scalars]
+) -> dict[str, Switch]:
+    """Unknowns that are to be estimated, and whether they must be shown."""
+    c = config.calibration
+    switches: dict[str, Switch] = {
+        "hard_iron": c.hard_iron, "soft_iron": c.soft_iron, "misalignment": c.misalignment,
+    }  # fmt: skip
+    if sensor_log.times is not None:
+        switches["time_offset"] = config.time_offset.mode
+    if config.currents.mode == "remove":
+        switches |= {CHANNEL + name: "auto" for name, values in channels.items() if np.ptp(values) > 0}
+    return {name: switch for name, switch in switches.items() if switch != "off"}
+
+
+def sizes_of(config: PreparationConfig, switches: Mapping[str, Switch]) -> dict[str, float]:
+    """Expected sizes of the sensor's own errors."""
+    c = config.calibration
+    sizes = {"hard_iron": c.hard_iron_sd, "soft_iron": c.soft_iron_sd, "misalignment": c.misalignment_sd}
+    return {name: size for name, size in sizes.items() if name in switches}
+
+
+def _rough(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
+    """Begin from neighbours in time, which need no map."""
+    offset, solution = search_time_offset(part, largest, sizes, np.ones(len(part)))
+    return replace(model_of(solution.estimate, {}), time_offset=offset)
+
+
+def _least_shown(
+    solution: Solution, active: set[str], switches: Mapping[str, Switch], significance: float
+) -> str | None:
+    """The block of 'auto' that an error-free log would most likely show as much of; None if all are beyond doubt."""
+    doubts = {name: solution.p_value[name] for name in active if switches[name] == "auto"}
+    worst = max(doubts, key=lambda name: (doubts[name], name), default=None)
+    return worst if worst is not None and doubts[worst] > significance else None
+
+
+class _Estimator:
+    """Repeated linearisation against one map's settings, which are chosen on the way."""
+
+    def __init__(self, part: SensorLog, channels: Mapping[str, Scalars], sizes: Mapping[str, float]) -> None:
+        self.part, self.channels, self.sizes = part, channels, sizes
+        self.weights = np.ones(len(part))
+        self.hyperparameters = Hyperparameters(1.0, 1e-5, 1e-6, 1.0)
+        self._fitted: Vectors | None = None  # what they were chosen for
+
+    def refined(self, model: SensorModel, active: set[str]) -> tuple[SensorModel, System]:
+        """Model at which linearising again changes nothing, and the last linear system."""
+        for step in range(MOST_STEPS):
+            if step < 2:
+                self._renew(model)
+            before = model.time_offset
+            system = self._linearised(model, active)
+            solution = system.solve(active)
+            model = model_of(solution.estimate, self.channels)
+            self._weigh(solution)
+            if step > 0 and abs(model.time_offset - before) < CONVERGED:
+                break
+        return model, system
+
+    def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
+        """What was kept and one more channel at a time, so that channels change no other estimate."""
+        names = [CHANNEL + name for name in self.channels]
+        if not names:
+            return {}
+        system = self._linearised(model, active | set(names))
+        return {name: system.solve(active | {name}) for name in names if name in system.names}
+
+    def as_read(self) -> Vectors:
+        """Inconsistency of the field as it stands in the log: (n, 3), T."""
+        positions, orientations = self.part.at(0.0)
+        project = MapConsistency(positions, self.hyperparameters, np.ones(len(self.part))).project
+        residual: Vectors = project(orientations.apply(self.part.readings)[None])[1][0]
+        return residual
+
+    def _renew(self, model: SensorModel) -> None:
+        """Choose the map's settings for the field as corrected so far, if it changed by more than its noise since."""
+        positions, orientations = self.part.at(model.time_offset)
+        field = orientations.apply(model.corrected(self.part.readings, self.channels))
+        if self._fitted is not None and _rms(field - self._fitted) < self.hyperparameters.noise_sd:
+            return
+        self.hyperparameters, self._fitted = choose_spline_hyperparameters(positions, field), field
+
+    def _linearised(self, model: SensorModel, active: set[str]) -> System:
+        """Columns of all active unknowns about a model."""
+        poses = self.part.poses(model.time_offset)
+        R = poses.orientations.as_matrix()
+        consistency = MapConsistency(poses.positions, self.hyperparameters, self.weights)
+        y = np.einsum("nij,nj->ni", R, self.part.readings)
+        blocks = sensor_blocks(R, self.part.readings, {k: v for k, v in self.sizes.items() if k in active})
+        used = {name: values for name, values in self.channels.items() if CHANNEL + name in active}
+        blocks |= channel_blocks(R, used, CHANNEL_SD)
+        if "time_offset" in active:
+            field = np.einsum("nij,nj->ni", R, model.corrected(self.part.readings, self.channels))
+            moved = np.einsum("nij,nj->ni", consistency.gradient(field), poses.velocity)
+            drift = np.cross(poses.spin, field) - moved
+            blocks["time_offset"] = Block(drift[None], TIME_OFFSET_SD)
+            y = y - model.time_offset * drift
+        return System.of(y, blocks, consistency.project)
+
+    def _weigh(self, solution: Solution) -> None:
+        """Give samples that disagree less weight."""
+        square = (solution.residual**2).sum(axis=1) / solution.noise_sd**2
+        self.weights = (STUDENT + 3) / (STUDENT + square)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is done to a log, step by step; nothing happens that is not switched on here."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+# off: not looked at. auto: estimated, and applied only where the data show it beyond doubt. on: applied wherever the
+# data fix it at all.
+Switch = Literal["off", "auto", "on"]
+# off: not looked at. flag: said in the report. remove: left out of the survey as well.
+Flagging = Literal["off", "flag", "remove"]
+
+
+class TimeOffsetConfig(BaseModel):
+    """Clock of the magnetometer against that of the poses."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    mode: Switch = "auto"
+    # Largest offset searched for, s; loggers on one machine differ by tens of ms, buffered ones by some hundred.
+    largest: float = Field(default=1.0, gt=0, le=60)
+
+
+class CalibrationConfig(BaseModel):
+    """Errors of the magnetometer itself."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # A constant vector in the sensor's frame: magnetised parts that turn with the sensor, and electronics.
+    hard_iron: Switch = "auto"
+    # A symmetric matrix: soft iron, unequal gains and axes that are not square.
+    soft_iron: Switch = "auto"
+    # A small turn of the sensor against the frame of the poses (0.6 rad at most, where it is still linear enough).
+    misalignment: Switch = "auto"
+    # How large they are expected to be (standard deviations). Phones and robots show tens of uT of hard iron; 5 % of
+    # soft iron and a few degrees are what mounting leaves. What the data do not tell stays at 0, not at these.
+    hard_iron_sd: float = Field(default=50e-6, gt=0)  # T
+    soft_iron_sd: float = Field(default=0.05, gt=0)
+    misalignment_sd: float = Field(default=0.1, gt=0)  # rad
+
+
+class CurrentsConfig(BaseModel):
+    """Disturbance that follows another channel of the log, such as a motor's current."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Reported only, by default: a channel that happens to follow the place would take the map's part with it.
+    mode: Flagging = "flag"
+
+
+class DisturbancesConfig(BaseModel):
+    """Samples that are not the place's field."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Flagged only, by default, all four: a sharp peak beside steel looks the same as a spike, and registration bears
+    # a few bad samples better than missing good ones.
+    spikes: Flagging = "flag"
+    # Readings repeated although the sensor moved on, and gaps in time.
+    drop_outs: Flagging = "flag"
+    # Readings at the end of the sensor's range.
+    saturation: Flagging = "flag"
+    # Seconds in which the field contradicts what other passes found at the same places.
+    moving_metal: Flagging = "flag"
+    # A spike differs from its neighbours in time and from the map by this many standard deviations; ten keeps the
+    # steel beside a path.
+    spike_threshold: float = Field(default=10.0, gt=0)
+
+
+class ResamplingConfig(BaseModel):
+    """One sample per distance walked."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Distance, m; None keeps every sample. Standing still weighs as much as walking, unless resampled.
+    step: float | None = Field(default=None, gt=0)
+    average: Literal["mean", "median"] = "median"
+
+
+class PreparationConfig(BaseModel):
+    """Settings of `magmatch.preparation.prepare.prepare`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    time_offset: TimeOffsetConfig = TimeOffsetConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    currents: CurrentsConfig = CurrentsConfig()
+    disturbances: DisturbancesConfig = DisturbancesConfig()
+    resampling: ResamplingConfig = ResamplingConfig()
+    # Samples that estimates are made from, at equal distances through the log; more change nothing but the time.
+    n_samples: int = Field(default=4000, ge=200)
+    # What 'auto' needs: the chance of an error-free log showing as much.
+    significance: float = Field(default=1e-4, gt=0, lt=1)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Two tests of whether field vectors can be those of one place: against their neighbours in time, against a map."""
+
+import numpy as np
+
+from magmatch.field.held_out import path_segments
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.multifrontal import factorise
+from magmatch.field.spline_model import SplineModel, SplinePosterior
+from magmatch.preparation.least_squares import Projection
+from magmatch.typing import Points, Scalars, Tensors, Vectors
+
+# s; long enough for a hand to turn a sensor by some degrees, short enough for the place's field to stay.
+INCREMENT = 0.25
+# Readings farther apart in time than this many increments are no neighbours.
+LARGEST_INCREMENT = 2.0
+# Stretches left out of a map; long enough that their ends do not predict their middle.
+STRETCH_IN_LENGTHSCALES = 3.0
+
+
+def increments(n: int, times: Scalars | None, weights: Scalars) -> Projection:
+    """What changes from a reading to one a little later: turned right, hardly anything.
+
+    Parameters
+    ----------
+    n : int
+        Number of readings, in the order they were taken.
+    times : (n,) array, s, optional
+        Their stamps; each is compared with its successor without them.
+    weights : (n,) array
+        0 leaves a reading out.
+
+    Returns
+    -------
+    Projection
+        Columns to their increments.
+    """
+    lag, is_pair = 1, np.ones(max(n - 1, 0), dtype=bool)
+    if times is not None:
+        lag = int(np.clip(round(INCREMENT / float(np.median(np.diff(times)))), 1, n // 4))
+        is_pair = times[lag:] - times[:-lag] < LARGEST_INCREMENT * INCREMENT + float(np.median(np.diff(times)))
+    weight = (is_pair * np.sqrt(weights[lag:] * weights[:-lag]))[:, None]
+
+    def project(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        difference = np.asarray((columns[:, lag:] - columns[:, :-lag]) * weight)
+        return difference, difference
+
+    return project
+
+
+class MapConsistency:
+    """What no map of the place explains, for any number of fields sampled at the same points.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        Survey frame.
+    hyperparameters : Hyperparameters
+        Of the spline map.
+    weights : (n,) array
+        Inverse variance of each sample relative to the noise's.
+    """
+
+    def __init__(self, points: Points, hyperparameters: Hyperparameters, weights: Scalars) -> None:
+        self.points, self.weights = points, weights
+        self._model = SplineModel.over(points, hyperparameters)
+        empty = self._model.observe(points, np.zeros_like(points), weights)
+        self._factor = factorise(self._model.elimination, empty.gram + self._model.prior_precision())
+
+    def project(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (k, n, 3), weighted, and what the best map leaves of each: a `Projection`.
+
+        Notes
+        -----
+        With weights W, basis Phi and prior precision P0 in units of the noise: ``(I - Phi (Phi'W Phi + P0)^-1
+        Phi'W) c`` for each column c; ``c'W`` times it is the quadratic form of the marginal likelihood.
+        """
+        left = np.asarray(columns * self.weights[:, None])
+        return left, np.asarray(columns - self._explained(columns, order=0)[0])
+
+    def gradient(self, field: Vectors) -> Tensors:
+        """Gradient of the best map of a field, at its own samples: (n, 3, 3), T/m."""
+        return np.asarray(self._explained(field[None], order=1)[1][0])
+
+    def _explained(self, columns: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+        etas = [self._model.observe(self.points, np.ascontiguousarray(c), self.weights).eta for c in columns]
+        solved = self._factor.solve(np.stack(etas, axis=1))
+        values, gradients = [], []
+        for w in solved.T:
+            posterior = SplinePosterior(
+                self._model.hyperparameters, self._model.cells, self._factor, np.ascontiguousarray(w)
+            )
+            found = posterior.evaluate(self.points, order)
+            values.append(found.field)
+            gradients.append(np.zeros((0, 3, 3)) if found.gradient is None else found.gradient)
+        return np.stack(values), np.stack(gradients)
+
+
+def held_out_error(points: Points, field: Vectors, hyperparameters: Hyperparameters) -> float:
+    """Median miss of a map at samples that were left out of it, stretch by stretch.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        Survey frame.
+    field : (n, 3) array, T
+        Survey frame.
+    hyperparameters : Hyperparameters
+        Of the map.
+
+    Returns
+    -------
+    float, T
+        Length of the difference. Only other passes predict a stretch, so a field that depends on the heading
+        misses, however well it follows itself along the path.
+    """
+    stretch = path_segments(points, STRETCH_IN_LENGTHSCALES * hyperparameters.lengthscale)
+    misses = []
+    for fold in range(2):
+        out = stretch % 3 == fold
+        model = SplineModel.over(points, hyperparameters)
+        posterior = model.infer(model.observe(points[~out], field[~out]))
+        misses.append(np.linalg.norm(posterior.evaluate(points[out]).field - field[out], axis=1))
+    return float(np.median(np.concatenate(misses)))

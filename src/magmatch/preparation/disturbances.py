@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Samples that are not the place's field: spikes, drop-outs, saturation, and metal that moved."""
+
+import numpy as np
+from scipy.ndimage import label, median_filter
+from scipy.spatial import cKDTree
+
+from magmatch.field.held_out import has_path_order, path_segments
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.spline_model import SplineModel
+from magmatch.preparation.consistency import MapConsistency
+from magmatch.typing import Mask, Points, Scalars, Vectors
+
+# Readings to either side that a spike is held against; up to two in a row still stand out.
+NEIGHBOURS = 3
+MEDIAN_TO_SD = 1.4826
+# Rounds of weighing down what disagrees with the map, and the tail weight.
+ROUNDS, STUDENT = 3, 4.0
+# Readings at one and the same largest value before it is the sensor's range.
+FEWEST_AT_LIMIT = 5
+# Metal that moved: median disagreement of a run with other passes, in robust standard deviations, and its length.
+CONTRADICTION, FEWEST_IN_RUN = 6.0, 9
+N_FOLDS = 4
+SEGMENT_IN_LENGTHSCALES = 3.0
+
+
+def find_jumps(readings: Vectors, threshold: float) -> Mask:
+    """Readings that differ from those just before and after.
+
+    Parameters
+    ----------
+    readings : (n, 3) array, T
+        In the order they were taken.
+    threshold : float
+        How far, in robust standard deviations of that difference.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    if len(readings) < 2 * NEIGHBOURS + 1:
+        return np.zeros(len(readings), dtype=bool)
+    among = median_filter(readings, size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
+    difference = readings - among
+    spread = np.maximum(MEDIAN_TO_SD * np.median(np.abs(difference), axis=0), 1e-12 * np.abs(readings).max(axis=0))
+    return np.asarray((np.abs(difference) > threshold * np.maximum(spread, 1e-300)).any(axis=1))
+
+
+def find_spikes(
+    points: Points, field: Vectors, hyperparameters: Hyperparameters, threshold: float, *, in_order: bool
+) -> Mask:
+    """Samples that neither a map of the others nor, along a path, their neighbours explain.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        Survey frame.
+    field : (n, 3) array, T
+        Survey frame.
+    hyperparameters : Hyperparameters
+        Of the map.
+    threshold : float
+        Standard deviations.
+    in_order : bool
+        Whether samples stand in the order they were taken.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    weights = np.ones(len(points))
+    for _ in range(ROUNDS):
+        residual = MapConsistency(points, hyperparameters, weights).project(field[None])[1][0]
+        sd = _robust_sd(residual)
+        weights = (STUDENT + 3) / (STUDENT + (residual**2).sum(axis=1) / sd**2)
+    is_odd: Mask = np.abs(residual).max(axis=1) > threshold * sd
+    return is_odd & find_jumps(field, threshold) if in_order else is_odd
+
+
+def find_repeats(readings: Vectors) -> Mask:
+    """Readings equal to the one before, up to the rounding of a turn to and fro.
+
+    Parameters
+    ----------
+    readings : (n, 3) array, T
+        Sensor frame.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    is_same = np.zeros(len(readings), dtype=bool)
+    size = np.linalg.norm(readings[1:], axis=1)
+    is_same[1:] = np.linalg.norm(np.diff(readings, axis=0), axis=1) <= 1e-12 * size
+    return is_same
+
+
+def find_saturation(readings: Vectors) -> Mask:
+    """Readings at the end of the sensor's range: more at one largest value than at the next three.
+
+    Parameters
+    ----------
+    readings : (n, 3) array, T
+        Sensor frame.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    is_saturated = np.zeros(len(readings), dtype=bool)
+    for values in readings.T:
+        for signed in (values, -values):
+            # Distinct values from the largest down: noise thins out toward its end, a limit piles up there.
+            values_down, counts = np.unique(-signed, return_counts=True)
+            if counts[0] >= FEWEST_AT_LIMIT and counts[0] > counts[1:4].sum() > 0:
+                is_saturated |= -signed == values_down[0]
+    return is_saturated
+
+
+def find_contradictions(points: Points, field: Vectors, hyperparameters: Hyperparameters) -> Mask:
+    """Runs of samples that contradict other passes of the same places: metal that moved, or poses that did.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        In the order they were taken, survey frame.
+    field : (n, 3) array, T
+        Survey frame.
+    hyperparameters : Hyperparameters
+        Of the map.
+
+    Returns
+    -------
+    (n,) bool array
+        Where two passes contradict each other, both may be marked: nothing says which is right.
+    """
+    is_contradicted = np.zeros(len(points), dtype=bool)
+    if not has_path_order(points):
+        return is_contradicted
+    segment = path_segments(points, SEGMENT_IN_LENGTHSCALES * hyperparameters.lengthscale)
+    size, is_revisit = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+    for fold in range(N_FOLDS):
+        out = segment % N_FOLDS == fold
+        if not out.any() or out.all():
+            continue
+        model = SplineModel.over(points, hyperparameters)
+        posterior = model.infer(model.observe(points[~out], field[~out]))
+        size[out] = np.linalg.norm(posterior.evaluate(points[out]).field - field[out], axis=1)
+        is_revisit[out] = cKDTree(points[~out]).query(points[out])[0] < hyperparameters.spacing
+    # Beside the ends of a stretch its own neighbours in time stand in for another pass.
+    if is_revisit.sum() < 10 * FEWEST_IN_RUN:
+        return is_contradicted
+    usual = float(np.median(size[is_revisit]))
+    smooth = median_filter(np.where(is_revisit, size, 0.0), size=FEWEST_IN_RUN, mode="nearest")
+    return np.asarray(smooth > CONTRADICTION * max(usual, 1e-300))
+
+
+def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:
+    """First and last sample of each run (times where there are any, else numbers).
+
+    Parameters
+    ----------
+    mask : (n,) bool array
+        What belongs to a run.
+    times : (n,) array, s, optional
+        Of the samples.
+
+    Returns
+    -------
+    list of [first, last]
+    """
+    numbered, n_runs = label(mask)
+    found = [np.flatnonzero(numbered == k)[[0, -1]] for k in range(1, min(n_runs, 100) + 1)]
+    return [[float(times[i]) if times is not None else float(i) for i in ends] for ends in found]
+
+
+def _robust_sd(residual: Vectors) -> float:
+    return max(MEDIAN_TO_SD * float(np.median(np.abs(residual))), 1e-15)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Small linear least squares beside a large one: few unknowns, with what the data leave open kept at zero."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from magmatch.typing import Matrix, Scalars
+
+# (k, n, 3) columns -> (left, right), both (k, n, 3): what the data say of columns i and j is sum left_i right_j.
+Projection = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+# A direction is fixed by the data when they know it this many times better (in variance) than what was expected
+# before: a posterior standard deviation under half of the prior's.
+LEAST_INFORMATION = 4.0
+N_STRETCHES = 40
+SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Block:
+    """Unknowns that belong together.
+
+    Attributes
+    ----------
+    columns : (k, n, 3) array, T per unit
+        What one unit of each unknown changes in the field, survey frame.
+    sd : float
+        How large the unknowns are expected to be.
+    """
+
+    columns: np.ndarray
+    sd: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Solution:
+    """Estimates of all blocks.
+
+    Attributes
+    ----------
+    estimate : dict of str to (k,) array
+        By block; zero along what the data leave open.
+    sd : dict of str to (k,) array
+        Standard deviation, never above what was expected before.
+    p_value : dict of str to float
+        Chance of seeing as much where the truth is zero.
+    is_open : dict of str to (k,) bool array
+        Which unknowns the data do not tell.
+    residual : (n, 3) array, T
+        What remains of the field's inconsistency.
+    noise_sd : float, T
+        Its robust standard deviation per component.
+    """
+
+    estimate: Mapping[str, np.ndarray]
+    sd: Mapping[str, np.ndarray]
+    p_value: Mapping[str, float]
+    is_open: Mapping[str, np.ndarray]
+    residual: np.ndarray
+    noise_sd: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class System:
+    """Blocks and the field to be explained, once projected: any choice of blocks is solved from the same sums.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Block of each column; the last column is the field as read.
+    scale : (k,) array
+        Expected size of each unknown.
+    left, right : (k + 1, n, 3) array, T
+        Projected columns, each scaled by its expected size, the field as read last.
+    """
+
+    names: tuple[str, ...]
+    scale: Scalars
+    left: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, y: np.ndarray, blocks: Mapping[str, Block], project: Projection) -> "System":
+        """Project the field as read, y, and all columns; ``y + sum columns * unknowns`` shall be consistent."""
+        names = tuple(name for name, block in blocks.items() for _ in block.columns)
+        scale = np.array([block.sd for block in blocks.values() for _ in block.columns])
+        columns = np.concatenate([*(block.columns * block.sd for block in blocks.values()), y[None]])
+        left, right = project(columns)
+        return cls(names, scale, left, right)
+
+    def solve(self, active: Collection[str]) -> Solution:
+        """Unknowns of some blocks that make the field most consistent, the others being zero.
+
+        Parameters
+        ----------
+        active : collection of str
+            Names of blocks.
+
+        Returns
+        -------
+        Solution
+
+        Notes
+        -----
+        With the columns scaled by the expected sizes, ``H = J' P J / s^2`` has eigenvectors v and values l. Errors
+        of the data are correlated along the path, so l is divided by f = v' S v / l, where S sums the outer products
+        of the scores of stretches of the path (a cluster sandwich), unless f < 1. Directions with l / f < 4 are left
+        at zero; along the others the estimate is ``-v'g / (l + f)``, with variance ``1 / (1 + l / f)``.
+        """
+        rows = [i for i, name in enumerate(self.names) if name in active]
+        left, right, y = self.left[rows], self.right[rows], self.right[-1]
+        if not rows:
+            return Solution({}, {}, {}, {}, y, max(_robust_sd(y), SMALLEST_NOISE))
+        products, against = np.einsum("inc,jnc->ij", left, right), np.einsum("inc,nc->i", left, y)
+        values, vectors = np.linalg.eigh((products + products.T) / 2)
+        noise = max(_robust_sd(y), SMALLEST_NOISE)
+        # The errors' correlation is judged by what remains when everything is free.
+        z = -vectors @ ((vectors.T @ against) / (np.maximum(values, 0) + noise**2))
+        for _ in range(3):
+            residual = y + np.einsum("i,inc->nc", z, right)
+            noise = max(_robust_sd(residual), SMALLEST_NOISE)
+            information = np.maximum(values, 0) / noise**2
+            inflation = _inflation(left, residual, vectors, information, noise)
+            is_fixed = information > LEAST_INFORMATION * inflation
+            z = -vectors @ np.where(is_fixed, (vectors.T @ against) / noise**2 / (information + inflation), 0.0)
+        residual = y + np.einsum("i,inc->nc", z, right)
+        variance = np.where(is_fixed, inflation / (information + inflation), 1.0)
+        names = np.array(self.names)[rows]
+        return _by_block(names, self.scale[rows], z, (vectors * variance) @ vectors.T, residual)
+
+
+def _inflation(left: np.ndarray, residual: np.ndarray, vectors: Matrix, values: Scalars, noise: float) -> Scalars:
+    """How many times less the data say along each eigenvector than if their errors were independent."""
+    stretches = np.array_split(np.arange(len(residual)), min(N_STRETCHES, len(residual)))
+    scores = np.einsum("inc,nc->ni", left, residual) / noise**2
+    sums = np.array([scores[rows].sum(axis=0) for rows in stretches]) @ vectors
+    spread: Scalars = (sums**2).sum(axis=0)
+    return np.asarray(np.maximum(spread / np.maximum(values, 1e-300), 1.0))
+
+
+def _by_block(names: np.ndarray, scale: Scalars, z: Scalars, covariance: Matrix, residual: np.ndarray) -> Solution:
+    """Sort the unknowns by block."""
+    estimate, sd, p_value, is_open = {}, {}, {}, {}
+    for name in dict.fromkeys(names.tolist()):
+        rows = np.flatnonzero(names == name)
+        own = covariance[np.ix_(rows, rows)]
+        estimate[name] = z[rows] * scale[rows]
+        sd[name] = np.sqrt(np.diag(own)) * scale[rows]
+        is_open[name] = np.diag(own) > 1 / (1 + LEAST_INFORMATION)
+        square = float(z[rows] @ np.linalg.solve(own, z[rows])) / len(rows)
+        p_value[name] = float(scipy.stats.f.sf(square, len(rows), N_STRETCHES - len(rows)))
+    return Solution(estimate, sd, p_value, is_open, residual, max(_robust_sd(residual), SMALLEST_NOISE))
+
+
+def _robust_sd(residual: np.ndarray) -> float:
+    """Standard deviation of a normal variable with the same median size."""
+    return float(1.4826 * np.median(np.abs(residual)))

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: a raw log in, a survey and a report of all that was done to it out."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from magmatch.data.fingerprint import hash_survey
+from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.errors import SurveyError
+from magmatch.preparation.calibration import Calibration, calibrate
+from magmatch.preparation.checks import earth_step, find_disturbances, resampling_step
+from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
+from magmatch.preparation.earth_field import Place
+from magmatch.preparation.report import PreparationReport
+from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.words import calibration_steps
+from magmatch.typing import Mask, Scalars
+
+log = logging.getLogger(__name__)
+
+
+def prepare(
+    survey: Survey,
+    config: PreparationConfig | None = None,
+    *,
+    trajectory: Trajectory | None = None,
+    channels: Mapping[str, Scalars] | None = None,
+    place: Place | None = None,
+) -> tuple[Survey, PreparationReport]:
+    """Correct a log's clock and sensor, and say what else is odd about it.
+
+    Parameters
+    ----------
+    survey : Survey
+        As read; with orientations, since the sensor's own errors turn with it.
+    config : PreparationConfig, optional
+        What to do.
+    trajectory : Trajectory, optional
+        The poses as recorded, on their own clock; by default those of the samples.
+    channels : dict of str to (n,) array, optional
+        Other channels of the log, such as motor currents, one value per sample.
+    place : Place, optional
+        Where and when, for the check against the Earth's field.
+
+    Returns
+    -------
+    survey : Survey
+        Corrected; where no step found anything to do, the very survey that came in.
+    report : PreparationReport
+        Every step with figures before and after.
+
+    Raises
+    ------
+    SurveyError
+        Nothing is left after removing what was asked to be removed.
+    """
+    config, channels = config or PreparationConfig(), channels or {}
+    sensor_log = None if survey.orientations is None else SensorLog.of(survey, trajectory)
+    calibration = None
+    if sensor_log is not None:
+        calibration = calibrate(sensor_log, config, channels, trusted(sensor_log, config))
+    steps = calibration_steps(survey, sensor_log, calibration, config, channels)
+    corrected, rows = apply_calibration(survey, sensor_log, calibration, channels)
+    readings = survey.field[rows] if sensor_log is None else sensor_log.readings[rows]
+    kept, found = find_disturbances(corrected, readings, calibration, config)
+    steps += found
+    left = corrected if kept.all() else corrected.subset(kept)
+    if len(left) == 0:
+        msg = f"{survey.name}: nothing is left after removing disturbances; flag them instead of removing them"
+        raise SurveyError(msg)
+    left, resampled = resampling_step(left, config)
+    steps += [resampled, earth_step(left, place)]
+    report = PreparationReport(
+        survey.name, (len(survey), len(left)), tuple(steps), config.model_dump(mode="json"),
+        ({"name": survey.name, "sha256": hash_survey(survey)},),
+    )  # fmt: skip
+    return left, report
+
+
+def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
+    """Readings that estimates may rest on: no jumps, repeats or saturation, whatever is done about them later.
+
+    Parameters
+    ----------
+    sensor_log : SensorLog
+        Readings in their order.
+    config : PreparationConfig
+        Threshold of jumps.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    readings = sensor_log.readings
+    is_bad = (
+        find_jumps(readings, config.disturbances.spike_threshold)
+        if sensor_log.times is not None
+        else np.zeros(len(readings), dtype=bool)
+    )
+    return np.asarray(~(is_bad | find_repeats(readings) | find_saturation(readings)))
+
+
+def apply_calibration(
+    survey: Survey, sensor_log: SensorLog | None, calibration: Calibration | None, channels: Mapping[str, Scalars]
+) -> tuple[Survey, np.ndarray]:
+    """Correct all samples of a survey, and say which rows were kept.
+
+    Parameters
+    ----------
+    survey : Survey
+        As read.
+    sensor_log : SensorLog, optional
+        The same in the sensor's frame.
+    calibration : Calibration, optional
+        What to correct.
+    channels : dict of str to (n,) array
+        For the disturbances that follow them.
+
+    Returns
+    -------
+    survey : Survey
+        The one that came in where there is nothing to correct.
+    rows : (k,) int array
+        Samples that have a pose once their stamps are moved.
+    """
+    every = np.arange(len(survey))
+    if sensor_log is None or calibration is None or calibration.model.is_identity:
+        return survey, every
+    model = calibration.model
+    rows = every if model.time_offset == 0 else np.flatnonzero(sensor_log.covered(model.time_offset))
+    part = sensor_log.subset(rows)
+    positions, orientations = part.at(model.time_offset)
+    field = orientations.apply(model.corrected(part.readings, {k: v[rows] for k, v in channels.items()}))
+    times = None if survey.times is None else survey.times[rows] + model.time_offset
+    return replace(survey, positions=positions, field=field, times=times, orientations=orientations), rows

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The noun of this room: what was done to a log, step by step, with figures before and after."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from magmatch import __version__
+from magmatch.atomic import atomic_write
+from magmatch.data.table import read_bytes
+from magmatch.errors import DataFormatError
+
+SCHEMA = "magmatch.preparation/1"
+# off: not looked at. unchanged: looked at, nothing to do. applied: the survey was changed. flagged: found, not
+# changed. unknown: the data do not tell.
+Outcome = Literal["off", "unchanged", "applied", "flagged", "unknown"]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StepReport:
+    """What one step did.
+
+    Attributes
+    ----------
+    step : str
+        Its name.
+    outcome : str
+        One of `Outcome`.
+    words : str
+        What was found, for people.
+    before, after : float, optional
+        The figure that the step is about, without and with it.
+    unit : str
+        Of that figure.
+    figures : dict
+        Numbers for programs, SI; ready for JSON.
+    """
+
+    step: str
+    outcome: Outcome
+    words: str
+    before: float | None = None
+    after: float | None = None
+    unit: str = ""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PreparationReport:
+    """What was done to a log.
+
+    Attributes
+    ----------
+    name : str
+        The log.
+    n_samples : (int, int)
+        Before and after.
+    steps : tuple of StepReport
+        In the order they were done.
+    config : dict
+        The resolved configuration.
+    inputs : tuple of dict
+        Name and SHA-256 of the files, where known.
+    version : str
+        Of the package.
+    """
+
+    name: str
+    n_samples: tuple[int, int]
+    steps: tuple[StepReport, ...]
+    config: Mapping[str, Any]
+    inputs: tuple[Mapping[str, str], ...] = ()
+    version: str = __version__
+
+    def __getitem__(self, step: str) -> StepReport:
+        """Report of one step by its name."""
+        return next(report for report in self.steps if report.step == step)
+
+    def table(self) -> str:
+        """Lines for people: what each step did, before and after."""
+        rows = [(s.step, s.outcome, _change(s), s.words) for s in self.steps if s.outcome != "off"]
+        widths = [max(len(row[k]) for row in rows) if rows else 0 for k in range(3)]
+        lines = ["  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[3]]) for row in rows]
+        off = [s.step for s in self.steps if s.outcome == "off"]
+        return "\n".join([*lines, *([f"off: {', '.join(off)}"] if off else [])])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        steps = [{name: getattr(s, name) for name in StepReport.__dataclass_fields__} for s in self.steps]
+        return {
+            "schema": SCHEMA,
+            "name": self.name,
+            "n_samples": list(self.n_samples),
+            "steps": steps,
+            "config": dict(self.config),
+            "inputs": [dict(entry) for entry in self.inputs],
+            "version": self.version,
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the report as JSON, whole or not at all."""
+        text = json.dumps(self.to_dict(), indent=2, allow_nan=False)
+        with atomic_write(path) as stream:
+            stream.write(text.encode() + b"\n")
+
+    @classmethod
+    def load(cls, path: str | Path) -> "PreparationReport":
+        """Read a report.
+
+        Raises
+        ------
+        DataFormatError
+            The file is none.
+        """
+        try:
+            content = json.loads(read_bytes(path))
+            if content["schema"] != SCHEMA:
+                raise DataFormatError(path, f"expected schema {SCHEMA}, found {str(content['schema'])[:60]}")
+            return cls(
+                content["name"],
+                (int(content["n_samples"][0]), int(content["n_samples"][1])),
+                tuple(StepReport(**step) for step in content["steps"]),
+                content["config"],
+                tuple(content["inputs"]),
+                content["version"],
+            )
+        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+            if isinstance(error, DataFormatError):
+                raise
+            raise DataFormatError(path, f"is not a report of 'magmatch prepare' ({SCHEMA})") from None
+
+
+def _change(step: StepReport) -> str:
+    """Figures before and after, in three digits."""
+    if step.before is None:
+        return ""
+    after = "" if step.after is None else f" -> {step.after:.3g}"
+    return f"{step.before:.3g}{after} {step.unit}".rstrip()

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A log before any correction: what the magnetometer read, and poses on a clock of their own."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Poses:
+    """Where and how the sensor was carried, at the times of some readings.
+
+    Attributes
+    ----------
+    positions : (n, 3) array, m
+        Survey frame.
+    orientations : Rotation of length n
+        Takes sensor coordinates to survey coordinates.
+    velocity : (n, 3) array, m/s
+        Survey frame.
+    spin : (n, 3) array, rad/s
+        Angular velocity, survey frame: ``dR/dt = [spin]x R``.
+    """
+
+    positions: Points
+    orientations: Rotation
+    velocity: Vectors
+    spin: Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SensorLog:
+    """Readings in the sensor's frame and the poses they were taken at.
+
+    Attributes
+    ----------
+    readings : (n, 3) array, T
+        Sensor frame.
+    positions : (n, 3) array, m
+        Poses as stamped, survey frame.
+    orientations : Rotation of length n
+        Takes sensor coordinates to survey coordinates.
+    times : (n,) array, s, optional
+        Stamps of the readings, strictly increasing.
+    trajectory : Trajectory, optional
+        Poses at other times; there if and only if times are.
+    """
+
+    readings: Vectors
+    positions: Points
+    orientations: Rotation
+    times: Scalars | None = None
+    trajectory: Trajectory | None = None
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    @classmethod
+    def of(cls, survey: Survey, trajectory: Trajectory | None = None) -> "SensorLog":
+        """Turn a survey's field back into the sensor's frame.
+
+        Parameters
+        ----------
+        survey : Survey
+            With orientations.
+        trajectory : Trajectory, optional
+            The poses as they were recorded; by default those of the survey's samples.
+
+        Returns
+        -------
+        SensorLog
+        """
+        if survey.orientations is None:
+            msg = "a survey without orientations does not say what its sensor read"
+            raise ValueError(msg)
+        if survey.times is not None and trajectory is None and len(survey) > 1:
+            trajectory = Trajectory(survey.times, survey.positions, survey.orientations)
+        readings = survey.orientations.apply(survey.field, inverse=True)
+        has_clock = survey.times is not None and trajectory is not None
+        return cls(
+            readings,
+            survey.positions,
+            survey.orientations,
+            survey.times if has_clock else None,
+            trajectory if has_clock else None,
+        )
+
+    def subset(self, rows: Mask | Indices) -> "SensorLog":
+        """Readings chosen by a mask or by indices; the trajectory stays whole."""
+        return replace(
+            self,
+            readings=self.readings[rows],
+            positions=self.positions[rows],
+            orientations=self.orientations[rows],
+            times=None if self.times is None else self.times[rows],
+        )
+
+    def covered(self, offset: float, margin: float = 0.0) -> Mask:
+        """Which readings have a pose once their stamps are moved by an offset (give or take a margin), s."""
+        if self.times is None or self.trajectory is None:
+            return np.ones(len(self), dtype=bool)
+        is_covered: Mask = self.trajectory.covers(self.times + offset - margin)
+        is_covered &= self.trajectory.covers(self.times + offset + margin)
+        return is_covered
+
+    def at(self, offset: float) -> tuple[Points, Rotation]:
+        """Positions and orientations with the stamps moved by an offset, s; to the bit as recorded at 0."""
+        if offset == 0 or self.times is None or self.trajectory is None:
+            return self.positions, self.orientations
+        return self.trajectory.interpolate(self.times + offset)
+
+    def poses(self, offset: float) -> Poses:
+        """Poses with the stamps moved by an offset, and how fast they change."""
+        positions, orientations = self.at(offset)
+        if self.times is None or self.trajectory is None:
+            still = np.zeros_like(positions)
+            return Poses(positions, orientations, still, still)
+        # Across one interval of the trajectory: shorter differences see only its interpolation.
+        half = float(np.median(np.diff(self.trajectory.times))) / 2
+        first, last = self.trajectory.times[[0, -1]]
+        before, after = (np.clip(self.times + offset + step, first, last) for step in (-half, half))
+        (p0, R0), (p1, R1) = self.trajectory.interpolate(before), self.trajectory.interpolate(after)
+        span = np.maximum(after - before, 1e-9)[:, None]
+        return Poses(positions, orientations, (p1 - p0) / span, (R1 * R0.inv()).as_rotvec() / span)

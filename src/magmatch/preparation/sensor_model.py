@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What undoes the errors of a magnetometer: ``b_true = M b_read - d``, in the sensor's frame, and its clock."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magmatch.typing import Matrix, Vector3, Vectors
+
+# Symmetric matrices without trace (the trace would be a common scale, which no survey alone can tell from a stronger
+# field). Coefficients are entries: half the difference of xx and yy, then zz, xy, xz and yz.
+SOFT_IRON_BASIS = np.array(
+    [
+        np.diag([1.0, -1.0, 0.0]),
+        np.diag([-0.5, -0.5, 1.0]),
+        [[0, 1, 0], [1, 0, 0], [0, 0, 0]],
+        [[0, 0, 1], [0, 0, 0], [1, 0, 0]],
+        [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+    ]
+)
+# Turns about x, y and z, per rad.
+MISALIGNMENT_BASIS = np.array(
+    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]],
+    dtype=np.float64,
+)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SensorModel:
+    """Correction of a sensor and its clock.
+
+    Attributes
+    ----------
+    matrix : (3, 3) array
+        M, sensor frame; without a common scale, which a survey alone cannot tell.
+    shift : (3,) array, T
+        d, sensor frame.
+    time_offset : float, s
+        To be added to the magnetometer's times to have those of the poses.
+    currents : dict of str to (3,) array
+        What each channel adds to the corrected field, T per unit of the channel, sensor frame.
+    """
+
+    matrix: Matrix = field(default_factory=lambda: np.eye(3))
+    shift: Vector3 = field(default_factory=lambda: np.zeros(3))
+    time_offset: float = 0.0
+    currents: Mapping[str, Vector3] = field(default_factory=dict)
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether it changes nothing."""
+        is_plain = np.array_equal(self.matrix, np.eye(3)) and not self.shift.any() and self.time_offset == 0
+        return bool(is_plain and not self.currents)
+
+    @property
+    def hard_iron(self) -> Vector3:
+        """The constant part of the readings, ``c = M^-1 d``: (3,), T, sensor frame."""
+        return np.asarray(np.linalg.solve(self.matrix, self.shift))
+
+    @property
+    def soft_iron(self) -> Matrix:
+        """What multiplies the field before it is read, ``A = M^-1`` scaled to determinant 1."""
+        A = np.linalg.inv(self.matrix)
+        return np.asarray(A / np.cbrt(np.linalg.det(A)))
+
+    @property
+    def misalignment(self) -> Vector3:
+        """Turn of the sensor against the poses' frame: rotation vector of the soft iron's rotation, (3,), rad."""
+        u, _, vt = np.linalg.svd(self.soft_iron)
+        return np.asarray(Rotation.from_matrix(u @ vt).as_rotvec())
+
+    def corrected(self, readings: Vectors, channels: Mapping[str, np.ndarray] | None = None) -> Vectors:
+        """Field that was there when the sensor read this.
+
+        Parameters
+        ----------
+        readings : (n, 3) array, T
+            Sensor frame.
+        channels : dict of str to (n,) array, optional
+            Values of the channels in `currents`.
+
+        Returns
+        -------
+        (n, 3) array, T
+            Sensor frame.
+        """
+        field_sensor: Vectors = readings @ self.matrix.T - self.shift
+        for name, coefficient in self.currents.items():
+            if channels is not None and name in channels:
+                field_sensor = field_sensor - channels[name][:, None] * coefficient
+        return field_sensor

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The calibration in words and figures: what was corrected, what was not shown, what the data do not tell."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.preparation.blocks import CHANNEL
+from magmatch.preparation.calibration import Calibration
+from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.report import Outcome, StepReport
+from magmatch.preparation.sensor_log import SensorLog
+from magmatch.typing import Scalars
+
+AXES = ("x", "y", "z")
+SOFT_IRON_PARTS = ("(xx-yy)/2", "zz", "xy", "xz", "yz")
+MICROTESLA = 1e-6
+
+
+def calibration_steps(
+    survey: Survey, sensor_log: SensorLog | None, calibration: Calibration | None, config: PreparationConfig,
+    channels: Mapping[str, Scalars],
+) -> list[StepReport]:  # fmt: skip
+    """Reports of the time offset, hard iron, soft iron, misalignment and each channel.
+
+    Parameters
+    ----------
+    survey : Survey
+        As read.
+    sensor_log : SensorLog, optional
+        None where there are no orientations.
+    calibration : Calibration, optional
+        None where it could not be made.
+    config : PreparationConfig
+        What was asked for.
+    channels : dict of str to (n,) array
+        That were looked at.
+
+    Returns
+    -------
+    list of StepReport
+    """
+    c = config.calibration
+    modes = {
+        "time_offset": config.time_offset.mode, "hard_iron": c.hard_iron, "soft_iron": c.soft_iron,
+        "misalignment": c.misalignment,
+    }  # fmt: skip
+    steps = []
+    for name, mode in modes.items():
+        label = name.replace("_", " ")
+        if mode == "off":
+            steps.append(StepReport(label, "off", ""))
+        elif calibration is None or name not in calibration.full.estimate:
+            steps.append(StepReport(label, "unknown", _why_not(name, survey, sensor_log)))
+        else:
+            steps.append(_told(name, label, calibration))
+    if config.currents.mode != "off" and calibration is not None:
+        told = {CHANNEL + name: values for name, values in channels.items()}
+        told = {k: v for k, v in told.items() if k in calibration.watched or k in calibration.full.estimate}
+        steps += [_told_of_channel(name, calibration, values, config) for name, values in told.items()]
+    return steps
+
+
+def _why_not(name: str, survey: Survey, sensor_log: SensorLog | None) -> str:
+    """Why nothing could be estimated."""
+    if sensor_log is None:
+        return "needs orientations (columns qx, qy, qz, qw, or a trajectory): sensor errors turn with the sensor"
+    if name == "time_offset" and sensor_log.times is None:
+        return "needs times"
+    return f"too few samples to tell ({len(survey)})"
+
+
+def _told(name: str, label: str, calibration: Calibration) -> StepReport:
+    """Report of one error of clock or sensor that was estimated."""
+    is_kept = name in calibration.chosen.estimate and not calibration.is_refused
+    solution = calibration.chosen if is_kept else calibration.full
+    estimate, sd, is_open = solution.estimate[name], solution.sd[name], calibration.full.is_open[name]
+    outcome: Outcome = "applied" if is_kept else "unknown" if is_open.all() else "unchanged"
+    words = _estimate_text(name, estimate, sd, is_open)
+    if outcome == "unchanged":
+        words += "; a map predicts left-out stretches worse with it" if calibration.is_refused else "; not shown"
+    figures = {
+        "estimate": estimate.tolist(), "sd": sd.tolist(), "is_open": is_open.tolist(),
+        "p_value": calibration.full.p_value[name], "inconsistency_as_read": calibration.inconsistency[0],
+    }  # fmt: skip
+    if name == "hard_iron" and is_kept:
+        figures["hard_iron"] = calibration.model.hard_iron.tolist()
+    if name in {"soft_iron", "misalignment"} and is_kept:
+        figures["soft_iron"] = calibration.model.soft_iron.tolist()
+    after = calibration.inconsistency[1]
+    before = calibration.without.get(name, after) if is_kept else after
+    return StepReport(label, outcome, words, before / MICROTESLA, after / MICROTESLA, "uT", figures)
+
+
+def _told_of_channel(name: str, calibration: Calibration, values: Scalars, config: PreparationConfig) -> StepReport:
+    """Report of one channel: what it adds to the readings per unit, and whether that was taken off."""
+    is_removed = config.currents.mode == "remove"
+    solution = calibration.watched.get(name, calibration.full)
+    if is_removed and name in calibration.chosen.estimate:
+        solution = calibration.chosen
+    is_open, spread = solution.is_open[name], float(values.std())
+    estimate, sd = solution.estimate[name] / spread, solution.sd[name] / spread
+    is_shown = solution.p_value[name] < config.significance
+    words = _estimate_text(name, estimate, sd, is_open) + ("" if is_shown else "; not shown")
+    outcome: Outcome = ("applied" if is_removed else "flagged") if is_shown else "unchanged"
+    after = calibration.inconsistency[1]
+    before, after = (calibration.without.get(name, after), after) if is_removed else (after, after)
+    if is_shown and not is_removed:
+        words += "; kept (currents.mode: remove takes it off)"
+    figures = {"estimate": estimate.tolist(), "sd": sd.tolist(), "p_value": solution.p_value[name]}
+    return StepReport(name, outcome, words, before / MICROTESLA, after / MICROTESLA, "uT", figures)
+
+
+def _estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.ndarray) -> str:
+    """Estimates with their standard deviations, and which the data leave open."""
+    if name == "time_offset":
+        if is_open[0]:
+            return "the motion does not tell; turn the sensor more, or walk to and fro"
+        return f"{1e3 * estimate[0]:+.2f} ms (sd {1e3 * sd[0]:.2f}) to be added to the magnetometer's times"
+    parts: tuple[str, ...] = SOFT_IRON_PARTS if name == "soft_iron" else AXES
+    per_unit, unit = {"soft_iron": (1e2, "%"), "misalignment": (180 / np.pi, "deg")}.get(name, (1e6, "uT"))
+    if name.startswith(CHANNEL):
+        unit = "uT per unit of the channel"
+    known = [
+        f"{part} {per_unit * value:+.3g}"
+        for part, value, hidden in zip(parts, estimate, is_open, strict=True)
+        if not hidden
+    ]
+    prefix = "correction " if name == "soft_iron" else ""
+    text = f"{prefix}{', '.join(known)} {unit} (sd up to {per_unit * sd[~is_open].max():.2g})" if known else ""
+    if is_open.any():
+        hidden = ", ".join(part for part, flag in zip(parts, is_open, strict=True) if flag)
+        text += (
+            f"{'; ' if text else ''}{hidden} not separable from the place's own field: the sensor turned too little"
+        )
+    return text

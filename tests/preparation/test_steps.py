@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Each step alone: disturbances, resampling, Earth's field, report."""
+
+from datetime import date
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation, runs
+from magmatch.preparation.earth_field import Place, check_earth_field, earth_field
+from magmatch.preparation.report import PreparationReport, StepReport
+from magmatch.preparation.resampling import resample_by_distance
+from magmatch.preparation.sensor_model import SensorModel
+
+SETTINGS = settings(deadline=None, derandomize=True, max_examples=30)
+MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(2)
+
+
+@pytest.fixture
+def walk(rng):
+    """Two minutes to and fro on a line with a stop, at 20 Hz."""
+    x = np.concatenate([np.linspace(0, 3, 1000), np.full(400, 3.0), np.linspace(3, 0, 1000)])
+    positions = np.column_stack([x, 0.1 * np.sin(x), 0 * x])
+    field = np.column_stack([20e-6 + 5e-6 * np.sin(2 * x), 3e-6 * x, -40e-6 + 0 * x])
+    orientations = Rotation.from_euler("z", 0.3 * x[:, None])
+    noise = 0.2e-6 * rng.standard_normal(field.shape)
+    return Survey(positions, field + noise, 0.05 * np.arange(len(x)), orientations)
+
+
+def test_jumps_are_single_readings_off_their_neighbours(walk):
+    readings = walk.field.copy()
+    readings[[50, 900, 901]] += [0, 20e-6, 0]
+    assert np.flatnonzero(find_jumps(readings, 10.0)).tolist() == [50, 900, 901]
+
+
+def test_a_clean_walk_has_no_jumps(walk):
+    assert not find_jumps(walk.field, 10.0).any()
+
+
+def test_repeats_are_found_in_the_frame_of_the_sensor(walk):
+    readings = walk.orientations.apply(walk.field, inverse=True)
+    readings[100:104] = readings[100]
+    turned = walk.orientations.apply(walk.orientations.apply(readings), inverse=True)
+    assert np.flatnonzero(find_repeats(turned)).tolist() == [101, 102, 103]
+
+
+def test_saturation_is_many_readings_at_one_limit(walk):
+    clipped = np.clip(walk.field, None, 23e-6)
+    assert np.array_equal(find_saturation(clipped), clipped[:, 0] == 23e-6)
+    assert not find_saturation(walk.field).any()
+
+
+def test_coarse_steps_of_a_sensor_are_no_saturation(walk):
+    assert not find_saturation(np.round(walk.field / 0.15e-6) * 0.15e-6).any()
+
+
+def test_runs_are_given_by_their_ends():
+    mask = np.array([0, 1, 1, 0, 1], dtype=bool)
+    assert runs(mask, None) == [[1.0, 2.0], [4.0, 4.0]]
+    assert runs(mask, np.array([0.0, 0.5, 1.0, 1.5, 2.0])) == [[0.5, 1.0], [2.0, 2.0]]
+
+
+@pytest.mark.parametrize("average", ["mean", "median"])
+def test_resampling_keeps_one_sample_per_step_of_the_way(walk, average):
+    few = resample_by_distance(walk, 0.1, average)
+    step = np.linalg.norm(np.diff(few.positions, axis=0), axis=1)
+    assert len(few) == pytest.approx(60, abs=3)
+    assert np.median(step) == pytest.approx(0.1, abs=0.02)
+    assert (np.diff(few.times) > 0).all()
+    assert len(few.orientations) == len(few)
+
+
+def test_standing_still_becomes_one_sample(walk):
+    few = resample_by_distance(walk, 0.1, "mean")
+    assert (np.abs(few.times - 60.0) < 9.0).sum() <= 2
+
+
+@SETTINGS
+@given(step=st.floats(0.01, 5.0))
+def test_resampling_by_the_mean_keeps_the_centroid(step):
+    rng = np.random.default_rng(3)
+    survey = Survey(np.cumsum(rng.normal(0, 0.1, (80, 3)), axis=0), rng.normal(0, 1e-5, (80, 3)))
+    few = resample_by_distance(survey, step, "mean")
+    assert 1 <= len(few) <= len(survey)
+    assert (few.positions >= survey.positions.min(axis=0) - 1e-12).all()
+
+
+def test_earth_field_is_that_of_the_model():
+    pytest.importorskip("ppigrf")
+    # The IGRF-13/14 calculators of the agencies give 48.6 uT and 64 deg for Munich in 2024.
+    east, north, up = earth_field(MUNICH)
+    assert np.linalg.norm([east, north, up]) == pytest.approx(48.7e-6, abs=0.3e-6)
+    assert np.degrees(np.arctan2(-up, np.hypot(east, north))) == pytest.approx(64.2, abs=0.5)
+
+
+def test_a_plausible_field_is_said_to_be_plausible():
+    pytest.importorskip("ppigrf")
+    check = check_earth_field(np.tile(1.1 * earth_field(MUNICH), (20, 1)), MUNICH)
+    assert check.is_plausible
+    assert "plausible" in check.words
+
+
+def test_a_wrong_unit_and_a_tilted_frame_are_said():
+    pytest.importorskip("ppigrf")
+    field = np.tile(earth_field(MUNICH), (20, 1))
+    assert "off by 10^-2 (--field-unit)" in check_earth_field(0.01 * field, MUNICH).words
+    assert "z is not up" in check_earth_field(field[:, [2, 1, 0]], MUNICH).words
+    assert "hard iron" in check_earth_field(2 * field, MUNICH).words
+
+
+@pytest.mark.parametrize("wrong", [(91, 0, 0, 2024), (0, 400, 0, 2024), (0, 0, 1e7, 2024), (0, 0, 0, 1850)])
+def test_impossible_places_are_refused(wrong):
+    with pytest.raises(ConfigurationError, match="expected a"):
+        Place(*wrong[:3], date(wrong[3], 1, 1))
+
+
+def test_a_report_is_saved_and_loaded(tmp_path):
+    steps = (StepReport("spikes", "flagged", "3 samples", 3, 3, "samples", {"runs": [[0.0, 1.0]]}),)
+    report = PreparationReport("log.csv", (10, 10), steps, {"n_samples": 4000})
+    report.save(tmp_path / "r.json")
+    loaded = PreparationReport.load(tmp_path / "r.json")
+    assert loaded.to_dict() == report.to_dict()
+    assert "spikes  flagged" in loaded.table()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": "other/1"}', '{"schema": "magmatch.preparation/1"}'])
+def test_what_is_no_report_is_refused(text, tmp_path):
+    (tmp_path / "r.json").write_text(text)
+    with pytest.raises(DataFormatError, match=r"r\.json"):
+        PreparationReport.load(tmp_path / "r.json")
+
+
+def test_the_model_undoes_what_the_sensor_does(rng):
+    A = np.eye(3) + 0.05 * rng.standard_normal((3, 3))
+    c, b = 3e-5 * rng.standard_normal(3), 4e-5 * rng.standard_normal((20, 3))
+    M = np.linalg.inv(A)
+    model = SensorModel(M, M @ c)
+    np.testing.assert_allclose(model.corrected(b @ A.T + c), b, atol=1e-18)
+    np.testing.assert_allclose(model.hard_iron, c, atol=1e-18)
+    np.testing.assert_allclose(model.soft_iron, A / np.cbrt(np.linalg.det(A)), atol=1e-12)
