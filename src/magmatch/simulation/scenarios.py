@@ -179,7 +179,7 @@ def _planar(config: SimulationConfig, streams: Streams) -> Scene:
 
 def _carried(config: SimulationConfig, streams: Streams, size: Vector3, tilt_sd: float) -> Scene:
     """Build a room walked through with a sensor that looks ahead and tilts as it is carried."""
-    scene = _room(config, streams, "any")
+    room = _room(config.model_copy(update={"target_frame": "scenario"}), streams, RigidTransform.identity())
 
     def walk(rng: np.random.Generator) -> SensorPath:
         n = config.n_samples
@@ -189,7 +189,7 @@ def _carried(config: SimulationConfig, streams: Streams, size: Vector3, tilt_sd:
         orientations = _upright(ahead) * Rotation.from_rotvec(tilt)
         return SensorPath(positions, SAMPLE_INTERVAL * np.arange(n), orientations)
 
-    return replace(scene, base_path=walk(streams.base), target_path=walk(streams.target))
+    return _scene(config, streams, list(room.base_sources), walk(streams.base), walk(streams.target), "any")
 
 
 def _office_hand_held(config: SimulationConfig, streams: Streams) -> Scene:
