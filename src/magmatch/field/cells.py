@@ -8,7 +8,7 @@ from numba import njit
 
 from magmatch.errors import ConfigurationError
 from magmatch.field.element_matrices import ball_offsets
-from magmatch.typing import Points, Scalars, Vector3
+from magmatch.typing import Points, Scalars
 
 # Memory: about 4 kB per active cell for the matrices, as much again for the factor; 8 bytes per cell of the box.
 MAX_ACTIVE_CELLS = 400_000
@@ -30,8 +30,9 @@ class CellGrid:
 
     Attributes
     ----------
-    origin : (3,) array, m
-        Lower corner of cell (0, 0, 0).
+    first : (3,) int array
+        Where cell (0, 0, 0) lies on the lattice, whose cell i is centred at ``i spacing`` along each axis, so that
+        grids over different samples share their splines.
     spacing : float, m
         Side of a cell.
     cells : (c, 3) int array
@@ -48,7 +49,7 @@ class CellGrid:
         Nodes of each active cell.
     """
 
-    origin: Vector3
+    first: np.ndarray
     spacing: float
     cells: np.ndarray
     distance: np.ndarray
@@ -69,7 +70,7 @@ class CellGrid:
 
     def axis_cells(self, x: Scalars, axis: int) -> tuple[np.ndarray, Scalars]:
         """Cell index along one axis (clipped to -1..n) and position in the cell, 0 to 1."""
-        u = (np.asarray(x) - self.origin[axis]) / self.spacing
+        u = lattice_coordinate(np.asarray(x), self.spacing) - float(self.first[axis])
         i = np.floor(u)
         n = self.cell_index.shape[axis]
         return np.clip(np.where(np.isnan(i), -1, i), -1, n).astype(np.int64), u - i
@@ -97,7 +98,9 @@ class CellGrid:
         )
 
 
-def count_active_cells(points: Points, spacing: float, reach: float) -> tuple[int, float]:
+def count_active_cells(
+    points: Points, spacing: float, reach: float, most_in_box: float = MAX_BOX_CELLS
+) -> tuple[int, float]:
     """How many cells `lay_cells` would activate, and how many the box around them holds.
 
     Parameters
@@ -105,6 +108,8 @@ def count_active_cells(points: Points, spacing: float, reach: float) -> tuple[in
     points : (n, 3) array, m
     spacing : float, m
     reach : float, cells
+    most_in_box : float
+        Cells of the box that are worth looking at.
 
     Returns
     -------
@@ -114,12 +119,19 @@ def count_active_cells(points: Points, spacing: float, reach: float) -> tuple[in
     """
     _, occupied, shape = _occupied(points, spacing, reach)
     n_box = float(np.prod(shape))
-    if n_box > MAX_BOX_CELLS:
+    if n_box > min(most_in_box, MAX_BOX_CELLS):
         return -1, n_box
     return int(np.isfinite(_distances(occupied, shape, reach)).sum()), n_box
 
 
-def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
+def lattice_coordinate(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Coordinate in cells; its integer part is the cell. A flat survey through the origin fills one layer."""
+    return np.asarray(x / spacing + 0.5)
+
+
+def lay_cells(
+    points: Points, spacing: float, reach: float, box: tuple[np.ndarray, np.ndarray] | None = None
+) -> CellGrid:
     """Lay cells over all places within reach of a sample.
 
     Parameters
@@ -130,6 +142,8 @@ def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
         Side of a cell.
     reach : float, cells
         Cells are active whose centre lies this near to the centre of a cell that holds a sample.
+    box : two (3,) int arrays, optional
+        First and one past the last cell of the lattice to activate, whatever the samples' reach.
 
     Returns
     -------
@@ -140,11 +154,15 @@ def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
     ConfigurationError
         If more cells would be needed than memory allows.
     """
-    low, occupied, shape = _occupied(points, spacing, reach)
+    first, occupied, shape = _occupied(points, spacing, reach)
     n_box = float(np.prod(shape))
     if n_box > MAX_BOX_CELLS:
         _refuse(f"{n_box:.3g} cells in the box of the samples, at most {MAX_BOX_CELLS:,}", spacing)
     distance = _distances(occupied, shape, reach)
+    if box is not None:
+        low, high = np.maximum(box[0] - first, 0), np.maximum(box[1] - first, 0)
+        distance = distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        first = first + low
     is_active = np.isfinite(distance)
     cells = np.argwhere(is_active)
     if len(cells) > MAX_ACTIVE_CELLS:
@@ -158,7 +176,7 @@ def lay_cells(points: Points, spacing: float, reach: float) -> CellGrid:
     cell_nodes = np.empty((len(cells), 64), dtype=np.int32)
     _list_nodes(cells, node_index, cell_nodes)
     return CellGrid(
-        origin=low,
+        first=first,
         spacing=float(spacing),
         cells=cells,
         distance=distance[is_active].astype(np.float64),
@@ -174,23 +192,23 @@ def _refuse(needed: str, spacing: float) -> None:
     raise ConfigurationError(msg)
 
 
-def _occupied(points: Points, spacing: float, reach: float) -> tuple[Vector3, np.ndarray, np.ndarray]:
-    """Origin, distinct occupied cells (none where the box is too large) and number of cells along each axis."""
+def _occupied(points: Points, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First cell, distinct occupied cells (none where the box is too large) and number of cells along each axis."""
     if len(points) == 0:
         msg = "expected at least one sample to lay cells around, got none"
         raise ValueError(msg)
     if not (spacing > 0 and reach >= 0):
         msg = f"expected a positive spacing and a reach of at least 0, got {spacing} m and {reach} cells"
         raise ValueError(msg)
-    # Half a cell of slack puts a flat survey in the middle of its layer of cells instead of on a boundary.
-    pad = int(np.floor(reach))
-    low = points.min(axis=0) - (pad + 0.5) * spacing
-    shape = np.floor((points.max(axis=0) - low) / spacing) + 1 + pad
+    cell = np.floor(lattice_coordinate(points, spacing))
+    pad = np.floor(reach)
+    first, last = cell.min(axis=0) - pad, cell.max(axis=0) + pad
+    shape = last - first + 1
     if np.prod(shape) > MAX_BOX_CELLS:
-        return low, np.zeros((0, 3), dtype=np.int64), shape
+        return first.astype(np.int64), np.zeros((0, 3), dtype=np.int64), shape
     sizes = tuple(shape.astype(np.int64))
-    flat = np.unique(np.ravel_multi_index(tuple(np.floor((points - low) / spacing).astype(np.int64).T), sizes))
-    return low, np.stack(np.unravel_index(flat, sizes), axis=1).astype(np.int64), shape
+    flat = np.unique(np.ravel_multi_index(tuple((cell - first).astype(np.int64).T), sizes))
+    return first.astype(np.int64), np.stack(np.unravel_index(flat, sizes), axis=1).astype(np.int64), shape
 
 
 def _distances(occupied: np.ndarray, shape: np.ndarray, reach: float) -> np.ndarray:

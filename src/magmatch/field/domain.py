@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map that is declared for a box: inside it is what its model says, outside it falls back to the prior."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,7 +12,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes, Posterior
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
-from magmatch.typing import Mask, Matrix, Points, Scalars
+from magmatch.typing import Mask, Points, Scalars
 
 # So far from any sample that every prior is back to itself, m.
 NOWHERE = 1e7
@@ -50,7 +52,7 @@ class BoundedPosterior:
         p = transform_points(points, self.T_domain_model)
         return np.asarray(np.all((p >= self.low) & (p <= self.high), axis=1), dtype=np.bool_)
 
-    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+    def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
         """See `Posterior.evaluate`."""
         return self.inner.evaluate(self._or_nowhere(points), order, weights)
 
@@ -73,7 +75,7 @@ class BoundedPosterior:
         moved[outside] *= 1 + np.arange(len(outside))[:, None]
         return self.inner.joint_covariance(moved)
 
-    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """See `Posterior.draw_weights`."""
         return self.inner.draw_weights(n_draws, rng)
 

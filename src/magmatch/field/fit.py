@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From samples and fixed numbers to the posterior: what building and loading a map share, bit for bit."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -10,6 +12,10 @@ from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
 from magmatch.field.priors import PRIORS
+from magmatch.field.region_model import StoredTile, fit_splines
+from magmatch.field.spline_model import SplineModel
+from magmatch.field.tiled_model import Runner, TiledModel
+from magmatch.field.tiles import Index
 from magmatch.threads import single_threaded
 
 
@@ -19,6 +25,8 @@ def fit_posterior(
     hyperparameters: Hyperparameters,
     config: FieldConfig,
     T_domain_model: RigidTransform | None = None,
+    stored: Mapping[Index, StoredTile] | None = None,
+    run: Runner = map,
 ) -> Posterior:
     """Posterior of the field given samples.
 
@@ -32,6 +40,10 @@ def fit_posterior(
         Which prior, and the box it is declared for.
     T_domain_model : RigidTransform, optional
         Takes model coordinates to those in which ``config.domain`` is given; the same by default.
+    stored : mapping, optional
+        Tiles of an earlier fit, used where their inputs are the very same.
+    run : callable, optional
+        Runs the tasks of a fit in tiles; one after the other by default.
 
     Returns
     -------
@@ -39,7 +51,11 @@ def fit_posterior(
         In the model's frame; the same arguments give the same bits.
     """
     model = PRIORS[config.prior].build(samples.positions, samples.field, hyperparameters)
-    posterior = model.infer(model.observe(samples.positions, samples.field))
+    posterior: Posterior
+    if isinstance(model, SplineModel | TiledModel):
+        posterior = fit_splines(model, samples.positions, samples.field, stored, run)
+    else:
+        posterior = model.infer(model.observe(samples.positions, samples.field))
     if config.domain is None:
         return posterior
     low, high = np.array(config.domain[:3]), np.array(config.domain[3:])

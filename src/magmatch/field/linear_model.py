@@ -6,13 +6,14 @@ batch, recursive and merged inference agree whatever the order. Everything here 
 (the survey's principal axes); `FieldMap` does the turning.
 """
 
+from collections.abc import Iterable
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
-from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+from magmatch.typing import Mask, Points, Scalars, Vectors
 
 Axes = tuple[Scalars, Scalars, Scalars]
 
@@ -62,8 +63,11 @@ class Posterior(Protocol):
         """Posterior mean of the weights, (n_weights,): what a saved map is checked against when it is loaded."""
         ...
 
-    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
-        """Field (order 0), gradient (1) and second derivatives (2); the posterior mean unless weights are given."""
+    def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
+        """Field (order 0), gradient (1) and second derivatives (2); the posterior mean unless weights are given.
+
+        Weights are an array such as `weights`, or one of `draw_weights`.
+        """
         ...
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
@@ -81,8 +85,8 @@ class Posterior(Protocol):
         """Posterior covariance of the field at all points together: (3 n, 3 n), T^2, row ``3 i + a``."""
         ...
 
-    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
-        """Posterior samples of the weights, (n_draws, n_weights), for `evaluate`."""
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
+        """Posterior samples for `evaluate`, n_draws of them; what one looks like is the model's own affair."""
         ...
 
     def knows(self, points: Points) -> Mask:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The spline potential as a linear model: cells, information of samples, posterior."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -105,21 +106,29 @@ class SplineModel:
     def prior_precision(self) -> StencilMatrix:
         """Prior precision of the weights in units of the noise's, ``noise_sd^2 P0``."""
         h = self.hyperparameters
-        element, covariance = prior_terms(h)
-        scale = (h.noise_sd / (h.looseness * h.signal_sd)) ** 2 * covariance[0, 0]
-        stencil = sum_of_elements(self.cells, element * scale, cell_weights(self.cells.distance))
+        stencil = sum_of_elements(self.cells, cell_precision(h), cell_weights(self.cells.distance))
         return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2)
 
     def infer(self, information: SplineInformation) -> "SplinePosterior":
         """Posterior of the weights given information."""
-        factor = factorise(self.elimination, information.gram + self.prior_precision())
+        factor = self.factorise(information)
         return SplinePosterior(self.hyperparameters, self.cells, factor, factor.solve(information.eta))
+
+    def factorise(self, information: SplineInformation) -> CholeskyFactor:
+        """Factor of the posterior precision times the noise variance."""
+        return factorise(self.elimination, information.gram + self.prior_precision())
 
 
 def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
     relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
     return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, REACH_IN_CELLS)
+
+
+def cell_precision(h: Hyperparameters) -> np.ndarray:
+    """Prior precision of one cell of weight 1 in units of the noise's: (64, 64)."""
+    element, covariance = prior_terms(h)
+    return np.asarray(element * ((h.noise_sd / (h.looseness * h.signal_sd)) ** 2 * covariance[0, 0]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -130,17 +139,27 @@ class SplinePosterior:
     ----------
     hyperparameters : Hyperparameters
     cells : CellGrid
-    factor : CholeskyFactor
-        Of the posterior precision times the noise variance.
+    factor_source : CholeskyFactor or callable
+        Factor of the posterior precision times the noise variance, or what gives it when it is first needed: the
+        mean does without.
     weights : (m + 3,) array, T
         Posterior mean.
     """
 
     hyperparameters: Hyperparameters
     cells: CellGrid
-    factor: CholeskyFactor
+    factor_source: CholeskyFactor | Callable[[], CholeskyFactor]
     weights: np.ndarray
+    _factor: list[CholeskyFactor] = field(default_factory=list, init=False, repr=False)
     _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def factor(self) -> CholeskyFactor:
+        """Of the posterior precision times the noise variance."""
+        if not self._factor:
+            source = self.factor_source
+            self._factor.append(source if isinstance(source, CholeskyFactor) else source())
+        return self._factor[0]
 
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points; outside the active cells the constant field alone."""
@@ -179,7 +198,7 @@ class SplinePosterior:
             )  # fmt: skip
             out[cell < 0, :3, :3] = inverse.corner
         out *= (h.inflation * h.noise_sd) ** 2
-        out[cell < 0] += self._prior_outside()[:n_rows, :n_rows]
+        out[cell < 0] += prior_outside(h)[:n_rows, :n_rows]
         return out if order == 0 else _expand(out)
 
     def joint_covariance(self, points: Points) -> np.ndarray:
@@ -223,12 +242,19 @@ class SplinePosterior:
         rows[cell < 0, :, :64] = 0.0
         return rows
 
-    def _prior_outside(self) -> np.ndarray:
-        """Prior covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
-        h = self.hyperparameters
-        prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
-        per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
-        return np.asarray(h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing))
+
+def prior_outside(h: Hyperparameters) -> np.ndarray:
+    """Prior covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
+    prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
+    per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
+    return np.asarray(h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing))
+
+
+def outside_covariance(h: Hyperparameters, constant: np.ndarray) -> np.ndarray:
+    """Covariance of field and gradient (row-major) where there is only a constant of a (3, 3) covariance: (12, 12)."""
+    covariance = _expand(prior_outside(h)[None])[0]
+    covariance[:3, :3] += constant
+    return np.asarray(covariance)
 
 
 def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:

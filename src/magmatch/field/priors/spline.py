@@ -3,12 +3,14 @@
 
 from magmatch.field.cross_validation import choose_spline_hyperparameters
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.region_model import lay_splines
 from magmatch.field.spline_model import SplineModel
+from magmatch.field.tiled_model import TiledModel
 from magmatch.typing import Points, Vectors
 
 
 class SplinePrior:
-    """Curl-free exactly, divergence-free softly, sparse: the cost follows the surveyed volume."""
+    """Curl-free exactly (but where tiles blend), divergence-free softly, sparse: the cost follows the volume."""
 
     name = "spline"
 
@@ -16,6 +18,11 @@ class SplinePrior:
         """Numbers that predict left-out parts of the survey best; deterministic."""
         return choose_spline_hyperparameters(points, field)
 
-    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> SplineModel:  # noqa: ARG002
-        """Lay splines over the surroundings of the points."""
-        return SplineModel.over(points, hyperparameters)
+    def build(
+        self,
+        points: Points,
+        field: Vectors,  # noqa: ARG002
+        hyperparameters: Hyperparameters,
+    ) -> SplineModel | TiledModel:
+        """Lay splines over the surroundings of the points, in tiles where one factor would grow too large."""
+        return lay_splines(points, hyperparameters)

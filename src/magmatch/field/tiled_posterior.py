@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A fitted field of many tiles, blended: ``B = sum_k w_k B_k`` with smooth shares that sum to one.
+
+The derivatives are those of the blend, grad w included, so the blended gradient is the gradient of the blended field.
+Curl vanishes wherever one tile answers alone; where two blend it is ``sum grad w_k x B_k``, at most the largest
+slope of a share times the difference of the tiles' fields.
+
+Where a tile is missing (no sample near), its share goes to a constant field, the mean of the tiles', with the spread
+of the prior.
+
+Tiles share samples, so their errors are correlated in a way that nobody keeps. Whatever the correlation, the error of
+a weighted mean is at most the weighted mean of the errors (squares are convex), in the sense of matrices:
+``cov B <= sum w_k cov B_k``. That bound is what `covariance` gives.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Axes
+from magmatch.field.spline_model import SplinePosterior, outside_covariance
+from magmatch.field.tile_tasks import TileTasks
+from magmatch.field.tiled_draws import TiledDraw, TiledDraws
+from magmatch.field.tiles import Index, TileKeys, Tiling
+from magmatch.field.values import FieldValues
+from magmatch.typing import Indices, Mask, Points, Scalars, Vector3
+
+# How many tiles are kept ready for evaluation (2 MB each), and how many with their factor and inverse (0.2 GB each).
+READY_TILES, FACTORED_TILES = 64, 4
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TiledPosterior:
+    """A fitted field of many tiles; fills `magmatch.field.linear_model.Posterior`.
+
+    Attributes
+    ----------
+    tasks : TileTasks
+        What each tile was fitted from.
+    tile_weights : list of (m + 3,) arrays, T
+        Posterior mean of each tile's weights.
+    """
+
+    tasks: TileTasks
+    tile_weights: list[Scalars]
+    _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
+    _ready: "Recent" = field(default_factory=lambda: Recent(READY_TILES), init=False, repr=False)
+    _factored: "Recent" = field(default_factory=lambda: Recent(FACTORED_TILES), init=False, repr=False)
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Numbers that shape the prior."""
+        return self.tasks.hyperparameters
+
+    @property
+    def tiling(self) -> Tiling:
+        """Sizes of the tiles."""
+        assert self.tasks.tiling is not None
+        return self.tasks.tiling
+
+    @property
+    def tiles(self) -> list[Index]:
+        """All tiles, in ascending order."""
+        return self.tasks.tiles
+
+    @property
+    def weights(self) -> Scalars:
+        """Weights of all tiles, one after the other."""
+        return np.concatenate(self.tile_weights)
+
+    @property
+    def constant(self) -> Vector3:
+        """Constant field where no tile answers, T."""
+        return np.asarray(np.mean([w[-3:] for w in self.tile_weights], axis=0))
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | TiledDraw | None = None) -> FieldValues:
+        """Field and derivatives at points; the posterior mean unless weights or a draw are given."""
+        p = np.asarray(points, dtype=np.float64)
+        weights_of = self._weights_of(weights)
+        total = Blend(len(p), order, self.constant)
+        for number, rows, shares in self._shares(p, max(order, 0)):
+            tile = self.tile(number)
+            total.add(rows, shares, tile.evaluate(p[rows], order, weights_of(number)))
+        return total.values()
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, tile by tile, one axis after the other."""
+        shape = (len(axes[0]), len(axes[1]), len(axes[2]))
+        total, flat = Blend(int(np.prod(shape)), order, self.constant), np.arange(np.prod(shape)).reshape(shape)
+        ascending = all(np.all(np.diff(x) >= 0) for x in axes)
+        for number, index in enumerate(self.tiles):
+            parts = [
+                self.tiling.support(x, i) if ascending else slice(None) for x, i in zip(axes, index, strict=True)
+            ]
+            local = (axes[0][parts[0]], axes[1][parts[1]], axes[2][parts[2]])
+            rows = flat[parts[0], parts[1], parts[2]].ravel()
+            if len(rows) == 0:
+                continue
+            along = [self.tiling.axis_weights(x, i) for x, i in zip(local, index, strict=True)]
+            n = [len(x) for x in local]
+            spread = [np.repeat(np.arange(n[0]), n[1] * n[2]), np.tile(np.repeat(np.arange(n[1]), n[2]), n[0]),
+                      np.tile(np.arange(n[2]), n[0] * n[1])]  # fmt: skip
+            shares = products([[w[k] for w in one] for one, k in zip(along, spread, strict=True)], order)
+            total.add(rows, shares, self.tile(number).evaluate_on_grid(local, order))
+        return total.values()
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Bound of the posterior covariance of field (and gradient) at each point; the prior's where no tile is.
+
+        With ``e`` the error of a tile, that of the blend's gradient is ``sum w (grad e + e grad w / w)``; the bound
+        by convexity is the mean of the covariances of these terms, and finite since ``|grad w|^2 / w`` is.
+        """
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        p = np.asarray(points, dtype=np.float64)
+        size = 3 if order == 0 else 12
+        out, left = np.zeros((len(p), size, size)), np.ones(len(p))
+        for number, rows, shares in self._shares(p, order):
+            covariance = self.factored(number).covariance(p[rows], order)
+            w = shares[0]
+            if order == 1:
+                covariance = _with_slope(covariance, shares[1] / np.maximum(w, SMALLEST_SHARE)[:, None])
+            out[rows] += w[:, None, None] * covariance
+            left[rows] -= w
+        is_left = left > SMALLEST_SHARE
+        out[is_left] += left[is_left, None, None] * self._outside()[:size, :size]
+        return out
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
+        """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
+        return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
+
+    def knows(self, points: Points) -> Mask:
+        """Whether each point lies in an active cell."""
+        p = np.asarray(points, dtype=np.float64)
+        known = np.zeros(len(p), dtype=bool)
+        for number, rows in self.tiling.blended(p, self._tile_keys()):
+            known[rows] |= self.tile(number).knows(p[rows])
+        return known
+
+    def tile(self, number: int) -> SplinePosterior:
+        """Posterior of one tile, ready to be evaluated."""
+        return self._ready.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+
+    def factored(self, number: int) -> SplinePosterior:
+        """Posterior of one tile that may be asked for its factor; few are kept, since they are large."""
+        return self._factored.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+
+    def _shares(self, points: Points, order: int) -> Iterator[tuple[int, Indices, list[np.ndarray]]]:
+        """Each tile with a say at some points: its number, their rows, and its shares there with derivatives."""
+        for number, rows in self.tiling.blended(points, self._tile_keys()):
+            index = self.tiles[number]
+            along = [self.tiling.axis_weights(points[rows, a], index[a]) for a in range(3)]
+            yield number, rows, products(along, order)
+
+    def _weights_of(self, weights: Scalars | TiledDraw | None) -> Callable[[int], Scalars | None]:
+        """Weights by the tile's number."""
+        if weights is None:
+            return lambda _: None
+        if isinstance(weights, TiledDraw):
+            return weights.of_tile
+        starts = np.cumsum([0, *(len(w) for w in self.tile_weights)])
+        return lambda number: np.asarray(weights[starts[number] : starts[number + 1]])
+
+    def _tile_keys(self) -> TileKeys:
+        if not self._keys:
+            self._keys.append(TileKeys(self.tiles))
+        return self._keys[0]
+
+    def _outside(self) -> np.ndarray:
+        """Covariance of field and gradient where no tile is: the prior's, and the spread of the tiles' constants."""
+        constants = np.array([w[-3:] for w in self.tile_weights])
+        return outside_covariance(self.hyperparameters, np.atleast_2d(np.cov(constants.T, bias=True)))
+
+
+# Rounding leaves shares that sum to one but for this.
+SMALLEST_SHARE = 1e-12
+
+
+class Blend:
+    """Sum of tiles' values times their shares, by the product rule; what is left of the shares is a constant field.
+
+    Parameters
+    ----------
+    n : int
+        Number of points.
+    order : int
+        Highest derivative.
+    constant : (3,) array, T
+    """
+
+    def __init__(self, n: int, order: int, constant: Vector3) -> None:
+        self.constant = constant
+        self.field = np.tile(constant, (n, 1))
+        self.gradient = np.zeros((n, 3, 3)) if order >= 1 else None
+        self.second = np.zeros((n, 3, 3, 3)) if order >= 2 else None
+
+    def add(self, rows: Indices, shares: list[np.ndarray], values: FieldValues) -> None:
+        """Add a tile's values at some rows; ``shares`` are its share, the share's gradient and Hessian there."""
+        w, B = shares[0], values.field - self.constant
+        self.field[rows] += w[:, None] * B
+        if self.gradient is None or values.gradient is None:
+            return
+        dw, G = shares[1], values.gradient
+        self.gradient[rows] += w[:, None, None] * G + B[:, :, None] * dw[:, None, :]
+        if self.second is None or values.second is None:
+            return
+        mixed = G[:, :, :, None] * dw[:, None, None, :]
+        self.second[rows] += (
+            w[:, None, None, None] * values.second
+            + mixed + mixed.transpose(0, 1, 3, 2)
+            + B[:, :, None, None] * shares[2][:, None]
+        )  # fmt: skip
+
+    def values(self) -> FieldValues:
+        """The sum."""
+        return FieldValues(self.field, self.gradient, self.second)
+
+
+class Recent:
+    """Keeps the last few things made.
+
+    Parameters
+    ----------
+    n_kept : int
+    """
+
+    def __init__(self, n_kept: int) -> None:
+        self._n_kept, self._made = n_kept, OrderedDict[int, SplinePosterior]()
+
+    def find(self, number: int, make: Callable[[], SplinePosterior]) -> SplinePosterior:
+        """What was made under a number, or else make it."""
+        if number not in self._made:
+            while len(self._made) >= self._n_kept:
+                self._made.popitem(last=False)
+            self._made[number] = make()
+        self._made.move_to_end(number)
+        return self._made[number]
+
+
+def products(along: list[list[np.ndarray]], order: int) -> list[np.ndarray]:
+    """A product of one function per axis, its gradient (n, 3) and Hessian (n, 3, 3), from their derivatives."""
+    (x, y, z), zero = along, [0, 0, 0]
+    out = [x[0] * y[0] * z[0]]
+    if order >= 1:
+        out.append(np.stack([_mixed(along, [*zero[:a], 1, *zero[a + 1 :]]) for a in range(3)], axis=1))
+    if order >= 2:
+        hessian = np.empty((len(x[0]), 3, 3))
+        for a, b in np.ndindex(3, 3):
+            orders = [int(a == axis) + int(b == axis) for axis in range(3)]
+            hessian[:, a, b] = _mixed(along, orders)
+        out.append(hessian)
+    return out
+
+
+def _mixed(along: list[list[np.ndarray]], orders: list[int]) -> np.ndarray:
+    return np.asarray(along[0][orders[0]] * along[1][orders[1]] * along[2][orders[2]])
+
+
+def _with_slope(covariance: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Covariance (n, 12, 12) of (e, grad e + e slope) from that of (e, grad e)."""
+    transform = np.tile(np.eye(12), (len(covariance), 1, 1))
+    for a, b in np.ndindex(3, 3):
+        transform[:, 3 + 3 * a + b, a] = slope[:, b]
+    return np.asarray(transform @ covariance @ transform.transpose(0, 2, 1))
