@@ -17,6 +17,7 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.field.store import MapRecord
+from magmatch.field.tile_fit import FitError
 
 
 @pytest.fixture(scope="module")
@@ -95,44 +96,61 @@ def rename(old, new):
     return lambda entries: entries.__setitem__(new, entries.pop(old))
 
 
+def rename_tile(new):
+    """Give the only tile another name, in the attributes too."""
+
+    def change(entries):
+        root = json.loads(entries["zarr.json"])
+        root["attributes"]["tiles"] = {new: ""}
+        entries["zarr.json"] = json.dumps(root).encode()
+        for name in [name for name in entries if name.startswith("tile.0.0.0/")]:
+            entries[name.replace("tile.0.0.0", new)] = entries.pop(name)
+
+    return change
+
+
 CRAFTED = {
     "path out of the folder": (lambda e: e.update({"../../evil": b""}), "entry that no map has: '../../evil'"),
     "absolute path": (lambda e: e.update({"/etc/passwd": b""}), "entry that no map has"),
-    "pickle": (lambda e: e.update({"positions/data.pkl": b""}), "entry that no map has"),
-    "chunk missing": (lambda e: e.pop("times/c/0"), "times/zarr.json': expected 1 chunks, found 0"),
-    "chunk too many": (lambda e: e.update({"times/c/1": b""}), "times/zarr.json': expected 1 chunks, found 2"),
-    "chunk elsewhere": (rename("times/c/0", "times/c/5"), "'times/c/0' is missing"),
-    "chunk too short": (lambda e: e.update({"times/c/0": b"1234"}), "'times/c/0' is missing or of the wrong length"),
-    "chunk checksum": (lambda e: e.update({"times/c/0": bytes(60 * 8 + 4)}), "checksum"),
-    "array missing": (lambda e: [e.pop(k) for k in list(e) if k.startswith("weights")], "entry 'weights' is missing"),
-    "metadata missing": (lambda e: e.pop("weights/zarr.json"), "entry 'weights/zarr.json' is missing"),
+    "pickle": (lambda e: e.update({"positions.0/data.pkl": b""}), "entry that no map has"),
+    "chunk missing": (lambda e: e.pop("times.0/c/0"), "times.0/zarr.json': expected 1 chunks, found 0"),
+    "chunk too many": (lambda e: e.update({"times.0/c/1": b""}), "times.0/zarr.json': expected 1 chunks, found 2"),
+    "chunk elsewhere": (rename("times.0/c/0", "times.0/c/5"), "'times.0/c/0' is missing"),
+    "chunk too short": (lambda e: e.update({"times.0/c/0": b"1234"}), "'times.0/c/0' is missing or of the wrong"),
+    "chunk checksum": (lambda e: e.update({"times.0/c/0": bytes(60 * 8 + 4)}), "checksum"),
+    "array missing": (lambda e: [e.pop(k) for k in list(e) if k.startswith("tile.")], "'tile.0.0.0' is missing"),
+    "metadata missing": (lambda e: e.pop("tile.0.0.0/zarr.json"), "entry 'tile.0.0.0/zarr.json' is missing"),
     "root missing": (lambda e: e.pop("zarr.json"), "entry 'zarr.json' is missing"),
     "root not JSON": (lambda e: e.update({"zarr.json": b"{"}), "entry 'zarr.json' is not JSON"),
     "root a list": (lambda e: e.update({"zarr.json": b"[]"}), "expected a JSON object"),
     "root empty": (lambda e: e.update({"zarr.json": b"{}"}), "entry 'zarr.json' has no attributes"),
-    "attributes empty": (edit_json("zarr.json", "attributes", {}), "attribute 'survey' is missing"),
+    "attributes empty": (edit_json("zarr.json", "attributes", {}), "attribute 'surveys' is missing"),
     "attributes a list": (edit_json("zarr.json", "attributes", []), "entry 'zarr.json' has no attributes"),
-    "survey a number": (edit_json("zarr.json", "attributes", "survey", 1), "expected frame and name in words"),
-    "shape huge": (edit_json("weights/zarr.json", "shape", [10**12]), "expected a shape"),
-    "shape of many chunks": (edit_json("weights/zarr.json", "shape", [2**31]), "chunks, found 1"),
-    "chunk grid odd": (edit_json("weights/zarr.json", "chunk_grid", []), "expected a shape"),
-    "objects": (edit_json("weights/zarr.json", "data_type", "object"), "expected a float64 array"),
-    "compressed": (edit_json("weights/zarr.json", "codecs", [{"name": "gzip"}]), "expected a float64 array"),
+    "survey a number": (edit_json("zarr.json", "attributes", "surveys", 1), "expected a list"),
+    "shape huge": (edit_json("tile.0.0.0/zarr.json", "shape", [10**12]), "expected a shape"),
+    "shape of many chunks": (edit_json("tile.0.0.0/zarr.json", "shape", [2**31]), "chunks, found 1"),
+    "chunk grid odd": (edit_json("tile.0.0.0/zarr.json", "chunk_grid", []), "expected a shape"),
+    "objects": (edit_json("tile.0.0.0/zarr.json", "data_type", "object"), "expected a float64 array"),
+    "compressed": (edit_json("tile.0.0.0/zarr.json", "codecs", [{"name": "gzip"}]), "expected a float64 array"),
     "chunks named otherwise": (
-        edit_json("weights/zarr.json", "chunk_key_encoding", "configuration", "separator", "."), "expected chunks",
+        edit_json("tile.0.0.0/zarr.json", "chunk_key_encoding", "configuration", "separator", "."), "expected chunks",
     ),
-    "positions of four columns": (edit_json("positions/zarr.json", "shape", [60, 4]), "chunks, found 1"),
+    "positions of four columns": (edit_json("positions.0/zarr.json", "shape", [60, 4]), "chunks, found 1"),
     "positions flat": (
-        lambda e: e.update({"positions/zarr.json": e["times/zarr.json"], "positions/c/0": e["times/c/0"]})
-        or e.pop("positions/c/0/0"),
-        "entry 'positions': expected an array of shape (n, 3)",
+        lambda e: e.update({"positions.0/zarr.json": e["times.0/zarr.json"], "positions.0/c/0": e["times.0/c/0"]})
+        or e.pop("positions.0/c/0/0"),
+        "entry 'positions.0': expected an array of shape (n, 3)",
     ),
-    "position NaN": (edit_array("positions", 0, np.nan), "expected finite positions"),
-    "field infinite": (edit_array("field", 5, np.inf), "expected finite field"),
-    "orientation not unit": (edit_array("orientations", 0, 3.0), "expected unit quaternions"),
-    "position of the model changed": (edit_array("model_positions", 4, 0.3), "gives another field"),
-    "field of the model changed": (edit_array("model_field", 4, 3e-5), "gives another field"),
-    "weight changed": (edit_array("weights", slice(None), 1e-5), "fitting its samples again gives another field"),
+    "position NaN": (edit_array("positions.0", 0, np.nan), "expected finite positions"),
+    "field infinite": (edit_array("field.0", 5, np.inf), "expected finite field"),
+    "orientation not unit": (edit_array("orientations.0", 0, 3.0), "expected unit quaternions"),
+    "position of the model changed": (edit_array("model_positions.0", 4, 0.3), "gives another field"),
+    "field of the model changed": (edit_array("model_field.0", 4, 3e-5), "gives another field"),
+    "tile unlisted": (edit_json("zarr.json", "attributes", "tiles", {}), "entry 'weights' is missing"),
+    "tile too many": (edit_json("zarr.json", "attributes", "tiles", "tile.0.0.1", ""), "'tile.0.0.1' is missing"),
+    "tile misnamed": (rename_tile("tile.0.0"), "expected names such as tile.0.-1.0"),
+    "fingerprint changed": (edit_json("zarr.json", "attributes", "tiles", "tile.0.0.0", "x"), "gives another field"),
+    "fingerprint a number": (edit_json("zarr.json", "attributes", "tiles", "tile.0.0.0", 1), "expected the fingerpr"),
     "transform scaled": (edit_json("zarr.json", "attributes", "T_map_model", 0, 0, 2.0), "off orthonormal"),
     "transform a word": (edit_json("zarr.json", "attributes", "T_map_model", "I"), "expected a 4x4 matrix"),
     "transform of words": (edit_json("zarr.json", "attributes", "T_map_model", 0, 0, "1"), "expected a 4x4 matrix"),
@@ -145,10 +163,10 @@ CRAFTED = {
     "noise zero": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", 0), "expected positive"),
     "noise NaN": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", np.nan), "finite noise_sd"),
     "nodes beyond counting": (
-        edit_json("zarr.json", "attributes", "hyperparameters", "spacing", 1e-9), "expected at most 2e+08 nodes",
+        edit_json("zarr.json", "attributes", "hyperparameters", "spacing", 1e-9), "too large for a spacing",
     ),
-    "name a number": (edit_json("zarr.json", "attributes", "survey", "name", 1), "expected frame and name in words"),
-    "accuracy negative": (edit_json("zarr.json", "attributes", "survey", "pose_sd", -1), "expected frame and name"),
+    "name a number": (edit_json("zarr.json", "attributes", "surveys", 0, "name", 1), "expected frame and name"),
+    "accuracy negative": (edit_json("zarr.json", "attributes", "surveys", 0, "pose_sd", -1), "frame and name in"),
 }  # fmt: skip
 
 
@@ -156,6 +174,23 @@ CRAFTED = {
 def test_crafted_map_with_a_fitting_manifest_is_refused(saved, case):
     change, message = CRAFTED[case]
     assert message in refusal(repack(saved, change))
+
+
+def test_weights_that_are_not_the_samples_own_are_refused_once_they_are_used_for_a_covariance(saved):
+    field_map = FieldMap.load(repack(saved, edit_array("tile.0.0.0", slice(None), 1e-5)))
+    with pytest.raises(FitError, match=r"tile 0\.0\.0: fitting its samples again gives another field"):
+        field_map.covariance(field_map.survey.positions)
+
+
+def test_weights_of_another_number_are_refused(saved):
+    def cut(entries):
+        meta = json.loads(entries["tile.0.0.0/zarr.json"])
+        meta["shape"], meta["chunk_grid"]["configuration"]["chunk_shape"] = [10], [10]
+        block = np.ones(10).tobytes()
+        entries["tile.0.0.0/zarr.json"] = json.dumps(meta).encode()
+        entries["tile.0.0.0/c/0"] = block + int(google_crc32c.value(block)).to_bytes(4, "little")
+
+    assert "tile 0.0.0: 10 weights are stored" in refusal(repack(saved, cut))
 
 
 def test_number_that_older_maps_lack_takes_its_default(saved):
@@ -180,9 +215,9 @@ def edit_manifest(path, change):
 
 
 def test_map_of_a_later_version_is_refused_with_advice(saved):
-    edit_manifest(saved, lambda m: m.update(schema="magmatch.map/2"))
+    edit_manifest(saved, lambda m: m.update(schema="magmatch.map/3"))
     message = refusal(saved)
-    assert "expected schema 'magmatch.map/1', found 'magmatch.map/2'" in message
+    assert "expected schema 'magmatch.map/2', found 'magmatch.map/3'" in message
     assert "update" in message
 
 
@@ -191,20 +226,20 @@ def test_entry_missing_from_the_archive_or_the_manifest_is_named(saved):
     edit_manifest(saved, lambda m: m["entries"].update({"extra/zarr.json": {}}))
     assert "entry 'extra/zarr.json' is missing" in refusal(saved)
     saved.write_bytes(whole)
-    edit_manifest(saved, lambda m: m["entries"].pop("times/c/0"))
-    assert "entry 'times/c/0' is not in the manifest" in refusal(saved)
+    edit_manifest(saved, lambda m: m["entries"].pop("times.0/c/0"))
+    assert "entry 'times.0/c/0' is not in the manifest" in refusal(saved)
     edit_manifest(saved, lambda m: m.update(entries=None))
     assert "lists no entries" in refusal(saved)
 
 
 def test_two_entries_of_one_name_are_refused(saved):
     with pytest.warns(UserWarning, match="Duplicate name"), zipfile.ZipFile(saved, "a") as archive:
-        archive.writestr("times/c/0", b"")
+        archive.writestr("times.0/c/0", b"")
     assert "two entries of one name" in refusal(saved)
 
 
 def test_zip_bomb_is_refused_before_it_is_unpacked(saved):
-    repack(saved, lambda e: e.update({"weights/c/0": bytes(10**7)}), compression=zipfile.ZIP_DEFLATED)
+    repack(saved, lambda e: e.update({"tile.0.0.0/c/0": bytes(10**7)}), compression=zipfile.ZIP_DEFLATED)
     assert "is compressed or encrypted" in refusal(saved)
 
 

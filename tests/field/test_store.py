@@ -137,11 +137,11 @@ def test_any_zarr_reader_opens_the_file(saved, spline_map):
     store = ZipStore(saved, mode="r")
     group = zarr.open_group(store, mode="r")
     assert sorted(group.array_keys()) == [
-        "field", "model_field", "model_positions", "orientations", "positions", "times", "weights",
+        "field.0", "model_field.0", "model_positions.0", "orientations.0", "positions.0", "tile.0.0.0", "times.0",
     ]  # fmt: skip
-    assert np.array_equal(group["positions"][...], spline_map.survey.positions)
-    assert [type(c).__name__ for c in group["weights"].metadata.codecs] == ["BytesCodec", "Crc32cCodec"]
-    assert group["manifest"].attrs["schema"] == "magmatch.map/1"
+    assert np.array_equal(group["positions.0"][...], spline_map.survey.positions)
+    assert [type(c).__name__ for c in group["tile.0.0.0"].metadata.codecs] == ["BytesCodec", "Crc32cCodec"]
+    assert group["manifest"].attrs["schema"] == "magmatch.map/2"
     store.close()
 
 
@@ -163,7 +163,7 @@ def test_long_arrays_are_split_into_chunks_and_joined_again(tmp_path, monkeypatc
     monkeypatch.setattr("magmatch.field.archive.ROWS_PER_CHUNK", 7)
     spline_map.save(tmp_path / "m")
     with zipfile.ZipFile(tmp_path / "m") as archive:
-        assert sum(name.startswith("positions/c/") for name in archive.namelist()) == 9
+        assert sum(name.startswith("positions.0/c/") for name in archive.namelist()) == 9
     assert np.array_equal(MapRecord.read(tmp_path / "m").survey.field, spline_map.survey.field)
 
 
@@ -196,11 +196,11 @@ def test_no_flipped_byte_and_no_cut_goes_unnoticed(saved, spline_map):
 
 def test_flipped_byte_in_an_array_is_named(saved):
     with zipfile.ZipFile(saved) as archive:
-        start = archive.getinfo("positions/c/0/0").header_offset + 30 + len("positions/c/0/0")
+        start = archive.getinfo("positions.0/c/0/0").header_offset + 30 + len("positions.0/c/0/0")
     damaged = bytearray(saved.read_bytes())
     damaged[start + 100] ^= 1
     saved.write_bytes(damaged)
-    assert "entry 'positions/c/0/0' is damaged" in refusal(saved)
+    assert "entry 'positions.0/c/0/0' is damaged" in refusal(saved)
 
 
 @pytest.mark.parametrize(
@@ -295,4 +295,4 @@ def test_killed_writer_leaves_the_old_map_or_the_new_one(tmp_path):
 def test_archive_gives_back_what_the_record_wrote(saved, spline_map):
     attributes, arrays = read_archive(saved, SCHEMA)
     assert attributes["hyperparameters"] == spline_map.hyperparameters.as_dict()
-    assert np.array_equal(arrays["weights"], spline_map.posterior.weights)
+    assert np.array_equal(arrays["tile.0.0.0"], spline_map.posterior.weights)

@@ -27,7 +27,7 @@ from magmatch.errors import DataFormatError
 # A group of its own, so that any Zarr reader can list the file without stumbling over it.
 MANIFEST = "manifest/zarr.json"
 MAX_BYTES = 2 * 1024**3
-MAX_ENTRIES = 10_000
+MAX_ENTRIES = 100_000
 MAX_JSON_BYTES = 16 * 1024**2
 ROWS_PER_CHUNK = 65_536
 CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}]
@@ -38,7 +38,8 @@ END_BYTES = 22
 ENTRY_OVERHEAD = 300
 # The oldest time a zip can state: the bytes shall not depend on when they were written.
 EPOCH = (1980, 1, 1, 0, 0, 0)
-ENTRY_NAME = re.compile(r"(?:[a-z_]+/)?zarr\.json|[a-z_]+/c(?:/[0-9]{1,9}){1,3}")
+ARRAY_NAME = r"[a-z_]+(?:\.-?[0-9]{1,9}){0,3}"
+ENTRY_NAME = re.compile(rf"(?:{ARRAY_NAME}/)?zarr\.json|{ARRAY_NAME}/c(?:/[0-9]{{1,9}}){{1,3}}")
 # All that zipfile raises over a damaged archive.
 ZIP_ERRORS = (zipfile.BadZipFile, RuntimeError, EOFError, ValueError, KeyError, OverflowError, struct.error)
 
@@ -57,7 +58,7 @@ def write_archive(
     attributes : mapping
         What JSON can hold.
     arrays : mapping of float64 arrays
-        By name (lower-case letters and ``_``).
+        By name: lower-case letters and ``_``, then up to three numbers, each behind a dot.
 
     Raises
     ------

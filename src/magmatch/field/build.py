@@ -10,7 +10,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.config import FieldConfig
-from magmatch.field.fit import fit_posterior
+from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Prior
 from magmatch.field.map import FieldMap
@@ -43,25 +43,16 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
         If the survey holds NaN, impossible values or too few samples.
     """
     config = config or FieldConfig()
-    merged = survey if isinstance(survey, Survey) else survey[0].merged(*survey[1:])
-    _check_finite(merged)
+    surveys = (survey,) if isinstance(survey, Survey) else tuple(survey)
+    merged = surveys[0].merged(*surveys[1:])
+    check_finite(merged)
     T_map_model = merged.principal_frame()
     samples = merged.transformed(T_map_model.inv())
     prior = PRIORS[config.prior]
     hyperparameters = _hyperparameters(prior, samples.positions, samples.field, config)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
     posterior = fit_posterior(samples, hyperparameters, config, T_map_model)
-    return FieldMap(merged, posterior, T_map_model, config, T_map_model)
-
-
-def _check_finite(survey: Survey) -> None:
-    is_bad = ~(np.isfinite(survey.positions) & np.isfinite(survey.field)).all(axis=1)
-    if is_bad.any():
-        msg = (
-            f"{survey.name}: expected finite positions and field, got NaN or infinity in {is_bad.sum()} of "
-            f"{len(survey)} samples, first in sample {np.argmax(is_bad)}: leave them out"
-        )
-        raise SurveyError(msg)
+    return FieldMap(merged, posterior, T_map_model, config, T_map_model, samples, surveys if len(surveys) > 1 else ())
 
 
 def _hyperparameters(prior: Prior, points: Points, field: Vectors, config: FieldConfig) -> Hyperparameters:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
@@ -62,3 +63,14 @@ def fit_posterior(
     return BoundedPosterior(
         posterior, low, high, RigidTransform.identity() if T_domain_model is None else T_domain_model
     )
+
+
+def check_finite(survey: Survey) -> None:
+    """Refuse a survey with NaN or infinity in it, naming the first sample."""
+    is_bad = ~(np.isfinite(survey.positions) & np.isfinite(survey.field)).all(axis=1)
+    if is_bad.any():
+        msg = (
+            f"{survey.name}: expected finite positions and field, got NaN or infinity in {is_bad.sum()} of "
+            f"{len(survey)} samples, first in sample {np.argmax(is_bad)}: leave them out"
+        )
+        raise SurveyError(msg)

@@ -9,9 +9,16 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
+from magmatch.field.domain import BoundedPosterior
+from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
+from magmatch.field.region_model import StoredTile, tiles_of
+from magmatch.field.spline_model import SplinePosterior
 from magmatch.field.store import MapRecord
+from magmatch.field.tiled_model import Runner
+from magmatch.field.tiled_posterior import TiledPosterior
+from magmatch.field.tiles import Index
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
@@ -59,6 +66,8 @@ class FieldMap:
     fitted_samples : Survey or None
         The samples in the model's frame as they were fitted; None while turning them there again gives the same,
         kept once the map was carried to another frame or saved, since turning back would round.
+    parts : tuple of Survey
+        The surveys that were merged, in order; empty where there was only one.
     """
 
     survey: Survey
@@ -67,6 +76,12 @@ class FieldMap:
     config: FieldConfig
     T_domain_model: RigidTransform
     fitted_samples: Survey | None = None
+    parts: tuple[Survey, ...] = ()
+
+    @property
+    def surveys(self) -> tuple[Survey, ...]:
+        """What the map was made from, survey by survey, map frame."""
+        return self.parts or (self.survey,)
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -214,6 +229,33 @@ class FieldMap:
             survey=self.survey.transformed(T_new_map),
             T_map_model=T_new_map * self.T_map_model,
             fitted_samples=self._fitted(),
+            parts=tuple(part.transformed(T_new_map) for part in self.parts),
+        )
+
+    def with_surveys(self, *surveys: Survey, run: Runner = map) -> "FieldMap":
+        """Return this map with more samples; frame, lattice and hyperparameters stay.
+
+        Of a spline model only those tiles are fitted again that the new samples touch.
+
+        Parameters
+        ----------
+        *surveys : Survey
+            In the map's frame.
+        run : callable, optional
+            Runs the tasks of a fit in tiles; one after the other by default.
+
+        Returns
+        -------
+        FieldMap
+        """
+        for survey in surveys:
+            check_finite(survey)
+        parts, old = (*self.surveys, *surveys), self._fitted()
+        T_model_map = self.T_map_model.inv()
+        fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in surveys))
+        posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, self._tiles(), run)
+        return replace(
+            self, survey=parts[0].merged(*parts[1:]), posterior=posterior, fitted_samples=fitted, parts=parts
         )
 
     def save(self, path: str | Path) -> None:
@@ -229,19 +271,21 @@ class FieldMap:
         DataFormatError
             The folder does not exist.
         """
+        tiles = self._tiles()
         MapRecord(
-            self.survey,
+            self.surveys,
             self.T_map_model,
             self.config,
             self.hyperparameters,
-            self.posterior.weights,
+            np.zeros(0) if tiles else self.posterior.weights,
             self._fitted(),
             self.T_domain_model,
+            tiles,
         ).write(path)
 
     @classmethod
     def load(cls, path: str | Path) -> "FieldMap":
-        """Read a saved map, check all of it, and fit it again to its own samples.
+        """Read a saved map and check all of it; a spline model is not fitted again.
 
         Parameters
         ----------
@@ -261,12 +305,21 @@ class FieldMap:
         record = MapRecord.read(path)
         return cls(
             record.survey,
-            record.refit(path),
+            record.restore(path),
             record.T_map_model,
             record.config,
             record.T_domain_model,
             record.fitted_samples,
+            record.surveys if len(record.surveys) > 1 else (),
         )
+
+    def _tiles(self) -> dict[Index, StoredTile]:
+        """What to store of a spline model; nothing of others."""
+        posterior = self.posterior.inner if isinstance(self.posterior, BoundedPosterior) else self.posterior
+        if not isinstance(posterior, SplinePosterior | TiledPosterior):
+            return {}
+        fitted = self._fitted()
+        return tiles_of(posterior, fitted.positions, fitted.field)
 
     def _fitted(self) -> Survey:
         """Samples in the model's frame, to the bit as they were fitted."""

@@ -38,6 +38,24 @@ def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_
 
 
 @njit(cache=True, fastmath=True)
+def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  # type: ignore[no-untyped-def]
+    """Add ``Phi^T b`` of samples for several sets of field vectors, (n, 3, k), to the splines' rows of out."""
+    vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
+    for i in range(len(cell)):
+        if cell[i] < 0:
+            continue
+        spline_values(t[i, 0], vx)
+        spline_values(t[i, 1], vy)
+        spline_values(t[i, 2], vz)
+        derivative_rows(vx, vy, vz, first_derivatives, 1.0, rows)
+        for a in range(64):
+            p = cell_nodes[cell[i], a]
+            for d in range(3):
+                for k in range(fields.shape[2]):
+                    out[p, k] += rows[d, a] * fields[i, d, k]
+
+
+@njit(cache=True, fastmath=True)
 def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  # type: ignore[no-untyped-def]
     """Minus the listed derivatives of the potential at points; 0 where a point lies in no active cell."""
     vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a saved map holds: its samples, the numbers of its prior, and the fitted weights to check against.
+"""What a saved map holds: its surveys, the numbers of its prior, and the fitted weights, tile by tile.
 
-The posterior itself is not stored: it is fitted again on loading. That takes one factorisation, is bit for bit
-what was built (the same function on the same numbers), needs no layout per prior, and leaves nothing in the file
-that could disagree with the samples unseen; the stored mean shows whether the fit is still the one that was saved.
+Weights of splines are stored with a fingerprint of the samples they follow from, and are used as they are: loading
+fits nothing. Whatever needs more than the mean (covariance, draws) factorises the tile it falls into again from its
+samples, and so checks its weights. Models of other priors are fitted again on loading and checked against theirs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from pydantic import ValidationError
@@ -22,10 +22,12 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
+from magmatch.field.region_model import StoredTile
+from magmatch.field.tiles import Index
 from magmatch.geometry import transform_from_matrix
 from magmatch.typing import Scalars
 
-SCHEMA = "magmatch.map/1"
+SCHEMA = "magmatch.map/2"
 # A prior lays its nodes over the samples' box: a file must not ask for more of them than a machine can hold.
 MAX_NODES = 2e8
 # Nodes beyond the box on each side that any prior may add.
@@ -35,6 +37,10 @@ UNIT_QUATERNION_TOLERANCE = 1e-9
 REFIT_TOLERANCE = 1e-6
 # Samples at which the refitted field is compared with the saved one.
 N_CHECKED = 2000
+OTHER_FIELD = (
+    "fitting its samples again gives another field (made by another version of magmatch?); the samples are intact: "
+    "build the map again from this file's survey"
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,8 +49,8 @@ class MapRecord:
 
     Attributes
     ----------
-    survey : Survey
-        Samples, map frame.
+    surveys : tuple of Survey
+        Samples, map frame, in the order in which they were added.
     T_map_model : RigidTransform
         Takes model coordinates to map coordinates.
     config : FieldConfig
@@ -52,24 +58,32 @@ class MapRecord:
     hyperparameters : Hyperparameters
         Resolved numbers of the prior.
     weights : (m,) array
-        Posterior mean of the weights.
+        Posterior mean of the weights, where they are not those of tiles; else empty.
     fitted_samples : Survey
         The same samples in the model's frame, exactly as they were fitted: to turn them there again would round
         differently on another machine, and a basis laid over the samples may jump by a node for it.
     T_domain_model : RigidTransform
         Takes model coordinates to the frame of ``config.domain``.
+    tiles : mapping
+        Weights of each tile of a spline model; a region without tiles is one.
     """
 
-    survey: Survey
+    surveys: tuple[Survey, ...]
     T_map_model: RigidTransform
     config: FieldConfig
     hyperparameters: Hyperparameters
     weights: Scalars
     fitted_samples: Survey
     T_domain_model: RigidTransform
+    tiles: Mapping[Index, StoredTile]
+
+    @property
+    def survey(self) -> Survey:
+        """All samples, map frame."""
+        return self.surveys[0].merged(*self.surveys[1:])
 
     def __post_init__(self) -> None:
-        for name, value in self._numbers().items():
+        for name, value in self._numbers():
             if not np.isfinite(value).all():
                 msg = f"expected finite {name}, got NaN or infinity"
                 raise ValueError(msg)
@@ -80,26 +94,28 @@ class MapRecord:
         with np.errstate(over="ignore", invalid="ignore"):
             extent = np.ptp(self.fitted_samples.positions, axis=0)
             n_nodes = float(np.prod(extent / h.spacing + 2 * MARGIN_NODES))
-        if not n_nodes <= MAX_NODES:
+        if not self.tiles and not n_nodes <= MAX_NODES:
             msg = (
                 f"expected at most {MAX_NODES:.0e} nodes, got {n_nodes:.1e}: {extent} m at a spacing of {h.spacing} m"
             )
             raise ValueError(msg)
 
-    def _numbers(self) -> dict[str, Any]:
+    def _numbers(self) -> Iterator[tuple[str, Any]]:
         """All numbers that must be finite."""
-        survey = self.survey
-        numbers = {"positions": survey.positions, "field": survey.field, "pose_sd": survey.pose_sd}
-        numbers |= {"model_positions": self.fitted_samples.positions, "model_field": self.fitted_samples.field}
-        numbers |= {"weights": self.weights, "T_map_model": self.T_map_model.as_matrix()}
-        numbers |= {"T_domain_model": self.T_domain_model.as_matrix()}
-        numbers |= self.hyperparameters.as_dict()
-        if survey.times is not None:
-            numbers["times"] = survey.times
-        return numbers
+        for survey in self.surveys:
+            yield from (("positions", survey.positions), ("field", survey.field), ("pose_sd", survey.pose_sd))
+            if survey.times is not None:
+                yield "times", survey.times
+        yield "model_positions", self.fitted_samples.positions
+        yield "model_field", self.fitted_samples.field
+        yield "weights", self.weights
+        yield from ((tile_name(index), tile.weights) for index, tile in self.tiles.items())
+        yield "T_map_model", self.T_map_model.as_matrix()
+        yield "T_domain_model", self.T_domain_model.as_matrix()
+        yield from self.hyperparameters.as_dict().items()
 
-    def refit(self, path: str | Path) -> Posterior:
-        """Fit the samples again and make sure that the field is the one that was saved.
+    def restore(self, path: str | Path) -> Posterior:
+        """Posterior of the samples, once it is seen to be the one that was saved.
 
         Parameters
         ----------
@@ -113,31 +129,36 @@ class MapRecord:
         Raises
         ------
         DataFormatError
-            The samples cannot be fitted, or give another field.
+            The samples cannot be fitted, or what is stored is not their field.
         """
+        run = _refuse_to_fit if self.tiles else map
         try:
-            posterior = fit_posterior(self.fitted_samples, self.hyperparameters, self.config, self.T_domain_model)
+            posterior = fit_posterior(
+                self.fitted_samples, self.hyperparameters, self.config, self.T_domain_model, self.tiles, run
+            )
         except (ValueError, KeyError, np.linalg.LinAlgError, MagmatchError) as error:
             raise DataFormatError(path, f"its samples cannot be fitted again: {error}") from error
-        if not _is_same_field(posterior, self.weights, self.fitted_samples):
-            raise DataFormatError(
-                path,
-                "entry 'weights': fitting its samples again gives another field (made by another version of "
-                "magmatch?); the samples are intact: build the map again from this file's survey",
-            )
+        if not self.tiles and not _is_same_field(posterior, self.weights, self.fitted_samples):
+            raise DataFormatError(path, f"entry 'weights': {OTHER_FIELD}")
         return posterior
 
     def write(self, path: str | Path) -> None:
         """Save the record; see `read`."""
-        survey = self.survey
-        arrays = {"positions": survey.positions, "field": survey.field, "weights": self.weights}
-        arrays |= {"model_positions": self.fitted_samples.positions, "model_field": self.fitted_samples.field}
-        if survey.times is not None:
-            arrays["times"] = survey.times
-        if survey.orientations is not None:
-            arrays["orientations"] = survey.orientations.as_quat()
+        arrays = {} if self.tiles else {"weights": self.weights}
+        arrays |= {tile_name(index): tile.weights for index, tile in self.tiles.items()}
+        first = 0
+        for k, survey in enumerate(self.surveys):
+            rows = slice(first, first := first + len(survey))
+            arrays |= {f"positions.{k}": survey.positions, f"field.{k}": survey.field}
+            arrays |= {f"model_positions.{k}": self.fitted_samples.positions[rows]}
+            arrays |= {f"model_field.{k}": self.fitted_samples.field[rows]}
+            if survey.times is not None:
+                arrays[f"times.{k}"] = survey.times
+            if survey.orientations is not None:
+                arrays[f"orientations.{k}"] = survey.orientations.as_quat()
         attributes = {
-            "survey": {"frame": survey.frame, "name": survey.name, "pose_sd": float(survey.pose_sd)},
+            "surveys": [{"frame": s.frame, "name": s.name, "pose_sd": float(s.pose_sd)} for s in self.surveys],
+            "tiles": {tile_name(index): tile.fingerprint for index, tile in self.tiles.items()},
             # SciPy keeps a rigid transform as this very matrix, so no quaternion is needed for an exact copy.
             "T_map_model": self.T_map_model.as_matrix().tolist(),
             "T_domain_model": self.T_domain_model.as_matrix().tolist(),
@@ -165,18 +186,19 @@ class MapRecord:
             Not a map, damaged, or of another version; names the entry.
         """
         attributes, arrays = read_archive(path, SCHEMA)
-        for name in ("survey", "T_map_model", "T_domain_model", "config", "hyperparameters"):
+        for name in ("surveys", "tiles", "T_map_model", "T_domain_model", "config", "hyperparameters"):
             if name not in attributes:
                 raise DataFormatError(path, f"entry 'zarr.json': attribute '{name}' is missing")
         try:
             return cls(
-                survey=_survey(attributes["survey"], arrays),
+                surveys=_surveys(attributes["surveys"], arrays),
                 T_map_model=_transform(attributes, "T_map_model"),
                 config=FieldConfig.model_validate(attributes["config"]),
                 hyperparameters=_hyperparameters(attributes["hyperparameters"]),
-                weights=_shaped(arrays, "weights", 1),
-                fitted_samples=_fitted_samples(arrays),
+                weights=np.zeros(0) if attributes["tiles"] else _shaped(arrays, "weights", 1),
+                fitted_samples=_fitted_samples(len(attributes["surveys"]), arrays),
                 T_domain_model=_transform(attributes, "T_domain_model"),
+                tiles=_tiles(attributes["tiles"], arrays),
             )
         except KeyError as error:
             raise DataFormatError(path, f"entry '{error.args[0]}' is missing") from None
@@ -199,24 +221,63 @@ def _is_same_field(posterior: Posterior, weights: Scalars, samples: Survey) -> b
     return bool(np.abs(change).max() <= REFIT_TOLERANCE * posterior.hyperparameters.noise_sd)
 
 
-def _survey(about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
-    """Samples of a saved map, map frame."""
+def tile_name(index: Index) -> str:
+    """What the weights of a tile are called in a file."""
+    return "tile." + ".".join(map(str, index))
+
+
+def _refuse_to_fit(*_: Any) -> NoReturn:
+    """Stand in for running tasks where all weights should be stored already."""
+    msg = f"entries 'tile.*': {OTHER_FIELD}"
+    raise ValueError(msg)
+
+
+def _tiles(about: Any, arrays: Mapping[str, np.ndarray]) -> dict[Index, StoredTile]:
+    """Weights of all tiles that the attributes list, and no others."""
+    held = {name for name in arrays if name.startswith("tile.")}
+    if not isinstance(about, dict) or not all(isinstance(value, str) for value in about.values()):
+        msg = "entry 'zarr.json', tiles: expected the fingerprint of each tile"
+        raise ValueError(msg)
+    for name in sorted(held ^ about.keys()):
+        raise KeyError(name)
+    tiles = {}
+    for name, fingerprint in about.items():
+        try:
+            _, x, y, z = name.split(".")
+            index = (int(x), int(y), int(z))
+        except ValueError:
+            msg = f"entry 'zarr.json', tiles: expected names such as tile.0.-1.0, found {name[:60]!r}"
+            raise ValueError(msg) from None
+        tiles[index] = StoredTile(_shaped(arrays, name, 1), fingerprint)
+    return dict(sorted(tiles.items()))
+
+
+def _surveys(about: Any, arrays: Mapping[str, np.ndarray]) -> tuple[Survey, ...]:
+    """Surveys of a saved map, map frame."""
+    if not isinstance(about, list) or not about:
+        msg = "entry 'zarr.json', surveys: expected a list"
+        raise ValueError(msg)
+    return tuple(_survey(k, one, arrays) for k, one in enumerate(about))
+
+
+def _survey(k: int, about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
+    """One survey of a saved map, map frame."""
     orientations = None
-    if "orientations" in arrays:
-        quaternions = _shaped(arrays, "orientations", 2, 4)
+    if f"orientations.{k}" in arrays:
+        quaternions = _shaped(arrays, f"orientations.{k}", 2, 4)
         if not np.allclose(np.linalg.norm(quaternions, axis=1), 1, rtol=0, atol=UNIT_QUATERNION_TOLERANCE):
-            msg = "entry 'orientations': expected unit quaternions"
+            msg = f"entry 'orientations.{k}': expected unit quaternions"
             raise ValueError(msg)
         # Unit already; to normalise once more would change their last bits.
         orientations = Rotation(quaternions, normalize=False)
     frame, name, pose_sd = (_at(about, key) for key in ("frame", "name", "pose_sd"))
     if not (isinstance(frame, str) and isinstance(name, str) and _is_number(pose_sd) and pose_sd >= 0):
-        msg = "entry 'zarr.json', survey: expected frame and name in words and pose_sd in metres"
+        msg = "entry 'zarr.json', surveys: expected frame and name in words and pose_sd in metres"
         raise ValueError(msg)
     return Survey(
-        positions=_shaped(arrays, "positions", 2, 3),
-        field=_shaped(arrays, "field", 2, 3),
-        times=_shaped(arrays, "times", 1) if "times" in arrays else None,
+        positions=_shaped(arrays, f"positions.{k}", 2, 3),
+        field=_shaped(arrays, f"field.{k}", 2, 3),
+        times=_shaped(arrays, f"times.{k}", 1) if f"times.{k}" in arrays else None,
         orientations=orientations,
         frame=frame,
         name=name,
@@ -224,8 +285,16 @@ def _survey(about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
     )
 
 
-def _fitted_samples(arrays: Mapping[str, np.ndarray]) -> Survey:
-    return Survey(_shaped(arrays, "model_positions", 2, 3), _shaped(arrays, "model_field", 2, 3), frame="model")
+def _fitted_samples(n_surveys: int, arrays: Mapping[str, np.ndarray]) -> Survey:
+    """All samples in the model's frame, as many of each survey as in the map frame."""
+    parts = []
+    for k in range(n_surveys):
+        positions, field = (_shaped(arrays, f"model_{name}.{k}", 2, 3) for name in ("positions", "field"))
+        if len(positions) != len(arrays[f"positions.{k}"]):
+            msg = f"entry 'model_positions.{k}': expected as many samples as in 'positions.{k}'"
+            raise ValueError(msg)
+        parts.append(Survey(positions, field, frame="model"))
+    return parts[0].merged(*parts[1:])
 
 
 def _hyperparameters(about: Any) -> Hyperparameters:

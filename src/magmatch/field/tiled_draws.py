@@ -16,9 +16,12 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 
+from magmatch.field.cells import CellGrid
 from magmatch.field.element_matrices import cell_weights
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline_model import CONSTANT_SD, SplineModel, SplinePosterior, cell_precision
+from magmatch.field.spline_basis import FIRST
+from magmatch.field.spline_kernels import add_right_hand_sides
+from magmatch.field.spline_model import CONSTANT_SD, SplinePosterior, cell_precision
 from magmatch.field.tile_fit import TileTask
 from magmatch.field.tile_tasks import TileTasks
 from magmatch.threads import single_threaded
@@ -95,26 +98,27 @@ def draw_tile(
         white = np.stack([normals(s, _names(TILE, np.array([task.index])), len(posterior.weights))[0] for s in seeds])
         deviation = posterior.factor.solve_half(white.T)
     else:
-        model = SplineModel(h, posterior.cells, posterior.factor.elimination)
-        deviation = posterior.factor.solve(np.stack([_noise(task, sample_numbers, model, s) for s in seeds], axis=1))
+        deviation = posterior.factor.solve(_noise(task, sample_numbers, posterior.cells, seeds))
     return np.ascontiguousarray(posterior.weights + h.inflation * h.noise_sd * deviation.T)
 
 
-def _noise(task: TileTask, sample_numbers: list[Indices], model: SplineModel, seed: int) -> np.ndarray:
-    """Draw from N(0, P), P the posterior precision in units of the noise: (m + 3,)."""
-    h, cells = task.hyperparameters, model.cells
-    m = cells.n_nodes
-    white = normals(seed, _names(CELL, cells.cells + cells.first), 64)
-    z = np.zeros(m + 3)
-    scatter_add(white @ _root(h) * np.sqrt(cell_weights(cells.distance))[:, None], cells.cell_nodes, z)
-    z[m:] += h.noise_sd / CONSTANT_SD * normals(seed, _names(CONSTANT, np.zeros((1, 1), dtype=np.int64)), 3)[0]
+def _noise(task: TileTask, sample_numbers: list[Indices], cells: CellGrid, seeds: range) -> np.ndarray:
+    """Draws from N(0, P), P the posterior precision in units of the noise: (m + 3, n_draws)."""
+    h, m = task.hyperparameters, cells.n_nodes
+    z = np.zeros((m + 3, len(seeds)))
+    root, spread = _root(h), np.sqrt(cell_weights(cells.distance))[:, None]
+    names, constant = _names(CELL, cells.cells + cells.first), _names(CONSTANT, np.zeros((1, 1), dtype=np.int64))
+    for k, seed in enumerate(seeds):
+        scatter_add((normals(seed, names, 64) @ root) * spread, cells.cell_nodes, z[:, k])
+        z[m:, k] += h.noise_sd / CONSTANT_SD * normals(seed, constant, 3)[0]
     for part, number in zip(task.parts, sample_numbers, strict=True):
         inside = slice(None) if task.tiling is None else task.tiling.is_inside(part.points, task.index)
-        weight = part.weights[inside]
-        white = normals(seed, _names(SAMPLE, number[inside, None]), 3)
-        # The right-hand side of a fit to white noise, sqrt(W) Phi^T e, has covariance Phi^T W Phi.
-        disturbed = white / np.sqrt(np.maximum(weight, np.finfo(float).tiny))[:, None]
-        z += model.observe(part.points[inside], disturbed, weight).eta
+        names, (cell, t) = _names(SAMPLE, number[inside, None]), cells.locate(part.points[inside])
+        # sqrt(W) Phi^T e with white e has covariance Phi^T W Phi, as the samples' information does.
+        white = np.stack([normals(seed, names, 3) for seed in seeds], axis=2)
+        white *= np.sqrt(part.weights[inside])[:, None, None]
+        add_right_hand_sides(cell, t, white, cells.cell_nodes, FIRST, z[:m])
+        z[m:] += white.sum(axis=0)
     return z
 
 

@@ -61,10 +61,10 @@ class TiledModel:
     rows: list[Indices]
 
     @classmethod
-    def over(cls, points: Points, hyperparameters: Hyperparameters) -> "TiledModel":
-        """Lay tiles over the surroundings of points."""
+    def over(cls, points: Points, hyperparameters: Hyperparameters, tiling: Tiling | None = None) -> "TiledModel":
+        """Lay tiles (of the usual sizes unless stated) over the surroundings of points."""
         h = hyperparameters
-        tiling = Tiling.suited_to(h.lengthscale, h.spacing, REACH_IN_CELLS)
+        tiling = tiling or Tiling.suited_to(h.lengthscale, h.spacing, REACH_IN_CELLS)
         tiles = tiling.occupied(points)
         return cls(h, tiling, tiles, points, tiling.assign(points, tiles))
 
@@ -96,7 +96,8 @@ class TiledModel:
         """Fit those tiles that are not known yet; see `infer`."""
         found = dict(known)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
-        for k, weights in zip(numbers, run(fit_weights, map(tasks.task, numbers)), strict=True):
+        fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
+        for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
         return TiledPosterior(tasks, [found[index] for index in self.tiles])
 

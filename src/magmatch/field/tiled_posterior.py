@@ -130,6 +130,26 @@ class TiledPosterior:
         out[is_left] += left[is_left, None, None] * self._outside()[:size, :size]
         return out
 
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Covariance of the field at all points together, (3 n, 3 n), row ``3 i + a``; `covariance` on its diagonal.
+
+        As if tiles erred independently of one another, each with the square root of its share.
+        """
+        p = np.asarray(points, dtype=np.float64)
+        n = len(p)
+        out, left = np.zeros((n, 3, n, 3)), np.ones(n)
+        for number, rows, shares in self._shares(p, 0):
+            root = np.sqrt(shares[0])
+            joint = self.factored(number).joint_covariance(p[rows]).reshape(len(rows), 3, len(rows), 3)
+            joint *= root[:, None, None, None] * root[:, None]
+            out[rows[:, None], :, rows] += joint.transpose(0, 2, 1, 3)
+            left[rows] -= shares[0]
+        outside = np.flatnonzero(left > SMALLEST_SHARE)
+        share, own = np.sqrt(left[outside]), self._outside()[:3, :3] - self._spread()
+        out[outside[:, None], :, outside] += np.outer(share, share)[:, :, None, None] * self._spread()
+        out[outside, :, outside] += left[outside, None, None] * own
+        return out.reshape(3 * n, 3 * n)
+
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
         return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
@@ -172,9 +192,12 @@ class TiledPosterior:
         return self._keys[0]
 
     def _outside(self) -> np.ndarray:
-        """Covariance of field and gradient where no tile is: the prior's, and the spread of the tiles' constants."""
-        constants = np.array([w[-3:] for w in self.tile_weights])
-        return outside_covariance(self.hyperparameters, np.atleast_2d(np.cov(constants.T, bias=True)))
+        """Covariance of field and gradient where no tile is: the prior's, and the spread of the constants."""
+        return outside_covariance(self.hyperparameters, self._spread())
+
+    def _spread(self) -> np.ndarray:
+        """Covariance of the tiles' constants about their mean: (3, 3)."""
+        return np.asarray(np.cov(np.array([w[-3:] for w in self.tile_weights]).T, bias=True))
 
 
 # Rounding leaves shares that sum to one but for this.

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Maps in tiles on disk: loading fits nothing, adding a survey touches only its tiles, damage is named."""
+
+import os
+import signal
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from magmatch.data.survey import Survey
+from magmatch.errors import DataFormatError
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.fit import fit_posterior
+from magmatch.field.map import FieldMap
+from magmatch.field.tiled_posterior import TiledPosterior
+from magmatch.geometry import random_transform
+
+CONFIG = FieldConfig(prior="spline", lengthscale=0.5, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
+
+
+@pytest.fixture(autouse=True)
+def _tiles_at_once(monkeypatch):
+    """Maps of these tests are small; tile them all the same."""
+    monkeypatch.setattr("magmatch.field.region_model.MOST_CELLS", 0)
+
+
+def walk(low, high, seed=0, name="walk", y=0.0):
+    """Samples along a corridor."""
+    rng = np.random.default_rng(seed)
+    x = np.arange(low, high, 0.06)
+    p = np.stack([x, y + 0.1 * np.sin(x), 1 + 0.02 * rng.normal(size=len(x))], axis=1)
+    b = 4e-5 + 5e-6 * np.stack([np.sin(p[:, 0]), np.cos(p[:, 1]), np.sin(p[:, 2] + p[:, 0])], axis=1)
+    return Survey(p, b + rng.normal(0, 1e-7, p.shape), times=np.arange(len(x)) / 10, name=name, frame="hall")
+
+
+@pytest.fixture(scope="module")
+def old():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("magmatch.field.region_model.MOST_CELLS", 0)
+        return build_map(walk(0, 14), CONFIG)
+
+
+@pytest.fixture
+def saved(old, tmp_path):
+    old.save(tmp_path / "hall.map")
+    return tmp_path / "hall.map"
+
+
+def refuse(*_):
+    """Stand in for fitting where nothing should be fitted."""
+    raise AssertionError
+
+
+def chunks(path):
+    """Bytes of every tile and survey chunk by name."""
+    with zipfile.ZipFile(path) as archive:
+        return {n: archive.read(n) for n in archive.namelist() if "/c/" in n}
+
+
+def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypatch):
+    assert isinstance(old.posterior, TiledPosterior)
+    assert len(old.posterior.tiles) > 3
+    points = old.survey.positions[::7]
+    with monkeypatch.context() as patch:
+        patch.setattr("magmatch.field.spline_model.factorise", refuse)
+        loaded = FieldMap.load(saved)
+        assert np.array_equal(loaded.evaluate(points, 2).second, old.evaluate(points, 2).second)
+        assert loaded.knows(points).all()
+    assert np.array_equal(loaded.covariance(points), old.covariance(points))
+    draws = [m.draw(points[:5], 2, 1, np.random.default_rng(2))[1].gradient for m in (old, loaded)]
+    assert np.array_equal(*draws)
+
+
+def test_every_tile_is_one_chunk(saved, old):
+    tiles = {n for n in chunks(saved) if n.startswith("tile.")}
+    assert tiles == {f"tile.{i}.{j}.{k}/c/0" for i, j, k in old.posterior.tiles}
+
+
+def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeypatch):
+    before, fitted = FieldMap.load(saved), []
+
+    def run(fit, tasks):
+        for task in tasks:
+            fitted.append(task.index)
+            yield fit(task)
+
+    added = before.with_surveys(walk(13, 15, seed=1, name="later"), run=run)
+    added.save(tmp_path / "new.map")
+    old_chunks, new_chunks = chunks(saved), chunks(tmp_path / "new.map")
+    touched = {f"tile.{i}.{j}.{k}/c/0" for i, j, k in fitted}
+    assert 0 < len(fitted) < len(added.posterior.tiles)
+    assert {n for n in new_chunks if n.startswith("tile.") and new_chunks[n] != old_chunks.get(n)} == touched
+    samples = {n for n in old_chunks if not n.startswith("tile.")}
+    assert all(new_chunks[n] == old_chunks[n] for n in samples)
+    assert np.array_equal(added.T_map_model.as_matrix(), before.T_map_model.as_matrix())
+    assert added.hyperparameters == before.hyperparameters
+
+
+def test_adding_equals_building_anew_with_the_same_numbers(saved, tmp_path):
+    added = FieldMap.load(saved).with_surveys(walk(13, 15, seed=1), walk(3, 5, seed=2, y=0.5))
+    rebuilt = fit_posterior(added.fitted_samples, added.hyperparameters, added.config, added.T_domain_model)
+    assert added.posterior.tiles == rebuilt.tiles
+    assert np.array_equal(added.posterior.weights, rebuilt.weights)
+    added.save(tmp_path / "m")
+    assert np.array_equal(FieldMap.load(tmp_path / "m").posterior.weights, rebuilt.weights)
+
+
+def test_surveys_are_kept_one_by_one(saved, tmp_path):
+    FieldMap.load(saved).with_surveys(walk(13, 15, seed=1, name="later")).save(tmp_path / "m")
+    loaded = FieldMap.load(tmp_path / "m")
+    assert [s.name for s in loaded.surveys] == ["walk", "later"]
+    assert [len(s) for s in loaded.surveys] == [len(walk(0, 14)), len(walk(13, 15))]
+    assert np.array_equal(loaded.surveys[1].times, walk(13, 15, seed=1).times)
+    assert loaded.survey.times is None
+    assert len(loaded.survey) == len(walk(0, 14)) + len(walk(13, 15))
+
+
+def test_carried_map_takes_a_survey_in_its_new_frame(old):
+    T = random_transform(np.random.default_rng(3), 100.0)
+    later = walk(13, 15, seed=1)
+    here = old.with_surveys(later)
+    there = old.transformed(T).with_surveys(later.transformed(T))
+    points = later.positions[::5]
+    np.testing.assert_allclose(
+        T.rotation.apply(here.evaluate(points).field), there.evaluate(T.apply(points)).field, rtol=1e-9
+    )
+
+
+def test_untiled_and_other_maps_take_a_survey_too(monkeypatch):
+    monkeypatch.undo()
+    for prior in ("spline", "divergence_free"):
+        first = build_map(walk(0, 2), CONFIG.model_copy(update={"prior": prior, "domain": (-1, -1, -1, 9, 9, 9)}))
+        added = first.with_surveys(walk(2, 4, seed=1))
+        assert added.knows(walk(2, 4).positions).all()
+        assert np.abs(added.evaluate(walk(2, 4).positions).field - walk(2, 4).field).max() < 2e-6
+
+
+def test_damaged_tile_is_named(saved, old):
+    name = "tile.{}.{}.{}/c/0".format(*old.posterior.tiles[2])
+    with zipfile.ZipFile(saved) as archive:
+        start = archive.getinfo(name).header_offset + 30 + len(name)
+    damaged = bytearray(saved.read_bytes())
+    damaged[start + 100] ^= 1
+    saved.write_bytes(damaged)
+    with pytest.raises(DataFormatError, match=f"entry '{name}' is damaged"):
+        FieldMap.load(saved)
+
+
+ADDER = """
+import sys
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.field import region_model
+region_model.MOST_CELLS = 0
+path, later = sys.argv[1:]
+field_map = FieldMap.load(path)
+print(flush=True)
+field_map.with_surveys(Survey.load(later)).save(path)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills with a POSIX signal")
+def test_killed_while_adding_leaves_the_old_map_or_the_new_one(saved, tmp_path):
+    later = walk(13, 14.5, seed=1, name="later.csv")
+    later.save(tmp_path / "later.csv")
+    before = saved.read_bytes()
+    FieldMap.load(saved).with_surveys(Survey.load(tmp_path / "later.csv")).save(tmp_path / "new")
+    after, rng = (tmp_path / "new").read_bytes(), np.random.default_rng(0)
+    for _ in range(4):
+        saved.write_bytes(before)
+        with subprocess.Popen(
+            [sys.executable, "-c", ADDER, saved, tmp_path / "later.csv"], stdout=subprocess.PIPE
+        ) as adder:
+            adder.stdout.readline()
+            try:
+                adder.wait(rng.uniform(0, 1.0))
+            except subprocess.TimeoutExpired:
+                os.kill(adder.pid, signal.SIGKILL)
+        assert saved.read_bytes() in (before, after)
