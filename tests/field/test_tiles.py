@@ -222,7 +222,7 @@ def test_joint_covariance_holds_each_points_own_and_that_of_one_tile(fitted):
     own = posterior.covariance(q)
     np.testing.assert_allclose(joint.reshape(10, 3, 10, 3)[range(10), :, range(10)], own, atol=1e-8 * own.max())
     assert np.linalg.eigvalsh(joint).min() > 0
-    alone = np.zeros((2, 3)) + [[0.01, 0.02, 0.0], [0.05, -0.03, 0.01]]
+    alone = np.array([[0.01, 0.02, 0.0], [0.05, -0.03, 0.01]])
     number = posterior.tiles.index((0, 0, 0))
     expected = posterior.tile(number).joint_covariance(alone)
     np.testing.assert_allclose(posterior.joint_covariance(alone), expected, atol=1e-9 * expected.max())

@@ -5,10 +5,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from magmatch.data.survey import Survey
-from magmatch.errors import SurveyError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters

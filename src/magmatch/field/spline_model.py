@@ -251,7 +251,7 @@ def prior_outside(h: Hyperparameters) -> np.ndarray:
 
 
 def outside_covariance(h: Hyperparameters, constant: np.ndarray) -> np.ndarray:
-    """Covariance of field and gradient (row-major) where there is only a constant of a (3, 3) covariance: (12, 12)."""
+    """Covariance of field and gradient (row-major) where there is only a constant, of given covariance: (12, 12)."""
     covariance = _expand(prior_outside(h)[None])[0]
     covariance[:3, :3] += constant
     return np.asarray(covariance)
