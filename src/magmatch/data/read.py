@@ -7,25 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from magmatch.data.checks import check_survey
-from magmatch.data.csv import read_survey_csv, recording_of_table
+from magmatch.data.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.euroc import read_euroc_field
 from magmatch.data.format import SurveyFormat
 from magmatch.data.logs.read import read_log
+from magmatch.data.parquet import read_parquet
+from magmatch.data.phone import PHONE_DEFAULTS, read_phone
 from magmatch.data.recording import Recording
 from magmatch.data.sniff import FileKind, sniff
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
-
-Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
-# One entry per format: gives the survey, and how it was read once the file itself has been asked. A new one needs a
-# reader here and a signature in `sniff`.
-READERS: Mapping[FileKind, Reader] = {
-    "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
-    "euroc": lambda path, layout: _joined(_recording_of_euroc(path, layout), layout),
-    "log": lambda path, layout: _joined(read_log(path, layout), layout),
-}
 
 _NOT_A_SURVEY: Mapping[FileKind, str] = {
     "map": "is a saved map, expected a survey; load it with FieldMap.load, its samples are in .survey",
@@ -105,6 +98,24 @@ def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyF
     return replace(survey, pose_sd=layout.pose_sd or 0.0), layout.settled(field_frame=recording.field_frame)
 
 
+def _read_phone(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
+    """A phone's magnetometer, in microtesla and the phone's frame."""
+    layout = layout.settled(**PHONE_DEFAULTS)
+    return _joined(recording_of_table(read_phone(path), layout), layout)
+
+
 def _recording_of_euroc(path: str | Path, layout: SurveyFormat) -> Recording:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
     return recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor"))
+
+
+Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
+# One entry per format: gives the survey, and how it was read once the file itself has been asked. A new one needs a
+# reader here and a signature in `sniff`.
+READERS: Mapping[FileKind, Reader] = {
+    "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
+    "euroc": lambda path, layout: _joined(_recording_of_euroc(path, layout), layout),
+    "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
+    "phone": _read_phone,
+    "log": lambda path, layout: _joined(read_log(path, layout), layout),
+}

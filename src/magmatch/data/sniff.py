@@ -10,7 +10,7 @@ from typing import Literal
 from magmatch.data.table import is_folder, read_bytes, text_lines
 from magmatch.errors import DataFormatError
 
-FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log"]
+FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "phone"]
 
 # How files begin that people hand over by mistake, what they are, and what to do about it.
 _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
@@ -23,7 +23,6 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"\x89HDF\r\n\x1a\n", "HDF5 (or MATLAB 7.3)", "export it as CSV"),
     (b"MATLAB 5.0 MAT-file", "MATLAB", "export it as CSV"),
     (b"\x93NUMPY", "NumPy", "export it as CSV"),
-    (b"PAR1", "Parquet", "export it as CSV"),
     (b"\x89PNG", "PNG picture", "expected samples, not a picture"),
     (b"\xff\xd8\xff", "JPEG picture", "expected samples, not a picture"),
     (b"%PDF", "PDF document", "expected samples, not a document"),
@@ -35,8 +34,15 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"<html", "web page", "download the raw file instead"),
     (b"<?xml", "XML document", "export it as CSV"),
 )
-# How recorder logs begin; a ROS 2 bag may also be a folder of such files.
-_LOGS = (b"SQLite format 3\0", b"#ROSBAG V", b"\x89MCAP0\r\n")
+# A ROS 2 bag may also be a folder of such files.
+_SIGNATURES: dict[bytes, FileKind] = {
+    b"SQLite format 3\0": "log",
+    b"#ROSBAG V": "log",
+    b"\x89MCAP0\r\n": "log",
+    b"PAR1": "parquet",
+}
+# In the order in which they are looked for.
+PHONE_MEMBERS = ("magnetometer.csv", "raw data.csv", "magnetometeruncalibrated.csv")
 # All that zipfile raises over a damaged archive.
 BROKEN_ZIP = (
     zipfile.BadZipFile,
@@ -66,7 +72,8 @@ def sniff(path: str | Path) -> FileKind:
     str
         ``csv`` (a table with a header row), ``map`` (a zip archive such as a saved map), ``registration`` (a
         result of `register`), ``tum`` (rows of 8 numbers without a header), ``euroc`` (rows of numbers under
-        ``#timestamp``) or ``log`` (a ROS 1 bag, ROS 2 bag or MCAP file).
+        ``#timestamp``), ``log`` (a ROS 1 bag, ROS 2 bag or MCAP file), ``parquet``, or ``phone`` (an export of Sensor
+        Logger or phyphox: a table, a zip archive or a folder).
 
     Raises
     ------
@@ -76,8 +83,9 @@ def sniff(path: str | Path) -> FileKind:
     if is_folder(path):
         return _sniff_folder(path)
     head = read_bytes(path, _HEAD)
-    if head.startswith(_LOGS):
-        return "log"
+    kind = next((kind for signature, kind in _SIGNATURES.items() if head.startswith(signature)), None)
+    if kind is not None:
+        return kind
     if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         return _sniff_archive(path)
     for signature, what, advice in _FOREIGN:
@@ -97,6 +105,8 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
         if text.startswith("#") and is_euroc_header(text):
             return "euroc"
         if text and not text.startswith("#"):
+            if is_phone_header(text):
+                return "phone"
             return "tum" if _is_tum_row(text) else "csv"
     return "csv"
 
@@ -109,9 +119,10 @@ def _sniff_folder(path: str | Path) -> FileKind:
         raise DataFormatError(path, "no permission to read it") from None
     if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
         return "log"
-    raise DataFormatError(
-        path, "is a folder, expected a file or a ROS 2 bag (metadata.yaml with .db3 or .mcap files)"
-    )
+    if any(is_phone_member(name) for name in names):
+        return "phone"
+    message = "is a folder, expected a file, a ROS 2 bag (metadata.yaml) or a phone log (Magnetometer.csv)"
+    raise DataFormatError(path, message)
 
 
 def _sniff_archive(path: str | Path) -> FileKind:
@@ -123,6 +134,8 @@ def _sniff_archive(path: str | Path) -> FileKind:
         raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
     if "[Content_Types].xml" in members:
         raise DataFormatError(path, "is an Excel workbook or Office document; export the sheet as CSV")
+    if any(is_phone_member(name) for name in members):
+        return "phone"
     if all(name.lower().endswith((".csv", ".txt", "/")) for name in members):
         raise DataFormatError(path, f"is a zip archive of {len(members)} text files or none; unpack it first")
     if all(name.endswith(".npy") for name in members):
@@ -145,6 +158,17 @@ def _sniff_json(path: str | Path) -> FileKind:
         f"is JSON with schema {schema!r}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
     )
     raise DataFormatError(path, message)
+
+
+def is_phone_member(name: str) -> bool:
+    """Whether a file's name is one that Sensor Logger or phyphox gives to the samples of the magnetometer."""
+    return name.replace("\\", "/").rsplit("/", 1)[-1].lower() in PHONE_MEMBERS
+
+
+def is_phone_header(line: str) -> bool:
+    """Whether a header is that of Sensor Logger (``time, seconds_elapsed``) or phyphox (``Magnetic field x``)."""
+    text = line.lower()
+    return "seconds_elapsed" in text or "magnetic field x (" in text
 
 
 def is_euroc_header(line: str) -> bool:

@@ -168,7 +168,9 @@ def text_lines(path: str | Path, raw: bytes) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def read_table(path: str | Path, known: Collection[str], names: Sequence[str] | None = None) -> Table:
+def read_table(
+    path: str | Path, known: Collection[str], names: Sequence[str] | None = None, raw: bytes | None = None
+) -> Table:
     """Read the known columns of a delimited text file.
 
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
@@ -182,6 +184,8 @@ def read_table(path: str | Path, known: Collection[str], names: Sequence[str] | 
         Columns to read where present, lower case; others are ignored, whatever they hold.
     names : sequence of str, optional
         The columns, for formats without a header row; by default the first row names them.
+    raw : bytes, optional
+        The content, where it is not that of a file of its own (a member of an archive).
 
     Returns
     -------
@@ -193,7 +197,7 @@ def read_table(path: str | Path, known: Collection[str], names: Sequence[str] | 
     DataFormatError
         With line and column wherever one is at fault.
     """
-    lines = text_lines(path, read_bytes(path))
+    lines = text_lines(path, read_bytes(path) if raw is None else raw)
     # A row of delimiters alone is what spreadsheets write for a blank line.
     numbers = [i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")]
     if not numbers:

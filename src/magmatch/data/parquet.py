@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Parquet tables of samples: the columns of the survey CSV, in binary."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magmatch.data.format import SurveyFormat
+from magmatch.data.nanoseconds import seconds_of
+from magmatch.data.survey import COLUMNS, SCHEMA
+from magmatch.data.table import Table, read_bytes
+from magmatch.errors import DataFormatError, MissingExtraError
+from magmatch.typing import Scalars
+
+# Bounds, stated in docs/formats.md: a column of equal values takes no room in the file, but does in memory.
+MAX_ROWS = 50_000_000
+MAX_ROWS_PER_BYTE = 8
+MAX_THRIFT = 64 << 20  # bytes or entries of the file's description
+
+
+def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
+    """Read the columns of a survey from a Parquet file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    layout : SurveyFormat
+        Names of columns where they differ.
+
+    Returns
+    -------
+    Table
+        In the file's units; rows are counted from 1 as its line numbers. Time stamps become seconds since 1970.
+
+    Raises
+    ------
+    DataFormatError
+        Damaged, too large for its bytes, or with columns that are no finite numbers.
+    MissingExtraError
+        Reading Parquet needs the extra ``parquet``.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        feature = "reading Parquet"
+        raise MissingExtraError(feature, "parquet") from None
+    read_bytes(path, 4)
+    try:
+        with pq.ParquetFile(
+            path, thrift_string_size_limit=MAX_THRIFT, thrift_container_size_limit=MAX_THRIFT, pre_buffer=False
+        ) as file:
+            return _read(Path(path), file, layout, pa)
+    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        words = " ".join(str(error).split())[:150]
+        raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
+
+
+def _read(path: Path, file: Any, layout: SurveyFormat, pa: Any) -> Table:
+    schema, n_rows = file.schema_arrow, file.metadata.num_rows
+    if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * path.stat().st_size):
+        message = f"declares {n_rows} rows in {path.stat().st_size} bytes, expected at most {MAX_ROWS}"
+        raise DataFormatError(path, f"{message} and {MAX_ROWS_PER_BYTE} a byte")
+    theirs = layout.column_names()
+    known = theirs | {name: name for name in COLUMNS if name not in theirs.values()}
+    wanted = {name: known[name.lower()] for name in schema.names if name.lower() in known}
+    if len(set(wanted.values())) < len(wanted):
+        raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
+    for name in wanted:
+        _require_numbers(path, name, schema.field(name).type, pa)
+    blocks: dict[str, list[Scalars]] = {name: [] for name in wanted}
+    n_read = 0
+    for batch in file.iter_batches(batch_size=65_536, columns=list(wanted), use_threads=False):
+        for name in wanted:
+            blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa))
+        n_read += batch.num_rows
+        if n_read > n_rows:
+            raise DataFormatError(path, f"holds more than the {n_rows} rows it declares")
+    if not n_read:
+        raise DataFormatError(path, "holds no rows")
+    about = (schema.metadata or {}).get(SCHEMA.encode())
+    comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
+    columns = {ours: np.concatenate(blocks[name]) for name, ours in wanted.items()}
+    return Table(path, tuple(schema.names), columns, np.arange(1, n_read + 1), comments)
+
+
+def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
+    is_number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
+    if not is_number:
+        raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}", column=name)
+
+
+def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars:
+    """A piece of a column as float64, all of it finite."""
+    if column.null_count:
+        row = int(np.argmin(column.is_valid().to_numpy(zero_copy_only=False)))
+        raise DataFormatError(path, "expected a number, found null", line=first + row + 1, column=name)
+    if pa.types.is_timestamp(column.type):
+        # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
+        stamps = column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
+        return seconds_of(stamps.tolist())
+    values: Scalars = column.to_numpy(zero_copy_only=False).astype(np.float64)
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if len(wrong):
+        message = f"expected a finite number, found {values[wrong[0]]}"
+        raise DataFormatError(path, message, line=first + int(wrong[0]) + 1, column=name)
+    return values
