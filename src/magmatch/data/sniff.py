@@ -100,15 +100,14 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     """Text is told by its first row, or by a header that looks like a comment."""
     if len(head) == _HEAD and b"\n" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
-    for line in text_lines(path, head):
-        text = line.strip()
-        if text.startswith("#") and is_euroc_header(text):
-            return "euroc"
-        if text and not text.startswith("#"):
-            if is_phone_header(text):
-                return "phone"
-            return "tum" if _is_tum_row(text) else "csv"
-    return "csv"
+    lines = [line.strip() for line in text_lines(path, head)]
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    if is_phone_header(first):
+        return "phone"
+    if _is_tum_row(first):
+        return "tum"
+    is_euroc = any(line.startswith("#") and is_euroc_header(line) for line in lines[: lines.index(first)])
+    return "euroc" if is_euroc and _are_numbers(first.rstrip(", \t").split(",")) else "csv"
 
 
 def _sniff_folder(path: str | Path) -> FileKind:
@@ -172,14 +171,19 @@ def is_phone_header(line: str) -> bool:
 
 
 def is_euroc_header(line: str) -> bool:
-    """Whether a comment is the header of an EuRoC file."""
+    """Whether a comment may be the header of an EuRoC file."""
     return line.lstrip("# \t").lower().startswith("timestamp") and "," in line
 
 
 def _is_tum_row(text: str) -> bool:
     """Whether a row is eight numbers separated by white space."""
     cells = text.split()
+    return len(cells) == _TUM_WIDTH and _are_numbers(cells)
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    """Whether all cells read as numbers."""
     try:
-        return len([float(cell) for cell in cells]) == _TUM_WIDTH
+        return bool([float(cell) for cell in cells])
     except ValueError:
         return False

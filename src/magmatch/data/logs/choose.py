@@ -66,8 +66,8 @@ def choose_topics(
 
     Notes
     -----
-    Of all pairs of a field and a pose topic, the one with the most messages in the time that both cover (taken as
-    evenly spread over each topic's own time); of equal ones the first by name. Without poses: the field topic with
+    Of all pairs of a field and a pose topic, the one with the most messages logged in the time that both cover (taken
+    as evenly spread over each topic's own time); of equal ones the first by name. Without poses: the field topic with
     the most messages.
     """
     fields = _candidates(path, topics, mag_topic, FIELD_TYPES_IF_NAMED if mag_topic else FIELD_TYPES, "field")
@@ -75,11 +75,7 @@ def choose_topics(
         return Choice(min(fields, key=lambda topic: (-topic.count, topic.name)), None)
     poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
     pairs = [Choice(field, pose) for field in fields for pose in poses]
-    best = min(pairs, key=lambda pair: (-_shared(pair.field, pair.pose), pair.field.name, _name(pair.pose)))
-    if not _shared(best.field, best.pose):
-        message = f"{best.field.name} and {_name(best.pose)} do not overlap in time; no field sample has a pose"
-        raise DataFormatError(path, message)
-    return best
+    return min(pairs, key=lambda pair: (-_shared(pair.field, pair.pose), pair.field.name, _name(pair.pose)))
 
 
 def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:

@@ -2,6 +2,7 @@
 """The SQLite files of ROS 2 bags: tables ``topics`` and ``messages``."""
 
 import sqlite3
+from collections import deque
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,8 +10,10 @@ from urllib.parse import quote
 
 from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic, plain_type
 from magmatch.data.logs.source import MAX_CHUNK
+from magmatch.data.table import read_bytes
 from magmatch.errors import DataFormatError
 
+MAX_STEP = 1 << 40  # how far behind a damage the next message is looked for, in message numbers
 Row = tuple[int, int, int, bytes]  # id, topic, log time (ns), payload
 
 
@@ -28,6 +31,7 @@ class SqliteLog:
     def __init__(self, path: str | Path, *, recover: bool = False) -> None:
         self.path, self._recover = Path(path), recover
         self._losses: dict[str, Loss] = {}
+        self._suspect = _bytes_cut(self.path)
         with self._refusing():
             self._database = _open(self.path, recover=recover)
         try:
@@ -75,18 +79,30 @@ class SqliteLog:
 
     def _rows(self, wanted: set[int]) -> Iterator[Row]:
         """Rows of some topics; where a page is damaged, go on behind it."""
+        held: deque[Row] = deque()
+        n_held = 0
+        for row in self._readable_rows(wanted):
+            held.append(row)
+            n_held += len(row[3])
+            while n_held > self._suspect:
+                n_held -= len(held[0][3])
+                yield held.popleft()
+        if held:  # they may lie on the page in which the file ends, whose missing part SQLite takes for zeros
+            self._note(f"messages {held[0][0]} to {held[-1][0]} may lie on the page in which the file ends")
+
+    def _readable_rows(self, wanted: set[int]) -> Iterator[Row]:
+        """Rows that SQLite gives."""
         marks = ",".join(str(int(key)) for key in wanted)
         query = (
             f"SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? AND topic_id IN ({marks}) ORDER BY id"
         )
         last, step = -(1 << 62), 0
-        while step < 1 << 40:
+        while step < MAX_STEP:
             try:
                 for row in self._database.execute(query, (last + step,)):
                     self._check_row(row)
                     if step:
-                        words = f"messages {last + 1} to {row[0] - 1} lie on damaged pages"
-                        self._losses[words] = Loss(0, 0, words)
+                        self._note(f"messages {last + 1} to {row[0] - 1} lie on damaged pages")
                     last, step = row[0], 0
                     yield row
             except (sqlite3.Error, OverflowError) as error:
@@ -97,8 +113,10 @@ class SqliteLog:
                 continue
             break
         if step:
-            words = f"messages after {last} lie on damaged pages"
-            self._losses[words] = Loss(0, 0, words)
+            self._note(f"messages after {last} lie on damaged pages")
+
+    def _note(self, words: str) -> None:
+        self._losses[words] = Loss(0, 0, words)
 
     def _read_channels(self) -> dict[int, Channel]:
         """Topics by number; only true tables are asked, since a view could compute without end."""
@@ -138,6 +156,14 @@ class SqliteLog:
             yield
         except (sqlite3.Error, OverflowError) as error:
             raise self._refusal(error) from None
+
+
+def _bytes_cut(path: Path) -> int:
+    """Length of the page in which a file ends too early; 0 where it does not."""
+    head = read_bytes(path, 100)
+    page = {1: 65_536}.get(int.from_bytes(head[16:18], "big"), int.from_bytes(head[16:18], "big"))
+    n_pages, size = int.from_bytes(head[28:32], "big"), path.stat().st_size
+    return page if page and size % page and size < n_pages * page else 0
 
 
 def _open(path: Path, *, recover: bool) -> sqlite3.Connection:

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which topics are read, where the sensor sits, and whose clock counts."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.format import SurveyFormat
+from magmatch.data.logs.read import list_topics
+from magmatch.data.read import read_survey
+from magmatch.errors import ConfigurationError, DataFormatError
+
+SECOND = 1_000_000_000
+IDENTITY = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+LEVER = np.array([[0.1, -0.2, 0.3, 0.0, 0.6, 0.0, 0.8]])
+POSE_TYPES = {
+    "Odometry": "nav_msgs/msg/Odometry",
+    "PoseStamped": "geometry_msgs/msg/PoseStamped",
+    "PoseWithCovarianceStamped": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "TransformStamped": "geometry_msgs/msg/TransformStamped",
+}
+TF = "tf2_msgs/msg/TFMessage"
+
+
+@pytest.fixture
+def saved(made, tmp_path):
+    """Write topics as MCAP (quick and small)."""
+
+    def write(*series):
+        return made.mcap(tmp_path / "log.mcap", list(series))
+
+    return write
+
+
+def static(made, flight, values, frame, child):
+    return made.Series("/tf_static", TF, flight.pose_ns[:1], values, frame=frame, child=child)
+
+
+@pytest.mark.parametrize("name", POSE_TYPES)
+def test_poses_of_every_type_give_the_same_survey(name, made, flight, saved, tmp_path):
+    mag, odom = flight.series
+    expected = read_survey(saved(mag, odom))
+    other = made.replace(odom, type=POSE_TYPES[name], topic="/p")
+    for write in (made.ros1, made.mcap):
+        path = tmp_path / f"other-{write.__name__}"
+        survey = read_survey(write(path, [mag, other]))
+        np.testing.assert_array_equal(survey.positions, expected.positions)
+        np.testing.assert_array_equal(survey.field, expected.field)
+
+
+def test_most_messages_in_shared_time_win_then_names(made, flight, saved):
+    mag, odom = flight.series
+    slow = made.replace(odom, topic="/a_slow", log_ns=odom.log_ns[::2], stamp_ns=None, values=odom.values[::2])
+    late = made.replace(odom, topic="/a_late", log_ns=odom.log_ns + 4 * SECOND, stamp_ns=None)
+    twin = made.replace(odom, topic="/z_twin")
+    few = made.replace(mag, topic="/a_mag", log_ns=mag.log_ns[::3], stamp_ns=None, values=mag.values[::3])
+    path = saved(few, mag, slow, late, twin, odom)
+    topics, chosen = list_topics(path, SurveyFormat())
+    assert chosen == {"field": "/imu/mag", "poses": "/odom"}
+    assert [topic.count for topic in topics if topic.name == "/a_mag"] == [100]
+    _, chosen = list_topics(path, SurveyFormat(mag_topic="/a_mag", pose_topic="a_slow"))
+    assert chosen == {"field": "/a_mag", "poses": "/a_slow"}
+    assert len(read_survey(path, SurveyFormat(mag_topic="/a_mag"))) == 100
+
+
+def test_lever_and_turn_come_from_tf_static(made, flight, saved):
+    mag, odom = flight.series
+    odom = made.replace(odom, child="base_link")
+    half = np.array([[0.1, -0.2, 0.3, 0.0, 0.0, 0.0, 1.0]])
+    turn = np.array([[0.0, 0.0, 0.0, 0.0, 0.6, 0.0, 0.8]])
+    chain = [
+        static(made, flight, half, "base_link", "mast"),
+        made.replace(static(made, flight, turn, "mast", "mag_link"), topic="/tf_static"),
+    ]
+    survey = read_survey(saved(mag, odom, *chain))
+    stated = read_survey(saved(mag, odom), SurveyFormat(extrinsic="0.1 -0.2 0.3 0 0.6 0 0.8"))
+    np.testing.assert_allclose(survey.positions, stated.positions, atol=1e-15)
+    np.testing.assert_allclose(survey.field, stated.field, atol=1e-20)
+    body = read_survey(saved(mag, made.replace(odom, child="mag_link")))
+    poses = flight.trajectory()
+    lever = poses.orientations.apply([0.1, -0.2, 0.3])
+    expected = [np.interp(survey.times, poses.times, (poses.positions + lever)[:, k]) for k in range(3)]
+    np.testing.assert_allclose(survey.positions, np.column_stack(expected), atol=1e-12)
+    R = Rotation.from_quat([0.0, 0.6, 0.0, 0.8])
+    np.testing.assert_allclose(survey.orientations.as_matrix(), (body.orientations * R).as_matrix(), atol=1e-9)
+
+
+def test_extrinsic_from_yaml(made, flight, saved, tmp_path):
+    texts = [
+        "translation: {x: 0.1, y: -0.2, z: 0.3}\nrotation: {x: 0, y: 0.6, z: 0, w: 0.8}\n",
+        "transform:\n  translation: [0.1, -0.2, 0.3]\n  rotation: [0, 0.6, 0, 0.8]\n",
+    ]
+    expected = read_survey(saved(*flight.series), SurveyFormat(extrinsic="0.1,-0.2,0.3,0,0.6,0,0.8"))
+    for text in texts:
+        (tmp_path / "extrinsic.yaml").write_text(text)
+        survey = read_survey(saved(*flight.series), SurveyFormat(extrinsic=str(tmp_path / "extrinsic.yaml")))
+        np.testing.assert_array_equal(survey.positions, expected.positions)
+
+
+def test_an_unknown_lever_is_said(made, flight, saved, caplog):
+    mag, odom = flight.series
+    read_survey(saved(mag, made.replace(odom, child="base_link")))
+    assert "nothing says where 'mag_link' sits on 'base_link'" in caplog.text
+
+
+def test_poses_from_tf_are_chained(made, flight, saved):
+    """Sensor in map = (odom in map, slow) (base in odom, moving) (sensor in base, static)."""
+    mag, odom = flight.series
+    shift = np.tile([[1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]], (8, 1))
+    slow_ns = odom.log_ns[0] + np.arange(8) * SECOND
+    tree = [
+        made.Series("/tf", TF, slow_ns, shift, frame="map", child="odom"),
+        made.Series("/tf", TF, odom.log_ns, odom.values, frame="odom", child="base_link"),
+        static(made, flight, LEVER, "base_link", "mag_link"),
+    ]
+    path = saved(mag, *tree)
+    survey = read_survey(path)
+    assert survey.frame == "map"
+    in_odom = read_survey(path, SurveyFormat(pose_frames="odom,base_link"))
+    T = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.from_quat([0.0, 0.0, 0.6, 0.8]))
+    np.testing.assert_allclose(survey.positions, T.apply(in_odom.positions), atol=1e-9)
+    np.testing.assert_allclose(survey.field, T.rotation.apply(in_odom.field), atol=1e-18)
+
+
+def test_field_in_the_frame_of_the_poses_is_not_turned(made, flight, saved):
+    mag, odom = flight.series
+    survey = read_survey(saved(made.replace(mag, frame="map"), odom))
+    np.testing.assert_array_equal(survey.field, flight.mag)
+    turned = read_survey(saved(made.replace(mag, frame="map"), odom), SurveyFormat(field_frame="sensor"))
+    assert not np.allclose(turned.field, flight.mag)
+
+
+def test_positions_without_orientations_serve_a_field_in_their_frame(made, flight, saved):
+    mag, odom = flight.series
+    points = made.replace(odom, type="geometry_msgs/msg/PointStamped", values=odom.values[:, :3])
+    survey = read_survey(saved(made.replace(mag, frame="map"), points))
+    assert survey.orientations is None
+    np.testing.assert_array_equal(survey.field, flight.mag)
+    with pytest.raises(DataFormatError, match="positions only"):
+        read_survey(saved(mag, points))
+
+
+def test_plain_vectors_are_a_field_when_named(made, flight, saved):
+    mag, odom = flight.series
+    vectors = made.replace(mag, type="geometry_msgs/msg/Vector3Stamped", values=1e6 * mag.values)
+    path = saved(vectors, odom)
+    with pytest.raises(DataFormatError, match="expected a field topic"):
+        read_survey(path)
+    survey = read_survey(path, SurveyFormat(mag_topic="/imu/mag", field_unit="uT"))
+    np.testing.assert_allclose(np.linalg.norm(survey.field, axis=1), np.linalg.norm(flight.mag, axis=1))
+
+
+def test_header_stamps_count_and_a_distant_log_clock_is_said(made, flight, saved, caplog):
+    mag, odom = flight.series
+    expected = read_survey(saved(mag, odom))
+    late = [made.replace(s, log_ns=s.log_ns + 100 * SECOND, stamp_ns=s.stamp_ns) for s in (mag, odom)]
+    survey = read_survey(saved(*late))
+    np.testing.assert_array_equal(survey.times, expected.times)
+    assert "was logged 100 s after its header stamps" in caplog.text
+    assert "different clocks" not in caplog.text
+    read_survey(saved(late[0], odom))
+    assert "different clocks" in caplog.text
+
+
+def test_without_stamps_both_topics_take_log_times(made, flight, saved, caplog):
+    mag, odom = flight.series
+    zero = made.replace(mag, stamp_ns=np.zeros_like(mag.stamp_ns))
+    survey = read_survey(saved(zero, made.replace(odom, stamp_ns=odom.log_ns + 50 * SECOND)))
+    assert survey.times[0] == mag.log_ns[0] / SECOND
+    assert "no stamps; log times are used" in caplog.text
+
+
+def test_messages_out_of_order_are_sorted_and_repeats_dropped(made, flight, saved, caplog):
+    mag, odom = flight.series
+    order = np.arange(len(odom.log_ns))
+    order[[40, 41]] = [41, 40]
+    stamps = odom.stamp_ns[order]
+    stamps[60] = stamps[59]
+    survey = read_survey(saved(mag, made.replace(odom, stamp_ns=stamps, values=odom.values[order])))
+    assert len(survey) == 300
+    assert "1 messages of /odom came out of order" in caplog.text
+    assert "1 messages of /odom whose time another one has" in caplog.text
+
+
+def test_a_clock_set_back_is_refused(made, flight, saved):
+    mag, odom = flight.series
+    stamps = odom.stamp_ns.copy()
+    stamps[70:] -= 3 * SECOND
+    with pytest.raises(DataFormatError, match=r"/odom, message 70: time runs backward by 2\.95 s"):
+        read_survey(saved(mag, made.replace(odom, stamp_ns=stamps)))
+
+
+@pytest.mark.parametrize("frames", ["map", "map,", ",base", "a,b,c", "map,map"])
+def test_pose_frames_are_two_names(frames, made, flight, saved):
+    tf = made.Series("/tf", TF, flight.pose_ns, flight.poses, frame="map", child="mag_link")
+    with pytest.raises(ConfigurationError, match="--pose-frames"):
+        read_survey(saved(flight.series[0], tf), SurveyFormat(pose_frames=frames))
+
+
+def test_split_recordings_are_one(made, flight, tmp_path):
+    """A ROS 2 bag of two files, as recorders write them when one gets too large."""
+    import yaml
+
+    mag, odom = flight.series
+    expected = read_survey(made.ros2(tmp_path / "whole", [mag, odom]))
+    parts = []
+    for name, rows in (("first", slice(None, 60)), ("second", slice(60, None))):
+        start, stop = (0, 150) if name == "first" else (150, 300)
+        halves = [
+            made.replace(mag, log_ns=mag.log_ns[start:stop], stamp_ns=None, values=mag.values[start:stop]),
+            made.replace(odom, log_ns=odom.log_ns[rows], stamp_ns=None, values=odom.values[rows]),
+        ]
+        parts.append(made.ros2(tmp_path / name, halves))
+    (parts[1] / "second.db3").rename(parts[0] / "second.db3")
+    path = parts[0] / "metadata.yaml"
+    about = yaml.safe_load(path.read_text())
+    about["rosbag2_bagfile_information"]["relative_file_paths"] = ["first.db3", "second.db3"]
+    path.write_text(yaml.safe_dump(about))
+    survey = read_survey(parts[0])
+    np.testing.assert_array_equal(survey.times, expected.times)
+    np.testing.assert_array_equal(survey.field, expected.field)
