@@ -2,7 +2,7 @@
 """Messages as arrays: stamps, frames and numbers of the few types that a survey is made of."""
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,28 +87,29 @@ class Faults:
     words: list[str]
 
 
-def decode(batches: Iterable[Batch], faults: Faults) -> dict[Frames, Entries]:
-    """Decode all messages of one topic.
+class Decoder:
+    """Decodes the messages of one topic, batch by batch in the order of the file.
 
-    Parameters
+    Attributes
     ----------
-    batches : iterable of Batch
-        In the order of the file, of a type in `LAYOUTS` and an encoding in `ENCODINGS`.
     faults : Faults
-        Takes what cannot be decoded.
-
-    Returns
-    -------
-    dict
-        By frames; entries in the order of the file.
+        What could not be decoded.
     """
-    parts: dict[Frames, list[Entries]] = {}
-    n = 0
-    for batch in batches:
-        for entries in _decode_batch(batch, n, faults):
-            parts.setdefault(entries.frames, []).append(entries)
-        n += len(batch.payloads)
-    return {frames: _joined(frames, entries) for frames, entries in parts.items()}
+
+    def __init__(self) -> None:
+        self.faults = Faults([], [])
+        self._parts: dict[Frames, list[Entries]] = {}
+        self._n = 0
+
+    def take(self, batch: Batch) -> None:
+        """Decode messages of a type in `LAYOUTS` and an encoding in `ENCODINGS`."""
+        for entries in _decode_batch(batch, self._n, self.faults):
+            self._parts.setdefault(entries.frames, []).append(entries)
+        self._n += len(batch.payloads)
+
+    def entries(self) -> dict[Frames, Entries]:
+        """All that was decoded, by frames; entries in the order of the file."""
+        return {frames: _joined(frames, parts) for frames, parts in self._parts.items()}
 
 
 def _joined(frames: Frames, parts: list[Entries]) -> Entries:

@@ -17,7 +17,7 @@ from magmatch.data.logs.frames import FrameTree, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import ENCODINGS, Entries, Frames
 from magmatch.data.logs.open import open_log
-from magmatch.data.logs.streams import Stream, in_order, read_stream, settle_clock
+from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
 from magmatch.data.nanoseconds import seconds_of
 from magmatch.data.recording import Recording
 from magmatch.data.trajectory import Trajectory
@@ -80,10 +80,9 @@ def _read(log: Log, layout: SurveyFormat) -> Recording:
     choice, moving = _choose(log.path, topics, layout)
     wanted = [choice.field, *([choice.pose] if choice.pose else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
-    streams = settle_clock(log.path, [read_stream(log, topic, recover=layout.recover) for topic in wanted])
-    static = [
-        read_stream(log, topic, recover=layout.recover) for topic in _trees(topics) if topic.name in STATIC_TOPICS
-    ]
+    fixed = [topic for topic in _trees(topics) if topic.name in STATIC_TOPICS]
+    read = read_streams(log, [*wanted, *fixed], recover=layout.recover)
+    streams, static = settle_clock(log.path, read[: len(wanted)]), read[len(wanted) :]
     tree = frame_tree(log.path, _merged(streams[len(wanted) - len(moving) :]), _merged(static))
     field = in_order(log.path, choice.field.name, _of_one_frame(log.path, streams[0]))
     sensor = field.frames[0]

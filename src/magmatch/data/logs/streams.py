@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import Entries, Faults, Frames, decode
+from magmatch.data.logs.log import Channel, Log, Topic
+from magmatch.data.logs.messages import Decoder, Entries, Faults, Frames
 from magmatch.data.quaternions import MAX_NORM_ERROR
 from magmatch.errors import DataFormatError
 
@@ -46,41 +46,52 @@ class Stream:
         return min(self.entries.values(), key=lambda part: (-len(part.number), part.frames))
 
 
-def read_stream(log: Log, topic: Topic, *, recover: bool) -> Stream:
-    """Read the messages of a topic that are whole.
+def read_streams(log: Log, topics: Sequence[Topic], *, recover: bool) -> list[Stream]:
+    """Read the messages of some topics that are whole, in one pass over the log.
 
     Parameters
     ----------
     log : Log
         Open.
-    topic : Topic
-        Of a type that can be decoded.
+    topics : sequence of Topic
+        Of types that can be decoded.
     recover : bool
         Leave out messages that are damaged or hold no numbers, instead of refusing.
 
     Returns
     -------
-    Stream
+    list of Stream
+        One for each topic.
 
     Raises
     ------
     DataFormatError
         Names the first message at fault.
     """
-    faults = Faults([], [])
-    batches = (b for b in log.messages({topic.name}) if b.channel.type == topic.type)
-    entries = decode((b for b in batches if b.channel.encoding == topic.encoding), faults)
-    entries = {frames: _whole(part, faults) for frames, part in entries.items()}
+    decoders = {Channel(topic.name, topic.type, topic.encoding): Decoder() for topic in topics}
+    for batch in log.messages({topic.name for topic in topics}):
+        if batch.channel in decoders:
+            decoders[batch.channel].take(batch)
+    return [
+        _stream(log.path, topic, decoder, recover=recover)
+        for topic, decoder in zip(topics, decoders.values(), strict=True)
+    ]
+
+
+def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> Stream:
+    """What was decoded, or the first fault."""
+    faults = decoder.faults
+    entries = {frames: _whole(part, faults) for frames, part in decoder.entries().items()}
     entries = {frames: part for frames, part in entries.items() if len(part.number)}
     if faults.numbers:
         first, n = min(faults.numbers), len(set(faults.numbers))
         words = f"{topic.name}, message {first}: {faults.words[0]}"
         if not recover:
             message = f"{words} ({n} such messages; --recover leaves them out)"
-            raise DataFormatError(log.path, message)
-        logger.warning("%s: left out %d messages that are no whole %s (%s)", log.path, n, topic.type, words)
+            raise DataFormatError(path, message)
+        logger.warning("%s: left out %d messages that are no whole %s (%s)", path, n, topic.type, words)
     if not entries:
-        raise DataFormatError(log.path, f"{topic.name} holds no whole message of type {topic.type}")
+        raise DataFormatError(path, f"{topic.name} holds no whole message of type {topic.type}")
     return Stream(topic, entries)
 
 
