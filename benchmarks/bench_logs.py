@@ -127,9 +127,8 @@ def main() -> None:
             ours = ours or best
             mib = max(run["mib"] for run in runs)
             rate = about["bytes"] / 1e6 / best
-            print(
-                f"{reader.__name__:24} {runs[0]['n']:9} {best:9.1f} {rate:7.0f} {mib:9.0f} {ours and best / ours:6.2f}"
-            )
+            numbers = f"{runs[0]['n']:9} {best:9.1f} {rate:7.0f} {mib:9.0f} {best / ours:6.2f}"
+            print(f"{reader.__name__:24} {numbers}")
         print("speed: of magmatch over that of the reader (above 0.5 is the claim)")
 
 
