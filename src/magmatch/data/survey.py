@@ -142,6 +142,15 @@ class Survey:
             pose_sd=max(s.pose_sd for s in parts),
         )
 
+    def columns(self) -> dict[str, Scalars]:
+        """Columns of a table of the samples, by name: ``t, x, y, z, bx, by, bz, qx, qy, qz, qw``, as far as known."""
+        columns = {} if self.times is None else {"t": self.times}
+        columns |= dict(zip(POSITION_COLUMNS, self.positions.T, strict=True))
+        columns |= dict(zip(FIELD_COLUMNS, self.field.T, strict=True))
+        if self.orientations is not None:
+            columns |= dict(zip(QUATERNION, self.orientations.as_quat().T, strict=True))
+        return columns
+
     def save(self, path: str | Path) -> None:
         """Write the survey CSV (tesla, metre, survey frame); reading it back gives the same float64 values.
 
@@ -150,11 +159,7 @@ class Survey:
         path : path
             Where; an existing file is replaced only once the new one is complete.
         """
-        columns = {} if self.times is None else {"t": self.times}
-        columns |= dict(zip(POSITION_COLUMNS, self.positions.T, strict=True))
-        columns |= dict(zip(FIELD_COLUMNS, self.field.T, strict=True))
-        if self.orientations is not None:
-            columns |= dict(zip(QUATERNION, self.orientations.as_quat().T, strict=True))
+        columns = self.columns()
         about = {"frame": self.frame, "pose_sd": float(self.pose_sd)}
         write_table(path, columns, [f"{SCHEMA} {json.dumps(about)}"])
 

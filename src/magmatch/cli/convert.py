@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch convert``: surveys, maps and results in the formats of other programs."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_map, read_result
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import check_outputs
+from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
+
+EXAMPLES = (
+    "magmatch convert drive.mcap survey.csv",
+    "magmatch convert drive.bag poses.tum",
+    "magmatch convert survey.csv --field-unit uT survey.parquet",
+    "magmatch convert room.map room.vtk --spacing 0.1",
+    "magmatch convert room.map slice.nc --slice z=1.0",
+    "magmatch convert result.json edge.g2o",
+    "magmatch convert result.json static_transform.yaml --frames map,map_monday",
+)
+MAP_GRIDS = (".vtk", ".ply", ".nc")
+RESULTS = (".tum", ".g2o", ".yaml")
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "convert", EXAMPLES, surveys=())(convert)
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(help="Survey, log, trajectory, saved map or result.", metavar="INPUT")],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="Its ending is the format. Survey: .csv .parquet .mcap .tum .ply .vtk; map: .vtk .ply .nc or its "
+            "samples; result: .tum .g2o .yaml; trajectory: .tum.",
+            metavar="OUTPUT",
+        ),
+    ],
+    layouts: Layouts,
+    spacing: Annotated[float | None, typer.Option(help="Distance of a map's grid points, metres.", min=1e-6)] = None,
+    cut: Annotated[str | None, typer.Option("--slice", help="One slice of a map, such as z=1.0 (metres).")] = None,
+    frames: Annotated[str, typer.Option(help="Names of base and target in a static transform.")] = "base,target",
+    g2o_rotation: Annotated[
+        str, typer.Option(help="Rotation part of a g2o edge's information: quaternion (g2o itself) or angle (GTSAM).")
+    ] = "quaternion",
+) -> None:
+    """Write INPUT in another format, chosen by the ending of OUTPUT."""
+    from magmatch.data.sniff import sniff
+
+    check_outputs((out,), inputs=(source,))
+    kind, suffix = sniff(source), out.suffix.lower()
+    if kind == "registration":
+        _write_result(source, out, suffix, frames, g2o_rotation)
+    elif kind == "map" and suffix in MAP_GRIDS:
+        _write_grid(source, out, suffix, spacing, cut)
+    elif kind in {"tum", "euroc"} and suffix == ".tum":
+        from magmatch.data.load_trajectory import load_trajectory
+
+        load_trajectory(source, layouts.of()).save(out)
+    else:
+        _write_survey(source, out, suffix, layouts)
+    say(f"Wrote {out}")
+
+
+def _write_survey(source: Path, out: Path, suffix: str, layouts: Layouts) -> None:
+    from magmatch.cli.inputs import read_samples
+    from magmatch.data.write import SURVEY_WRITERS
+
+    if suffix not in SURVEY_WRITERS:
+        raise _unknown_ending(out, SURVEY_WRITERS)
+    SURVEY_WRITERS[suffix](read_samples(source, layouts), out)
+
+
+def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut: str | None) -> None:
+    from magmatch.field.export import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
+
+    field_map = read_map(source)
+    grid = map_on_grid(field_map, spacing, None if cut is None else parse_slice(cut))
+    if suffix == ".nc":
+        write_netcdf(grid, out, field_map.survey.frame)
+    else:
+        (write_vtk if suffix == ".vtk" else write_ply_cloud)(grid, out)
+    say(f"Grid of {' x '.join(str(len(axis)) for axis in grid.axes)} points, {grid.spacing:.4g} m apart")
+
+
+def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:
+    from magmatch.registration.export import write_g2o, write_relative_tum, write_static_transform
+
+    names = [name.strip() for name in frames.split(",")]
+    if len(names) != 2 or not all(names):
+        msg = f"--frames: expected two names such as map,map_monday; found '{frames}'"
+        raise ConfigurationError(msg)
+    if g2o_rotation not in {"quaternion", "angle"}:
+        msg = f"--g2o-rotation: expected quaternion or angle; found '{g2o_rotation}'"
+        raise ConfigurationError(msg)
+    if suffix not in RESULTS:
+        raise _unknown_ending(out, RESULTS)
+    result = read_result(source)
+    try:
+        if suffix == ".tum":
+            write_relative_tum(result, out)
+        elif suffix == ".g2o":
+            write_g2o(result, out, "quaternion" if g2o_rotation == "quaternion" else "angle")
+        else:
+            write_static_transform(result, out, names[0], names[1])
+    except SurveyError as error:
+        raise DataFormatError(source, str(error)) from None
+
+
+def parse_slice(text: str) -> tuple[str, float]:
+    """Axis and coordinate of a slice."""
+    axis, _, number = (part.strip() for part in text.partition("="))
+    try:
+        value = float(number)
+    except ValueError:
+        value = float("nan")
+    if axis not in {"x", "y", "z"} or not abs(value) < 1e9:
+        msg = f"--slice: expected an axis and a coordinate in metres such as z=1.0; found '{text}'"
+        raise ConfigurationError(msg)
+    return axis, value
+
+
+def _unknown_ending(out: Path, known: Iterable[str]) -> ConfigurationError:
+    return ConfigurationError(f"{out}: expected a name that ends in {', '.join(known)}")

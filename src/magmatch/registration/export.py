@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A registration for other programs: a TUM pose, a g2o edge with its information, a ROS static transform."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.atomic import atomic_write
+from magmatch.errors import SurveyError
+from magmatch.registration.result import RegistrationResult
+from magmatch.typing import Covariance6
+
+RotationTangent = Literal["quaternion", "angle"]
+
+
+def accepted_transform(result: RegistrationResult) -> RigidTransform:
+    """Give the transform, or say why there is none."""
+    if result.T_base_target is None:
+        msg = f"was not accepted ({result.status}), so there is no transform to write: {result.reason}"
+        raise SurveyError(msg)
+    return result.T_base_target
+
+
+def write_relative_tum(result: RegistrationResult, path: str | Path) -> None:
+    """Write ``T_base_target`` as one TUM row at time 0.
+
+    Parameters
+    ----------
+    result : RegistrationResult
+        Accepted.
+    path : path
+
+    Raises
+    ------
+    SurveyError
+        Not accepted.
+    """
+    T = accepted_transform(result)
+    numbers = [0.0, *T.translation.tolist(), *T.rotation.as_quat().tolist()]
+    text = "# T_base_target: t x y z qx qy qz qw\n" + " ".join(map(repr, numbers)) + "\n"
+    with atomic_write(path) as stream:
+        stream.write(text.encode())
+
+
+def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quaternion") -> np.ndarray:
+    """Information matrix of a g2o edge.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        Rotation first (rad, m), of xi in ``T_true = T_estimate Exp(xi)``.
+    tangent : {"quaternion", "angle"}
+        What stands for the rotation: the vector part of the error's quaternion, as g2o itself computes it, or its
+        angle, as GTSAM takes the same file.
+
+    Returns
+    -------
+    (6, 6) array
+        Translation first, of ``Z^-1 T_true``.
+
+    Notes
+    -----
+    To first order ``Exp(xi)`` has translation ``rho`` and quaternion ``(theta / 2, 1)``, so that the error of g2o is
+    ``e = (rho, theta / 2)`` and its information ``(J S J^T)^-1`` with ``J = [[0, I], [I / 2, 0]]``.
+    """
+    J = np.zeros((6, 6))
+    J[:3, 3:] = np.eye(3)
+    J[3:, :3] = np.eye(3) * (0.5 if tangent == "quaternion" else 1.0)
+    moved = J @ covariance @ J.T
+    # Scaled to correlations first: rad and m differ by orders of magnitude.
+    scale = np.sqrt(np.diagonal(moved))
+    inverse = np.linalg.inv(moved / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray((inverse + inverse.T) / 2)
+
+
+def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTangent = "quaternion") -> None:
+    """Write base and target as vertices 0 and 1 and the registration as the edge between them.
+
+    Parameters
+    ----------
+    result : RegistrationResult
+        Accepted, with a covariance.
+    path : path
+    tangent : {"quaternion", "angle"}
+        See `g2o_information`.
+
+    Raises
+    ------
+    SurveyError
+        Not accepted, or without a covariance of full rank.
+    """
+    T = accepted_transform(result)
+    if result.covariance is None or np.linalg.eigvalsh(result.covariance)[0] <= 0:
+        msg = "the result has no covariance of full rank, which an edge of a pose graph needs"
+        raise SurveyError(msg)
+    information = g2o_information(result.covariance, tangent)
+    pose = _row([*T.translation.tolist(), *T.rotation.as_quat().tolist()])
+    lines = [
+        f"# magmatch: T_base_target; information of (translation, rotation as {tangent}) of Z^-1 T_true",
+        f"VERTEX_SE3:QUAT 0 {_row([0.0] * 6 + [1.0])}",
+        f"VERTEX_SE3:QUAT 1 {pose}",
+        f"EDGE_SE3:QUAT 0 1 {pose} {_row(information[np.triu_indices(6)].tolist())}",
+        "",
+    ]
+    with atomic_write(path) as stream:
+        stream.write("\n".join(lines).encode())
+
+
+def write_static_transform(result: RegistrationResult, path: str | Path, base: str, target: str) -> None:
+    """Write the transform as YAML of a ``geometry_msgs/TransformStamped``.
+
+    Parameters
+    ----------
+    result : RegistrationResult
+        Accepted.
+    path : path
+    base, target : str
+        Names of the frames.
+
+    Raises
+    ------
+    SurveyError
+        Not accepted.
+    """
+    import yaml
+
+    T = accepted_transform(result)
+    content = {
+        "header": {"frame_id": base},
+        "child_frame_id": target,
+        "transform": {
+            "translation": dict(zip("xyz", T.translation.tolist(), strict=True)),
+            "rotation": dict(zip("xyzw", T.rotation.as_quat().tolist(), strict=True)),
+        },
+    }
+    with atomic_write(path) as stream:
+        stream.write(yaml.safe_dump(content, sort_keys=False).encode())
+
+
+def _row(numbers: list[float]) -> str:
+    return " ".join(map(repr, numbers))

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A map as VTK, PLY and NetCDF, read by VTK and xarray."""
+
+import numpy as np
+import pytest
+
+from magmatch.data.survey import Survey
+from magmatch.errors import ConfigurationError
+from magmatch.field.build import build_map
+from magmatch.field.export import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
+
+
+@pytest.fixture(scope="module")
+def field_map():
+    rng = np.random.default_rng(4)
+    p = rng.uniform(0, [2.0, 1.5, 0.8], (150, 3))
+    b = np.array([20e-6, 0, -40e-6]) + 3e-6 * np.column_stack([np.sin(3 * p[:, 0]), np.cos(2 * p[:, 1]), p[:, 2]])
+    return build_map(Survey(p, b, frame="hall"))
+
+
+@pytest.fixture(scope="module")
+def grid(field_map):
+    return map_on_grid(field_map, 0.25)
+
+
+def test_grid_holds_what_the_map_says(field_map, grid):
+    i, j, k = 2, 1, 3
+    point = np.array([[grid.axes[0][i], grid.axes[1][j], grid.axes[2][k]]])
+    np.testing.assert_allclose(grid.field[i, j, k], field_map.evaluate(point).field[0], rtol=1e-9)
+    sd = np.sqrt(np.diagonal(field_map.covariance(point)[0]))
+    np.testing.assert_allclose(grid.sd[i, j, k], sd, rtol=1e-6)
+
+
+def test_vtk_reads_the_grid(grid, tmp_path):
+    vtk = pytest.importorskip("vtk")
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    write_vtk(grid, tmp_path / "map.vtk")
+    reader = vtk.vtkStructuredPointsReader()
+    reader.SetFileName(str(tmp_path / "map.vtk"))
+    reader.ReadAllVectorsOn()
+    reader.ReadAllScalarsOn()
+    reader.Update()
+    image = reader.GetOutput()
+    assert image.GetDimensions() == grid.field.shape[:3]
+    np.testing.assert_allclose(image.GetOrigin(), [axis[0] for axis in grid.axes])
+    field = vtk_to_numpy(image.GetPointData().GetArray("field"))
+    number = image.ComputePointId([2, 1, 3])
+    np.testing.assert_array_equal(field[number], grid.field[2, 1, 3])
+    np.testing.assert_allclose(image.GetPoint(number), [grid.axes[0][2], grid.axes[1][1], grid.axes[2][3]])
+
+
+def test_xarray_reads_the_grid_and_a_slice(field_map, grid, tmp_path):
+    xr = pytest.importorskip("xarray")
+    write_netcdf(grid, tmp_path / "map.nc", "hall")
+    with xr.open_dataset(tmp_path / "map.nc", engine="scipy") as dataset:
+        np.testing.assert_array_equal(dataset.bz.transpose("x", "y", "z"), grid.field[..., 2])
+        assert dataset.bx.units == "T"
+        assert dataset.attrs["frame"] == "hall"
+    cut = map_on_grid(field_map, 0.1, ("z", 0.4))
+    write_netcdf(cut, tmp_path / "cut.nc", "hall")
+    with xr.open_dataset(tmp_path / "cut.nc", engine="scipy") as dataset:
+        assert dataset.bx.dims == ("x", "y")
+        assert float(dataset.z) == pytest.approx(0.4)
+
+
+def test_ply_holds_the_points_the_map_knows(grid, tmp_path):
+    write_ply_cloud(grid, tmp_path / "map.ply")
+    head, _, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
+    n = int(grid.is_known.sum())
+    assert f"element vertex {n}\n".encode() in head
+    assert len(body) == n * 9 * 8
+
+
+def test_a_grid_of_billions_is_refused(field_map):
+    with pytest.raises(ConfigurationError, match="larger one"):
+        map_on_grid(field_map, 1e-4)
+
+
+def test_a_grid_that_nobody_chose_has_bounded_size(field_map):
+    assert map_on_grid(field_map).field.size < 3 * 200_000
+    assert map_on_grid(field_map, cut=("x", 1.0)).field.shape[0] == 1

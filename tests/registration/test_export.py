@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A registration as TUM row, g2o edge and ROS transform, read by other programs and by definition."""
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.errors import SurveyError
+from magmatch.geometry import exp_se3
+from magmatch.registration.export import g2o_information, write_g2o, write_relative_tum, write_static_transform
+from magmatch.registration.result import RegistrationResult, Status
+
+T = RigidTransform.from_components([1.5, -2.0, 0.25], Rotation.from_rotvec([0.3, -0.2, 1.1]))
+
+
+@pytest.fixture
+def covariance():
+    rng = np.random.default_rng(2)
+    L = np.tril(rng.normal(size=(6, 6))) * np.array([1e-3, 2e-3, 1e-3, 0.01, 0.02, 0.03])[:, None]
+    return L @ L.T + 1e-9 * np.eye(6)
+
+
+@pytest.fixture
+def result(covariance):
+    return RegistrationResult(Status.ACCEPTED, "fits", T, covariance=covariance)
+
+
+def error_of_g2o(xi):
+    """What g2o computes (toVectorMQT of Z^-1 T_true): translation, then the vector part of the quaternion."""
+    delta = T.inv() * (T * exp_se3(xi))
+    quaternion = delta.rotation.as_quat(canonical=True)
+    return np.concatenate([delta.translation, quaternion[:3]])
+
+
+def test_information_is_that_of_the_error_g2o_computes(covariance):
+    xi = np.random.default_rng(0).multivariate_normal(np.zeros(6), covariance, 2_000)
+    errors = np.array([error_of_g2o(x) for x in xi])
+    sampled = np.linalg.inv(np.cov(errors.T))
+    information = g2o_information(covariance)
+    scale = np.sqrt(np.outer(np.diagonal(information), np.diagonal(information)))
+    # Sampled covariances of 2,000 are good to about 3 %.
+    np.testing.assert_allclose(sampled / scale, information / scale, atol=0.15)
+
+
+def test_information_weighs_an_error_as_the_covariance_does(covariance):
+    xi = 1e-6 * np.random.default_rng(1).normal(size=6)
+    e = error_of_g2o(xi)
+    ours = xi @ np.linalg.solve(covariance, xi)
+    assert e @ g2o_information(covariance) @ e == pytest.approx(ours, rel=1e-5)
+    delta = exp_se3(xi)
+    angle = np.concatenate([delta.translation, delta.rotation.as_rotvec()])
+    assert angle @ g2o_information(covariance, "angle") @ angle == pytest.approx(ours, rel=1e-5)
+
+
+def test_gtsam_reads_the_edge(result, covariance, tmp_path):
+    gtsam = pytest.importorskip("gtsam")
+    write_g2o(result, tmp_path / "edge.g2o", "angle")
+    graph, values = gtsam.readG2o(str(tmp_path / "edge.g2o"), True)
+    assert graph.size() == 1
+    np.testing.assert_allclose(values.atPose3(1).matrix(), T.as_matrix(), atol=1e-9)
+    factor = graph.at(0)
+    np.testing.assert_allclose(factor.measured().matrix(), T.as_matrix(), atol=1e-9)
+    # GTSAM's tangent is rotation first, as ours.
+    np.testing.assert_allclose(factor.noiseModel().covariance(), covariance, rtol=1e-6, atol=1e-14)
+
+
+def test_edge_is_written_in_the_order_of_g2o(result, covariance, tmp_path):
+    write_g2o(result, tmp_path / "edge.g2o")
+    edge = next(line for line in (tmp_path / "edge.g2o").read_text().splitlines() if line.startswith("EDGE"))
+    words = edge.split()
+    assert words[:3] == ["EDGE_SE3:QUAT", "0", "1"]
+    numbers = np.array(words[3:], dtype=float)
+    assert len(numbers) == 7 + 21
+    np.testing.assert_array_equal(numbers[:3], T.translation)
+    np.testing.assert_array_equal(numbers[3:7], T.rotation.as_quat())
+    np.testing.assert_array_equal(numbers[7:], g2o_information(covariance)[np.triu_indices(6)])
+
+
+def test_relative_tum_is_one_row(result, tmp_path):
+    write_relative_tum(result, tmp_path / "T.tum")
+    row = np.loadtxt(tmp_path / "T.tum")
+    np.testing.assert_array_equal(row, [0, *T.translation, *T.rotation.as_quat()])
+
+
+def test_static_transform_is_a_transform_message(result, tmp_path):
+    write_static_transform(result, tmp_path / "T.yaml", "map", "monday")
+    content = yaml.safe_load((tmp_path / "T.yaml").read_text())
+    assert (content["header"]["frame_id"], content["child_frame_id"]) == ("map", "monday")
+    inner = content["transform"]
+    assert list(inner["translation"].values()) == T.translation.tolist()
+    assert list(inner["rotation"].values()) == T.rotation.as_quat().tolist()
+
+
+@pytest.mark.parametrize(
+    "write", [write_relative_tum, write_g2o, lambda r, p: write_static_transform(r, p, "a", "b")]
+)
+def test_nothing_is_written_of_a_refusal(write, tmp_path):
+    refused = RegistrationResult(Status.AMBIGUOUS, "two places look alike", None)
+    with pytest.raises(SurveyError, match="not accepted"):
+        write(refused, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_edge_needs_a_covariance(tmp_path):
+    with pytest.raises(SurveyError, match="no covariance"):
+        write_g2o(RegistrationResult(Status.ACCEPTED, "fits", T), tmp_path / "edge.g2o")
