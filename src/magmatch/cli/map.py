@@ -33,7 +33,9 @@ def build(
     ],
     out: Annotated[Path, typer.Option(help="Write the map here.")],
     layouts: Layouts,
-    prior: Annotated[str, typer.Option(help="Law of the field: auto|spline|divergence_free|curl_free.")] = "auto",
+    prior: Annotated[
+        str, typer.Option(help="Law of the field: auto|spline|divergence_free|curl_free|harmonic.")
+    ] = "auto",
     domain: Annotated[
         str | None, typer.Option(help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; the samples' box by default.")
     ] = None,

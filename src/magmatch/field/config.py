@@ -11,8 +11,9 @@ class FieldConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # Which law and basis: 'spline' (soft div B = 0, sparse), 'divergence_free' (published), 'curl_free' (potential).
-    prior: Literal["spline", "divergence_free", "curl_free"] = "spline"
+    # Which law and basis: 'spline' (soft div B = 0, sparse), 'divergence_free' (published), 'curl_free' (potential),
+    # 'harmonic' (no source in the region).
+    prior: Literal["spline", "divergence_free", "curl_free", "harmonic"] = "spline"
     # Distance over which the field changes, m. None: chosen from the data.
     lengthscale: float | None = Field(default=None, gt=0)
     # Prior standard deviation of one field component, T. None: chosen from the data.

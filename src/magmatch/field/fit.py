@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
+from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
@@ -51,18 +52,33 @@ def fit_posterior(
     Posterior
         In the model's frame; the same arguments give the same bits.
     """
-    model = PRIORS[config.prior].build(samples.positions, samples.field, hyperparameters)
+    box = declared_box(config, T_domain_model)
+    model = PRIORS[config.prior].build(samples.positions, samples.field, hyperparameters, box)
     posterior: Posterior
     if isinstance(model, SplineModel | TiledModel):
         posterior = fit_splines(model, samples.positions, samples.field, stored, run)
     else:
         posterior = model.infer(model.observe(samples.positions, samples.field))
+    return posterior if box is None else BoundedPosterior(posterior, box.low, box.high, box.T_box_model)
+
+
+def declared_box(config: FieldConfig, T_domain_model: RigidTransform | None = None) -> Box | None:
+    """Box that a configuration declares, as the model sees it.
+
+    Parameters
+    ----------
+    config : FieldConfig
+    T_domain_model : RigidTransform, optional
+        Takes model coordinates to those in which ``config.domain`` is given; the same by default.
+
+    Returns
+    -------
+    Box or None
+    """
     if config.domain is None:
-        return posterior
+        return None
     low, high = np.array(config.domain[:3]), np.array(config.domain[3:])
-    return BoundedPosterior(
-        posterior, low, high, RigidTransform.identity() if T_domain_model is None else T_domain_model
-    )
+    return Box(low, high, RigidTransform.identity() if T_domain_model is None else T_domain_model)
 
 
 def check_finite(survey: Survey) -> None:

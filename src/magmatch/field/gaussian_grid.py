@@ -23,7 +23,7 @@ from magmatch.field.kernels import (
 )
 from magmatch.field.linear_model import Axes
 from magmatch.field.values import FieldValues
-from magmatch.typing import Matrix, Points, Vector3
+from magmatch.typing import Mask, Matrix, Points, Vector3
 
 # Largest temporary array, in numbers: 64 MiB.
 _CHUNK_NUMBERS = 2**23
@@ -58,6 +58,10 @@ class GaussianGrid:
     def n_components(self) -> int:
         """How many weights a node has."""
         return weights_per_node(self.terms)
+
+    def is_whole(self, points: Points) -> Mask:
+        """Nowhere: between and beyond the nodes the kernel says more than they can represent."""
+        return np.zeros(len(points), dtype=np.bool_)
 
     def gram(self) -> Matrix:
         """Prior covariance of what the weights stand for: the field at the nodes, or the potential over l."""

@@ -12,7 +12,8 @@ class Hyperparameters:
     Attributes
     ----------
     lengthscale : float, m
-        Distance over which the field changes; also the size of what counts as one independent cell.
+        Distance over which the field changes; also the size of what counts as one independent cell. Of equivalent
+        sources: their distance from the samples.
     signal_sd : float, T
         Prior standard deviation of one field component (the constant field aside).
     noise_sd : float, T

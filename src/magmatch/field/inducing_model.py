@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A Gaussian process over inducing points on a grid, plus a constant field, as a linear model.
+"""A dense basis plus a constant field as a linear model: Gaussians on inducing points, or equivalent sources.
 
-``B(x) = K(x, U) w + c`` with ``w ~ N(0, K_UU^-1)``, ``c ~ N(0, constant_sd^2 I)``. Everything is computed in whitened
-weights v, ``[w, c] = s L^-T v`` with ``L L^T / s^2`` the prior precision: their prior is N(0, I), so that neither the
-unit of the field nor the condition of ``K_UU`` reaches the factorisation of the posterior.
+``B(x) = K(x, U) w + c`` with ``w ~ N(0, K_UU^-1)``, or independent weights, and ``c ~ N(0, constant_sd^2 I)``.
+Everything is computed in whitened weights v, ``[w, c] = s L^-T v`` with ``L L^T / s^2`` the prior precision: their
+prior is N(0, I), so that neither the unit of the field nor the condition of ``K_UU`` reaches the factorisation of the
+posterior.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
@@ -20,7 +22,7 @@ from magmatch.field.kernels import N_ROWS, Kernel
 from magmatch.field.linear_model import Axes
 from magmatch.field.values import FieldValues
 from magmatch.field.whitening import gram_factor
-from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
 
 # Rows times weights of one block of the design matrix, in numbers: 64 MiB.
 _BLOCK_NUMBERS = 2**23
@@ -28,21 +30,46 @@ _BLOCK_NUMBERS = 2**23
 _NO_CONSTANT_SD = 1e-30
 
 
+class Basis(Protocol):
+    """Vector fields that weights (T) stand for, with unit prior variance of a component."""
+
+    @property
+    def n_weights(self) -> int:
+        """How many."""
+        ...
+
+    def is_whole(self, points: Points) -> Mask:
+        """Where the basis alone is the prior; elsewhere the prior has a part that the basis cannot represent."""
+        ...
+
+    def design(self, points: Points, order: int = 0) -> Matrix:
+        """Field and derivatives per unit of each weight: (rows n, m), rows component-major."""
+        ...
+
+    def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
+        """Field and derivatives at points."""
+        ...
+
+    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, in C order."""
+        ...
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class InducingModel:
-    """Inducing points over a region, with fixed hyperparameters.
+    """A dense basis over a region, with fixed hyperparameters.
 
     Attributes
     ----------
     hyperparameters : Hyperparameters
-    basis : GaussianGrid
-        Kernel of unit variance at the inducing points.
+    basis : Basis
     kernel : Kernel
-        Prior covariance of the field, for unit variance.
+        Prior covariance of the field, for unit variance, where the basis alone is not the prior.
     constant_sd : float, T
         Prior standard deviation of the constant field.
-    factor : (m, m) array
-        Lower Cholesky factor of the weights' prior precision times the noise variance, the constant included.
+    factor : (m, m) or (m,) array
+        Lower Cholesky factor of the weights' prior precision times the noise variance, the constant included; its
+        diagonal alone where the weights are independent.
     samples : cKDTree
         Where the region's samples are.
     known_reach : float, m
@@ -50,10 +77,10 @@ class InducingModel:
     """
 
     hyperparameters: Hyperparameters
-    basis: GaussianGrid
+    basis: Basis
     kernel: Kernel
     constant_sd: float
-    factor: Matrix
+    factor: np.ndarray
     samples: cKDTree
     known_reach: float
 
@@ -94,8 +121,25 @@ class InducingModel:
         factor = np.zeros((n + 3, n + 3), order="F")
         factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
         h = hyperparameters
-        factor[:n, :n] *= h.noise_sd / h.signal_sd
+        factor[:n, :n] *= h.noise_sd / (h.looseness * h.signal_sd)
         factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
+        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
+
+    @classmethod
+    def of_independent_weights(
+        cls,
+        points: Points,
+        hyperparameters: Hyperparameters,
+        basis: Basis,
+        kernel: Kernel,
+        *,
+        constant_sd: float,
+        known_reach: float,
+    ) -> "InducingModel":
+        """Take a basis whose weights are independent; arguments as in `over`."""
+        h = hyperparameters
+        factor = np.full(basis.n_weights + 3, h.noise_sd / (h.looseness * h.signal_sd))
+        factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
         return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> DenseInformation:
@@ -138,10 +182,15 @@ class InducingModel:
         design[:, :m] = self.basis.design(points, order)
         for a in range(3):
             design[a * n : (a + 1) * n, m + a] = 1.0
+        if self.factor.ndim == 1:
+            design /= self.factor
+            return design.T
         return np.asarray(blas.dtrsm(1.0, self.factor, design.T, lower=1, overwrite_b=1))
 
     def weights_of(self, white: np.ndarray) -> np.ndarray:
         """Weights (T) that whitened weights (m,) or (m, k) stand for."""
+        if self.factor.ndim == 1:
+            return np.asarray(self.hyperparameters.noise_sd * (white.T / self.factor).T)
         return np.asarray(self.hyperparameters.noise_sd * solve_triangular(self.factor, white, lower=True, trans=1))
 
 
@@ -187,27 +236,33 @@ class InducingPosterior:
         points = np.asarray(points, dtype=np.float64)
         k = N_ROWS[order]
         h = self.hyperparameters
-        prior = h.signal_sd**2 * self.model.kernel.at_one_point(order)
+        prior = (h.looseness * h.signal_sd) ** 2 * self.model.kernel.at_one_point(order)
         prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
         out = np.empty((len(points), k, k))
-        # The inflation widens the prior too: it was the numbers of the prior that held-out samples found too sure.
+        is_whole = self.model.basis.is_whole(points)
         for rows in _blocks(len(points), k * len(self.factor)):
             A = self.model.features(points[rows], order)
-            explained = _squares(A, k)
+            beside = prior - h.noise_sd**2 * _squares(A, k)
+            beside[is_whole[rows]] = 0.0
             remaining = _squares(blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1), k)
-            out[rows] = h.inflation**2 * (prior - h.noise_sd**2 * (explained - remaining))
+            out[rows] = beside + h.noise_sd**2 * remaining
+        # The prior is widened too: held-out samples found its numbers too sure, not the weights alone.
+        out *= h.inflation**2
         return out
 
     def joint_covariance(self, points: Points) -> np.ndarray:
         """Posterior covariance of the field at all points together (DTC): (3 n, 3 n), row ``3 i + a``."""
         points = np.asarray(points, dtype=np.float64)
         n, h = len(points), self.hyperparameters
-        prior = h.signal_sd**2 * self.model.kernel.covariance(points, points)
-        prior += self.model.constant_sd**2 * np.kron(np.eye(3), np.ones((n, n)))
+        beside = (h.looseness * h.signal_sd) ** 2 * self.model.kernel.covariance(points, points)
+        beside += self.model.constant_sd**2 * np.kron(np.eye(3), np.ones((n, n)))
         A = self.model.features(points, 0)
-        explained = A.T @ A
+        beside -= h.noise_sd**2 * (A.T @ A)
+        is_whole = np.tile(self.model.basis.is_whole(points), 3)
+        beside[is_whole] = 0.0
+        beside[:, is_whole] = 0.0
         half = blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1)
-        covariance = prior - h.noise_sd**2 * (explained - half.T @ half)
+        covariance = h.inflation**2 * (beside + h.noise_sd**2 * (half.T @ half))
         return np.asarray(covariance.reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:

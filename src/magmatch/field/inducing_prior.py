@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.errors import SurveyError
+from magmatch.field.box import Box
 from magmatch.field.gaussian_grid import GaussianGrid
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_grid import InducingGrid, lay_affordable_grid
@@ -66,13 +67,20 @@ class InducingPrior:
     ) -> None:
         self.name, self.kernel, self.terms, self.config = name, kernel, terms, config
 
-    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
+    def choose_hyperparameters(
+        self,
+        points: Points,
+        field: Vectors,
+        box: Box | None = None,  # noqa: ARG002
+    ) -> Hyperparameters:
         """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows.
 
         Parameters
         ----------
         points : (n, 3) array, m
         field : (n, 3) array, T
+        box : Box, optional
+            Not used: beyond the inducing points the kernel speaks.
 
         Returns
         -------
@@ -103,7 +111,13 @@ class InducingPrior:
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
         return self._resolved(points, fit)
 
-    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> InducingModel:
+    def build(
+        self,
+        points: Points,
+        field: Vectors,
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,  # noqa: ARG002
+    ) -> InducingModel:
         """Lay inducing points over the surroundings of the points.
 
         Parameters
@@ -113,6 +127,8 @@ class InducingPrior:
             Checked only.
         hyperparameters : Hyperparameters
             A spacing that takes more inducing points than allowed, or needlessly many, is widened.
+        box : Box, optional
+            Not used.
 
         Returns
         -------

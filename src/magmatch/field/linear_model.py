@@ -11,6 +11,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
+from magmatch.field.box import Box
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Points, Scalars, Vectors
@@ -102,10 +103,12 @@ class Prior(Protocol):
         """What configuration calls it."""
         ...
 
-    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
-        """Numbers that fit the data; deterministic."""
+    def choose_hyperparameters(self, points: Points, field: Vectors, box: Box | None = None) -> Hyperparameters:
+        """Numbers that fit the data; deterministic. ``box``: where else the field will be asked for."""
         ...
 
-    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> LinearModel[Any]:
-        """Lay the basis over the region of the points."""
+    def build(
+        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+    ) -> LinearModel[Any]:
+        """Lay the basis over the region of the points; the same arguments as for `choose_hyperparameters`."""
         ...

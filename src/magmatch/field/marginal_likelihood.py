@@ -110,7 +110,7 @@ def fit_at(kernel: Kernel, points: Points, field: Vectors) -> LikelihoodFit:
     gram = kernel.covariance(points, points).reshape(3, n, 3, n).transpose(1, 0, 2, 3).reshape(n, -1)
     gram = _contrasts(gram).reshape(n - 1, 3, 3, n).transpose(3, 2, 1, 0).reshape(n, -1)
     gram = _contrasts(gram).reshape(n - 1, 3, 3, n - 1).transpose(1, 0, 2, 3).reshape(3 * n - 3, -1)
-    diagonal, off_diagonal, z = _tridiagonal(gram, y)
+    diagonal, off_diagonal, z = tridiagonal(gram, y)
     scores, variances = zip(*(_score(diagonal + r, off_diagonal, z) for r in NOISE_RATIOS), strict=True)
     best = int(np.argmax(scores))
     signal_sd = unit * float(np.sqrt(variances[best]))
@@ -167,8 +167,22 @@ def _contrasts(values: Matrix) -> Matrix:
     return np.asarray(reflected[1:])
 
 
-def _tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
-    """Diagonal and off-diagonal of ``T`` and ``Q^T y`` where ``gram = Q T Q^T``."""
+def tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
+    """Reduce a symmetric matrix once, so that shifting its diagonal costs next to nothing.
+
+    Parameters
+    ----------
+    gram : (n, n) array
+        Symmetric, ``Q T Q^T``.
+    y : (n,) array
+
+    Returns
+    -------
+    diagonal, off_diagonal : (n,) and (n - 1,) array
+        Of ``T``.
+    z : (n,) array
+        ``Q^T y``.
+    """
     size = len(gram)
     work, _ = lapack.dsytrd_lwork(size, lower=1)
     reflectors, diagonal, off_diagonal, tau, _ = lapack.dsytrd(
@@ -180,12 +194,31 @@ def _tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
     return diagonal, off_diagonal, z
 
 
-def _score(diagonal: Scalars, off_diagonal: Scalars, z: Scalars) -> tuple[float, float]:
-    """Log-likelihood up to a constant, and the signal variance it takes, for one noise ratio."""
+def tridiagonal_score(diagonal: Scalars, off_diagonal: Scalars, z: Scalars) -> tuple[float, float]:
+    """Log-determinant of a tridiagonal matrix, and the quadratic form of its inverse.
+
+    Parameters
+    ----------
+    diagonal, off_diagonal : (n,) and (n - 1,) array
+    z : (n,) array
+
+    Returns
+    -------
+    log_determinant, quadratic : float
+        Infinite and 0 where rounding made the matrix indefinite.
+    """
     d, e, info = lapack.dpttrf(diagonal, off_diagonal)
     if info:
-        # Rounding made the smallest eigenvalues negative: this noise ratio is too small to be told from none.
-        return -np.inf, 1.0
+        return np.inf, 0.0
     solution, _ = lapack.dpttrs(d, e, z[:, None])
-    variance = max(float(z @ solution[:, 0]) / len(z), np.finfo(float).tiny)
-    return -0.5 * float(len(z) * np.log(variance) + np.log(d).sum()), variance
+    return float(np.log(d).sum()), float(z @ solution[:, 0])
+
+
+def _score(diagonal: Scalars, off_diagonal: Scalars, z: Scalars) -> tuple[float, float]:
+    """Log-likelihood up to a constant, and the signal variance it takes, for one noise ratio."""
+    log_determinant, quadratic = tridiagonal_score(diagonal, off_diagonal, z)
+    if np.isinf(log_determinant):
+        # This noise ratio is too small to be told from none.
+        return -np.inf, 1.0
+    variance = max(quadratic / len(z), np.finfo(float).tiny)
+    return -0.5 * float(len(z) * np.log(variance) + log_determinant), variance

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The default prior: a potential of cubic splines on cells near the data, smooth, with a soft law div B = 0."""
 
+from magmatch.field.box import Box
 from magmatch.field.cross_validation import choose_spline_hyperparameters
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.region_model import lay_splines
@@ -14,7 +15,12 @@ class SplinePrior:
 
     name = "spline"
 
-    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
+    def choose_hyperparameters(
+        self,
+        points: Points,
+        field: Vectors,
+        box: Box | None = None,  # noqa: ARG002
+    ) -> Hyperparameters:
         """Numbers that predict left-out parts of the survey best; deterministic."""
         return choose_spline_hyperparameters(points, field)
 
@@ -23,6 +29,7 @@ class SplinePrior:
         points: Points,
         field: Vectors,  # noqa: ARG002
         hyperparameters: Hyperparameters,
+        box: Box | None = None,  # noqa: ARG002
     ) -> SplineModel | TiledModel:
         """Lay splines over the surroundings of the points, in tiles where one factor would grow too large."""
         return lay_splines(points, hyperparameters)

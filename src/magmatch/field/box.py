@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The box that a map is declared for, as a prior sees it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import transform_points
+from magmatch.typing import Points
+
+# Most points that stand for a box.
+_N_LATTICE = 50_000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Box:
+    """A box, turned against the model's axes.
+
+    Attributes
+    ----------
+    low, high : (3,) array, m
+        Corners, in the box's own axes.
+    T_box_model : RigidTransform
+        Takes model coordinates to the box's.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    T_box_model: RigidTransform
+
+    def lattice_step(self, wished: float) -> float:
+        """Distance of the lattice's points that can be afforded, m."""
+        size = self.high - self.low
+        return float(max(wished, np.cbrt(size).prod() / np.cbrt(_N_LATTICE), size.max() / 1000))
+
+    def lattice(self, step: float) -> Points:
+        """Points no farther apart than a step that fill the box, in the model's frame.
+
+        Parameters
+        ----------
+        step : float, m
+            See `lattice_step`.
+
+        Returns
+        -------
+        (n, 3) array, m
+        """
+        n_steps = np.ceil((self.high - self.low) / step).astype(np.int64)
+        axes = [np.linspace(a, b, n + 1) for a, b, n in zip(self.low, self.high, n_steps, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return transform_points(points, self.T_box_model.inv())

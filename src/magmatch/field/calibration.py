@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What to leave out of a survey to judge a model, and how much wider its spread must be for it to be honest.
+
+The folds are made of stretches of a path, or of cubes and of a slice off one end where samples come in no order. The
+slice is what lies beyond a survey: there a model extrapolates, and is over-confident first.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magmatch.field.held_out import has_path_order, path_segments, space_blocks
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Posterior
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+
+# Groups of parts; as many folds are judged.
+_N_GROUPS = 5
+_FOLDS = (1, 3)
+# Fewer samples are not divided.
+FEWEST_SAMPLES = 40
+# Size of what is left out, in lengthscales; a slice off the end holds at most this share of the samples.
+_STRETCH, _CUBE, _SLICE, _SLICE_SHARE = 4.0, 0.5, 0.5, 0.15
+_STRETCH_IN_EXTENTS = 0.25
+# Samples of one fold at which the covariance is computed.
+_N_COMPARED = 400
+# Factors tried on the posterior's standard deviation.
+_INFLATIONS = np.geomspace(1.0, 8.0, 19)
+_COVERAGE, _IN_SDS = 0.95, 1.96
+
+# From held-in and held-out rows to the posterior of the held-in samples.
+FitWithout = Callable[[Mask], Posterior]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Parts:
+    """A survey's samples in parts, some of which are left out at a time.
+
+    Attributes
+    ----------
+    number : (n,) int array
+        Which part each sample is in.
+    folds : tuple of (n,) bool arrays
+        What is left out, one set at a time.
+    is_path : bool
+        Whether the parts are stretches of a path.
+    """
+
+    number: Indices
+    folds: tuple[Mask, ...]
+    is_path: bool
+
+
+def divide(points: Points, lengthscale: float) -> Parts:
+    """Parts of a survey to leave out: stretches of a path or cubes, and a slice off one end.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    lengthscale : float, m
+        How far a field reaches.
+
+    Returns
+    -------
+    Parts
+        Without folds where there are too few samples to leave any out.
+    """
+    extent = np.ptp(points, axis=0)
+    is_path = has_path_order(points)
+    if len(points) < FEWEST_SAMPLES or not extent.max() > 0:
+        return Parts(np.zeros(len(points), dtype=np.int64), (), is_path)
+    if is_path:
+        length = min(_STRETCH * lengthscale, _STRETCH_IN_EXTENTS * float(extent.max()))
+        number = path_segments(points, length)
+    else:
+        size = max(_CUBE * lengthscale, float(extent.max()) / 200)
+        number = space_blocks(points, size, np.random.default_rng(0))
+    folds = [number % _N_GROUPS == fold for fold in _FOLDS]
+    if not is_path:
+        along = points[:, int(np.argmax(extent))]
+        limit = max(float(along.max()) - _SLICE * lengthscale, float(np.quantile(along, 1 - _SLICE_SHARE)))
+        folds.append(along > limit)
+    return Parts(number, tuple(fold for fold in folds if fold.any() and not fold.all()), is_path)
+
+
+def widened(h: Hyperparameters, points: Points, field: Vectors, parts: Parts, fit: FitWithout) -> Hyperparameters:
+    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+
+    The mean stays what it is: noise and prior grow alike. Of a few spreads the sharpest, in mean log width, that
+    covers 95 % of all held-out components together is taken.
+
+    Parameters
+    ----------
+    h : Hyperparameters
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    parts : Parts
+    fit : function
+        Posterior without the samples of a mask.
+
+    Returns
+    -------
+    Hyperparameters
+    """
+    if not parts.folds:
+        return h
+    sizes, variances = [], []
+    for fold in parts.folds:
+        posterior, rows = fit(fold), _some(fold)
+        sizes.append(np.abs(posterior.evaluate(points[rows]).field - field[rows]))
+        covariance = posterior.covariance(points[rows])
+        variances.append(np.diagonal(covariance, axis1=1, axis2=2) / (h.inflation * h.noise_sd) ** 2)
+    growth, inflation = _sharpest(np.concatenate(sizes) / h.noise_sd, np.concatenate(variances))
+    return replace(h, noise_sd=growth * h.noise_sd, looseness=growth * h.looseness, inflation=inflation)
+
+
+def _sharpest(size: Scalars, variance: Scalars) -> tuple[float, float]:
+    """Factor on the noise (at least 1) and on the posterior's sd that cover held-out components most sharply."""
+    best = (np.inf, 1.0, 1.0)
+    for inflation in _INFLATIONS:
+        width = np.sqrt(1.0 + inflation**2 * variance)
+        growth = max(float(np.quantile(size / width, _COVERAGE)) / _IN_SDS, 1.0)
+        best = min(best, (float(np.log(growth) + np.log(width).mean()), growth, float(inflation)))
+    return best[1], best[2]
+
+
+def _some(fold: Mask) -> Indices:
+    """Rows of a fold, thinned."""
+    rows = np.flatnonzero(fold)
+    return np.asarray(rows[:: -(-len(rows) // _N_COMPARED)], dtype=np.int64)

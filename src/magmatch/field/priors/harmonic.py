@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fields without sources in the region: equivalent charges on a layer around it, plus a constant field."""
+
+import logging
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from magmatch.errors import SurveyError
+from magmatch.field.box import Box
+from magmatch.field.calibration import divide, widened
+from magmatch.field.held_out import typical_length
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing_model import InducingModel
+from magmatch.field.kernels import CurlFreeKernel
+from magmatch.field.linear_model import Posterior
+from magmatch.field.shell import SourceShell, lay_shell
+from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
+from magmatch.typing import Mask, Points, Vectors
+
+log = logging.getLogger(__name__)
+
+# A field that varies less than this is taken as constant: well below the rounding of any recording, T.
+SMALLEST_SD = 1e-12
+MIN_SAMPLES = 4
+
+
+class HarmonicConfig(BaseModel):
+    """Settings of the equivalent sources."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Spacing of the charges over their distance from the samples; denser gained nothing (docs/theory.md).
+    spacing_ratio: float = Field(default=0.5, gt=0)
+    # Most charges; more moves the layer out and the charges apart.
+    max_sources: int = Field(default=2000, ge=8)
+    # The same while the distance is searched.
+    max_search_sources: int = Field(default=1500, ge=8)
+    # Prior standard deviation of the constant field, T: broad against the Earth's 25 to 65 uT.
+    constant_sd: float = Field(default=1e-4, ge=0)
+    # Distance from a sample within which the field counts as known, in distances of the layer.
+    known_ratio: float = Field(default=0.6, gt=0)
+    # Samples for choosing the distance and the noise.
+    n_search_samples: int = Field(default=4000, ge=8)
+
+
+class HarmonicPrior:
+    """Curl-free and divergence-free exactly; right only where no source stands in the region that is asked for.
+
+    Parameters
+    ----------
+    config : HarmonicConfig, optional
+    """
+
+    name = "harmonic"
+
+    def __init__(self, config: HarmonicConfig | None = None) -> None:
+        self.config = config or HarmonicConfig()
+
+    def choose_hyperparameters(self, points: Points, field: Vectors, box: Box | None = None) -> Hyperparameters:
+        """Distance of the layer, signal and noise from the data, and the spread that held-out samples ask for.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+        field : (n, 3) array, T
+        box : Box, optional
+            What must be free of sources beside the samples' surroundings.
+
+        Returns
+        -------
+        Hyperparameters
+            The lengthscale is the layer's distance.
+
+        Raises
+        ------
+        SurveyError
+            Fewer than 4 samples, or NaN.
+        """
+        _check(points, field)
+        ratio = self.config.spacing_ratio
+        length = typical_length(points, field)
+        sd = float(field.std(axis=0).max())
+        if sd < SMALLEST_SD or length == 0:
+            distance = max(float(np.linalg.norm(np.ptp(points, axis=0))) / 2, 1.0)
+            sd = max(sd, SMALLEST_SD)
+            return Hyperparameters(distance, sd, sd, ratio * distance)
+        some = slice(None, None, -(-len(points) // self.config.n_search_samples))
+        fit = self._search(points, field, some, length, box)
+        h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
+        return self._calibrated(points[some], field[some], h, points, box)
+
+    def build(
+        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+    ) -> InducingModel:
+        """Lay charges around the points and the box.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+        field : (n, 3) array, T
+            Checked only.
+        hyperparameters : Hyperparameters
+            A distance that takes more charges than allowed is widened, with a warning.
+        box : Box, optional
+            What must be free of sources too.
+
+        Returns
+        -------
+        InducingModel
+
+        Raises
+        ------
+        SurveyError
+            Fewer than 4 samples, or NaN.
+        """
+        _check(points, field)
+        h = hyperparameters
+        shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
+        if shell.distance > 1.01 * h.lengthscale:
+            log.warning(
+                "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
+                shell.distance, h.lengthscale, self.config.max_sources,
+            )  # fmt: skip
+        return InducingModel.of_independent_weights(
+            points, h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd=self.config.constant_sd,
+            known_reach=self.config.known_ratio * shell.distance,
+        )  # fmt: skip
+
+    def _shell(self, points: Points, distance: float, spacing: float, box: Box | None, most: int) -> SourceShell:
+        if box is None:
+            return lay_shell(points, distance, spacing, most)
+        # The lattice stands for the box: charges must not fit between its points.
+        step = box.lattice_step(distance / 2)
+        farther = max(2 * step, distance)
+        region = np.concatenate([points, box.lattice(step)])
+        return lay_shell(region, farther, spacing * farther / distance, most)
+
+    def _search(self, points: Points, field: Vectors, some: slice, length: float, box: Box | None) -> ShellFit:
+        """Best distance; where one takes too many charges, the nearest that can be afforded stands for it."""
+        ratio, most = self.config.spacing_ratio, self.config.max_search_sources
+        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+        parts = divide(points[some], length)
+
+        def fit_at(distance: float) -> ShellFit:
+            shell = self._shell(points, distance, ratio * distance, box, most)
+            return fit_shell(shell, points[some], field[some], parts)
+
+        return search_distance(fit_at, length / 2, length / 10, extent / 2)
+
+    def _calibrated(
+        self, points: Points, field: Vectors, h: Hyperparameters, region: Points, box: Box | None
+    ) -> Hyperparameters:
+        parts = divide(points, h.lengthscale)
+        if not parts.folds:
+            return h
+        model = self.build(region, np.zeros_like(region), h, box)
+        everything = model.observe(points, field)
+
+        def without(fold: Mask) -> Posterior:
+            return model.infer(everything - model.observe(points[fold], field[fold]))
+
+        return widened(h, points, field, parts, without)
+
+
+def _check(points: Points, field: Vectors) -> None:
+    if len(points) < MIN_SAMPLES:
+        msg = f"expected at least {MIN_SAMPLES} samples to fit a field, got {len(points)}"
+        raise SurveyError(msg)
+    if not (np.isfinite(points).all() and np.isfinite(field).all()):
+        msg = "expected finite positions and field, got NaN or infinity"
+        raise SurveyError(msg)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Claims about equivalent sources: what they stand for, where they stand, and where they say nothing."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.field.box import Box
+from magmatch.field.build import build_map
+from magmatch.field.charges import charge_design, charge_field
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+from magmatch.field.shell import lay_shell
+
+EARTH = np.array([18e-6, 2e-6, -44e-6])
+BOX = np.array([2.0, 1.5, 0.8])
+H = Hyperparameters(lengthscale=0.5, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.35)
+
+
+def dipole_at(points, source, moment):
+    r = points - source
+    d = np.linalg.norm(r, axis=1)[:, None]
+    return 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+
+
+def field_at(points, seed=0, inside=False):
+    """Earth's field and twelve dipoles 0.5 m below a box, one more in its middle if asked for."""
+    rng = np.random.default_rng(seed)
+    field = EARTH + np.zeros_like(points)
+    for _ in range(12):
+        field = field + 1e-6 * dipole_at(points, rng.uniform([0, 0, -0.7], [2, 1.5, -0.5]), rng.normal(size=3))
+    return field + (1e-6 * dipole_at(points, BOX / 2, np.array([1.0, 1.0, 0.5])) if inside else 0.0)
+
+
+def room(n=600, inside=False, noise_sd=0.5e-6):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(0, BOX, size=(n, 3))
+    points = points[np.linalg.norm(points - BOX / 2, axis=1) > 0.3]
+    return points, field_at(points, inside=inside) + rng.normal(scale=noise_sd, size=points.shape)
+
+
+def test_the_sum_over_charges_equals_its_matrix():
+    rng = np.random.default_rng(0)
+    points, sources, charges = rng.normal(size=(7, 3)), rng.normal(size=(5, 3)) + 4, rng.normal(size=5)
+    for order, n_rows in ((0, 3), (1, 9), (2, 19)):
+        matrix = charge_design(points, sources, order)
+        assert matrix.shape == (n_rows, 7, 5)
+        np.testing.assert_allclose(charge_field(points, sources, charges, order), (matrix @ charges).T, rtol=1e-12)
+
+
+def test_charges_stand_around_the_region_and_fill_it_with_unit_variance():
+    points, _ = room()
+    shell = lay_shell(points, 0.4, 0.3, 2000)
+    away = np.linalg.norm(shell.sources[:, None] - points, axis=2).min(axis=1)
+    assert away.min() > 0.38
+    assert away.max() < 0.41
+    variance = (shell.design(points) ** 2).sum(axis=1).mean()
+    assert variance == pytest.approx(1, rel=0.05)
+    np.testing.assert_array_equal(
+        shell.is_whole(np.array([[1.0, 0.7, 0.7], [-0.1, 0.7, 0.4], [-0.4, 0.7, 0.4]])), [1, 1, 0]
+    )
+
+
+def test_the_number_of_charges_is_bounded_whatever_is_asked():
+    rng = np.random.default_rng(0)
+    along = rng.uniform(0, [200.0, 1.0, 0.1], size=(3000, 3))
+    for region, distance in ((along, 0.3), (room()[0], 0.01), (room()[0], 1e3)):
+        shell = lay_shell(region, distance, 0.7 * distance, 300)
+        assert 0 < len(shell.sources) <= 300
+        assert shell.spacing / shell.distance == pytest.approx(0.7)
+
+
+def test_a_declared_box_is_kept_free_of_charges():
+    T = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_rotvec([0.0, 0.0, 0.6]))
+    box = Box(np.array([-0.5, -0.5, -0.5]), np.array([3.0, 2.0, 1.5]), T)
+    model = HarmonicPrior().build(*room(), H, box)
+    p_box = T.apply(model.basis.sources)
+    beyond = np.linalg.norm(np.maximum(np.maximum(box.low - p_box, p_box - box.high), 0), axis=1)
+    assert beyond.min() > 0.25
+    corner = T.inv().apply(box.high[None] - 0.05)
+    assert model.basis.is_whole(corner).all()
+    assert not HarmonicPrior().build(*room(), H).basis.is_whole(corner).any()
+
+
+def test_a_huge_box_takes_a_coarser_layer_not_the_machine():
+    box = Box(np.full(3, -1e4), np.full(3, 1e4), RigidTransform.identity())
+    model = HarmonicPrior(HarmonicConfig(max_sources=500)).build(*room(), H, box)
+    assert model.basis.n_weights <= 500
+    assert model.basis.distance > 100
+
+
+def test_the_field_above_a_plane_is_found():
+    points, _ = room(800)
+    points[:, 2] = 0.1
+    field = field_at(points) + np.random.default_rng(2).normal(scale=0.3e-6, size=points.shape)
+    prior = HarmonicPrior()
+    h = prior.choose_hyperparameters(points, field)
+    model = prior.build(points, field, h)
+    above = np.random.default_rng(3).uniform([0.2, 0.2, 0.2], [1.8, 1.3, 0.2], size=(300, 3))
+    error = model.infer(model.observe(points, field)).evaluate(above).field - field_at(above)
+    assert np.sqrt((error**2).sum(axis=1).mean()) < 0.03 * np.sqrt(field_at(above).var(axis=0).sum())
+
+
+def test_numbers_are_deterministic_and_follow_the_units():
+    points, field = room(300)
+    prior = HarmonicPrior()
+    h = prior.choose_hyperparameters(points, field)
+    assert h == prior.choose_hyperparameters(points, field)
+    scaled = prior.choose_hyperparameters(points * 10, field * 1e3)
+    np.testing.assert_allclose(
+        [scaled.lengthscale, scaled.signal_sd, scaled.noise_sd, scaled.inflation],
+        [10 * h.lengthscale, 1e3 * h.signal_sd, 1e3 * h.noise_sd, h.inflation],
+        rtol=1e-6,
+    )
+
+
+def test_a_map_over_a_declared_box_is_saved_and_loaded(tmp_path):
+    built = build_map(Survey(*room(200)), FieldConfig(prior="harmonic", domain=(-0.3, -0.3, -0.2, 2.3, 1.8, 1.0)))
+    built.save(tmp_path / "map")
+    again = type(built).load(tmp_path / "map")
+    at = np.array([[1.0, 0.7, 0.4], [-0.25, 0.7, 0.9], [2.5, 0.7, 0.4]])
+    np.testing.assert_array_equal(again.evaluate(at, 1).gradient, built.evaluate(at, 1).gradient)
+    np.testing.assert_array_equal(again.covariance(at), built.covariance(at))
+    spread = np.sqrt(np.trace(built.covariance(at), axis1=1, axis2=2))
+    assert spread[0] < 0.3 * spread[2]
