@@ -50,7 +50,7 @@ def test_joint_covariance_is_that_of_draws_and_what_the_basis_cannot_follow(post
     sample = np.cov(np.array([posterior.evaluate(q, 0, w).field.ravel() for w in draws]).T)
     sd = np.sqrt(np.diagonal(joint))
     beyond = (joint - sample) / np.outer(sd, sd)
-    # 3,000 draws give a correlation to about 0.018, an eigenvalue of 15 of them to about 0.15 of the largest (2 to 3).
+    # 3,000 draws give a correlation to about 0.018, an eigenvalue of 15 of them to 0.15 of the largest (2 to 3).
     assert np.linalg.eigvalsh(beyond).min() > -0.35
     if isinstance(posterior, SplinePosterior):
         assert np.abs(beyond).max() < 0.1
