@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from magmatch.field.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
 from magmatch.field.spline_model import SplinePosterior, outside_covariance
@@ -26,7 +27,7 @@ from magmatch.field.tile_tasks import TileTasks
 from magmatch.field.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles import Index, TileKeys, Tiling
 from magmatch.field.values import FieldValues
-from magmatch.typing import Indices, Mask, Points, Scalars, Vector3
+from magmatch.typing import Mask, Points, Scalars, Vector3
 
 # How many tiles are kept ready for evaluation (2 MB each), and how many with their factor and inverse (0.2 GB each).
 READY_TILES, FACTORED_TILES = 64, 4
@@ -108,27 +109,14 @@ class TiledPosterior:
         return total.values()
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
-        """Bound of the posterior covariance of field (and gradient) at each point; the prior's where no tile is.
-
-        With ``e`` the error of a tile, that of the blend's gradient is ``sum w (grad e + e grad w / w)``; the bound
-        by convexity is the mean of the covariances of these terms, and finite since ``|grad w|^2 / w`` is.
-        """
+        """Bound of the posterior covariance of field (and gradient) at each point; the prior's where no tile is."""
         if order not in (0, 1):
             msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
             raise ValueError(msg)
         p = np.asarray(points, dtype=np.float64)
         size = 3 if order == 0 else 12
-        out, left = np.zeros((len(p), size, size)), np.ones(len(p))
-        for number, rows, shares in self._shares(p, order):
-            covariance = self.factored(number).covariance(p[rows], order)
-            w = shares[0]
-            if order == 1:
-                covariance = _with_slope(covariance, shares[1] / np.maximum(w, SMALLEST_SHARE)[:, None])
-            out[rows] += w[:, None, None] * covariance
-            left[rows] -= w
-        is_left = left > SMALLEST_SHARE
-        out[is_left] += left[is_left, None, None] * self._outside()[:size, :size]
-        return out
+        shares = list(self._shares(p, order))
+        return blended_covariance(p, order, self._outside()[:size, :size], shares, self.factored)
 
     def joint_covariance(self, points: Points) -> np.ndarray:
         """Covariance of the field at all points together, (3 n, 3 n), row ``3 i + a``; `covariance` on its diagonal.
@@ -170,12 +158,9 @@ class TiledPosterior:
         """Posterior of one tile that may be asked for its factor; few are kept, since they are large."""
         return self._factored.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
 
-    def _shares(self, points: Points, order: int) -> Iterator[tuple[int, Indices, list[np.ndarray]]]:
-        """Each tile with a say at some points: its number, their rows, and its shares there with derivatives."""
-        for number, rows in self.tiling.blended(points, self._tile_keys()):
-            index = self.tiles[number]
-            along = [self.tiling.axis_weights(points[rows, a], index[a]) for a in range(3)]
-            yield number, rows, products(along, order)
+    def _shares(self, points: Points, order: int) -> Iterator[Share]:
+        """Each tile with a say at some points."""
+        return tile_shares(self.tiling, self.tiles, self._tile_keys(), points, order)
 
     def _weights_of(self, weights: Scalars | TiledDraw | None) -> Callable[[int], Scalars | None]:
         """Weights by the tile's number."""
@@ -200,50 +185,6 @@ class TiledPosterior:
         return np.asarray(np.cov(np.array([w[-3:] for w in self.tile_weights]).T, bias=True))
 
 
-# Rounding leaves shares that sum to one but for this.
-SMALLEST_SHARE = 1e-12
-
-
-class Blend:
-    """Sum of tiles' values times their shares, by the product rule; what is left of the shares is a constant field.
-
-    Parameters
-    ----------
-    n : int
-        Number of points.
-    order : int
-        Highest derivative.
-    constant : (3,) array, T
-    """
-
-    def __init__(self, n: int, order: int, constant: Vector3) -> None:
-        self.constant = constant
-        self.field = np.tile(constant, (n, 1))
-        self.gradient = np.zeros((n, 3, 3)) if order >= 1 else None
-        self.second = np.zeros((n, 3, 3, 3)) if order >= 2 else None
-
-    def add(self, rows: Indices, shares: list[np.ndarray], values: FieldValues) -> None:
-        """Add a tile's values at some rows; ``shares`` are its share, the share's gradient and Hessian there."""
-        w, B = shares[0], values.field - self.constant
-        self.field[rows] += w[:, None] * B
-        if self.gradient is None or values.gradient is None:
-            return
-        dw, G = shares[1], values.gradient
-        self.gradient[rows] += w[:, None, None] * G + B[:, :, None] * dw[:, None, :]
-        if self.second is None or values.second is None:
-            return
-        mixed = G[:, :, :, None] * dw[:, None, None, :]
-        self.second[rows] += (
-            w[:, None, None, None] * values.second
-            + mixed + mixed.transpose(0, 1, 3, 2)
-            + B[:, :, None, None] * shares[2][:, None]
-        )  # fmt: skip
-
-    def values(self) -> FieldValues:
-        """The sum."""
-        return FieldValues(self.field, self.gradient, self.second)
-
-
 class Recent:
     """Keeps the last few things made.
 
@@ -263,30 +204,3 @@ class Recent:
             self._made[number] = make()
         self._made.move_to_end(number)
         return self._made[number]
-
-
-def products(along: list[list[np.ndarray]], order: int) -> list[np.ndarray]:
-    """A product of one function per axis, its gradient (n, 3) and Hessian (n, 3, 3), from their derivatives."""
-    (x, y, z), zero = along, [0, 0, 0]
-    out = [x[0] * y[0] * z[0]]
-    if order >= 1:
-        out.append(np.stack([_mixed(along, [*zero[:a], 1, *zero[a + 1 :]]) for a in range(3)], axis=1))
-    if order >= 2:
-        hessian = np.empty((len(x[0]), 3, 3))
-        for a, b in np.ndindex(3, 3):
-            orders = [int(a == axis) + int(b == axis) for axis in range(3)]
-            hessian[:, a, b] = _mixed(along, orders)
-        out.append(hessian)
-    return out
-
-
-def _mixed(along: list[list[np.ndarray]], orders: list[int]) -> np.ndarray:
-    return np.asarray(along[0][orders[0]] * along[1][orders[1]] * along[2][orders[2]])
-
-
-def _with_slope(covariance: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Covariance (n, 12, 12) of (e, grad e + e slope) from that of (e, grad e)."""
-    transform = np.tile(np.eye(12), (len(covariance), 1, 1))
-    for a, b in np.ndindex(3, 3):
-        transform[:, 3 + 3 * a + b, a] = slope[:, b]
-    return np.asarray(transform @ covariance @ transform.transpose(0, 2, 1))
