@@ -29,7 +29,7 @@ REACH_IN_CELLS = 2.5
 # Finer spacings than this share of the lengthscale change nothing but rounding errors.
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
-LARGEST_SHARE_FOR_SOLVES = 0.2
+LARGEST_SHARE_FOR_SOLVES = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -188,7 +188,8 @@ class SplinePosterior:
         unknowns, n_rows = self._unknowns(cell), len(derivatives)
         e = self.factor.elimination
         affordable = LARGEST_SHARE_FOR_SOLVES * 2 * e.n_operations
-        if not self._inverse and solve_operations(e, unknowns, n_rows) < affordable:
+        # Decided by the points alone, so that the same question gets the same bits whatever was asked before.
+        if solve_operations(e, unknowns, n_rows) < affordable:
             out = marginal_covariances(self.factor, unknowns, self._rows(cell, t, derivatives))
         else:
             inverse, out = self._selected_inverse(), np.zeros((len(cell), n_rows, n_rows))
