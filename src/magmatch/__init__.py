@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from magmatch.features.features import Features
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
+    from magmatch.field.estimator import FieldEstimator
     from magmatch.field.map import FieldMap
     from magmatch.grid import RegularGrid
     from magmatch.registration.config import RegistrationConfig
@@ -27,6 +28,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Features": "features.features",
     "FieldConfig": "field.config",
+    "FieldEstimator": "field.estimator",
     "FieldMap": "field.map",
     "RegistrationConfig": "registration.config",
     "RegistrationResult": "registration.result",
@@ -44,6 +46,7 @@ _HOMES = {
 __all__ = [
     "Features",
     "FieldConfig",
+    "FieldEstimator",
     "FieldMap",
     "RegistrationConfig",
     "RegistrationResult",

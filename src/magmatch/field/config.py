@@ -5,6 +5,9 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+# Live: below this nothing can be said about lengthscale and noise.
+MIN_SAMPLES = 10
+
 
 class FieldConfig(BaseModel):
     """Settings of the field inference; what is None is chosen from the data."""
@@ -34,3 +37,15 @@ class FieldConfig(BaseModel):
             msg = f"domain: expected x0 < x1, y0 < y1, z0 < z1, got {self.domain}"
             raise ValueError(msg)
         return self
+
+
+class EstimatorConfig(BaseModel):
+    """Settings of the live estimate."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Samples from which the hyperparameters are chosen where none are given. A few hundred see several lengthscales.
+    n_first: int = Field(default=400, ge=MIN_SAMPLES)
+    # Side of a block, cells. Smaller ones are fitted faster, but more of them have a say at a place, and each sees
+    # its neighbours' data too: on walks and in rooms 16 costs a prediction least (bench_live.py --block).
+    block: int = Field(default=16, ge=4, le=64)

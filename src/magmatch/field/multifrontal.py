@@ -34,6 +34,11 @@ class CholeskyFactor:
         """Logarithm of the determinant of A."""
         return float(2 * sum(np.log(np.diagonal(L)).sum() for L in self.pivots))
 
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factor."""
+        return sum(block.nbytes for block in (*self.pivots, *self.below))
+
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """``A^-1 rhs`` for one (m + 3,) or several (m + 3, k) right-hand sides."""
         columns = rhs.reshape(len(rhs), -1)

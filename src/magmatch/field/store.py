@@ -194,7 +194,7 @@ class MapRecord:
                 surveys=_surveys(attributes["surveys"], arrays),
                 T_map_model=_transform(attributes, "T_map_model"),
                 config=FieldConfig.model_validate(attributes["config"]),
-                hyperparameters=_hyperparameters(attributes["hyperparameters"]),
+                hyperparameters=hyperparameters_from(attributes["hyperparameters"]),
                 weights=np.zeros(0) if attributes["tiles"] else _shaped(arrays, "weights", 1),
                 fitted_samples=_fitted_samples(len(attributes["surveys"]), arrays),
                 T_domain_model=_transform(attributes, "T_domain_model"),
@@ -297,7 +297,7 @@ def _fitted_samples(n_surveys: int, arrays: Mapping[str, np.ndarray]) -> Survey:
     return parts[0].merged(*parts[1:])
 
 
-def _hyperparameters(about: Any) -> Hyperparameters:
+def hyperparameters_from(about: Any) -> Hyperparameters:
     """Numbers by name, none unknown; those that came later take their default in older files."""
     known = {f.name for f in fields(Hyperparameters)}
     required = {f.name for f in fields(Hyperparameters) if f.default is MISSING}
