@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 TEST_ENV := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 WORKERS ?= 2
 
-.PHONY: setup demo test check bench docs clean
+.PHONY: setup demo test fuzz check bench docs clean
 
 setup: $(STAMP)
 
@@ -21,6 +21,12 @@ demo: setup
 
 test: setup
 	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS) tests
+
+# At least this many mutated files for each reader; the suite tries a few of them.
+FUZZ ?= 10000
+
+fuzz: setup
+	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS) --fuzz $(FUZZ) tests/data/logs/test_fuzz.py
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tell what a file is by its content, before its name."""
 
+import itertools
 import json
+import lzma
 import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Literal
 
@@ -53,6 +56,8 @@ BROKEN_ZIP = (
     KeyError,
     OverflowError,
     struct.error,
+    zlib.error,
+    lzma.LZMAError,
 )
 _REGISTRATION_SCHEMA = "magmatch.registration/"
 _TUM_WIDTH = 8
@@ -106,7 +111,8 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
         return "phone"
     if _is_tum_row(first):
         return "tum"
-    is_euroc = any(line.startswith("#") and is_euroc_header(line) for line in lines[: lines.index(first)])
+    above = itertools.takewhile(lambda line: not line or line.startswith("#"), lines)
+    is_euroc = any(line.startswith("#") and is_euroc_header(line) for line in above)
     return "euroc" if is_euroc and _are_numbers(first.rstrip(", \t").split(",")) else "csv"
 
 

@@ -83,10 +83,12 @@ class Messages:
     """Makes messages of a type store, for ROS 1 or ROS 2."""
 
     def __init__(self, version):
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self.is_ros1 = version == 1
         self.store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
+        if self.is_ros1:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
         self._number = 0
 
     def make(self, name, **fields):

@@ -13,6 +13,8 @@ from magmatch.data.logs.source import MAX_CHUNK
 from magmatch.data.table import read_bytes
 from magmatch.errors import DataFormatError
 
+# The last of them: names in a damaged file are no UTF-8.
+SQLITE_ERRORS = (sqlite3.Error, OverflowError, UnicodeDecodeError)
 MAX_STEP = 1 << 40  # how far behind a damage the next message is looked for, in message numbers
 Row = tuple[int, int, int, bytes]  # id, topic, log time (ns), payload
 
@@ -105,7 +107,7 @@ class SqliteLog:
                         self._note(f"messages {last + 1} to {row[0] - 1} lie on damaged pages")
                     last, step = row[0], 0
                     yield row
-            except (sqlite3.Error, OverflowError) as error:
+            except SQLITE_ERRORS as error:
                 if not self._recover:
                     raise self._refusal(error) from None
                 last = max(last, 0)  # identifiers count from 1
@@ -154,7 +156,7 @@ class SqliteLog:
         """Say in words what SQLite finds."""
         try:
             yield
-        except (sqlite3.Error, OverflowError) as error:
+        except SQLITE_ERRORS as error:
             raise self._refusal(error) from None
 
 

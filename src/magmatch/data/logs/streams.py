@@ -15,6 +15,7 @@ from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
 
+MAX_NUMBER = 1e12  # no position or field in any unit comes near it; its square is still a number
 # Messages of several publishers reach the recorder a little out of order; a larger step back is a clock set anew.
 MAX_STEP_BACK_NS = 1_000_000_000
 # Header stamps and log times differ by the transport, some ms; more is two clocks.
@@ -97,10 +98,15 @@ def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> Str
 
 def _whole(part: Entries, faults: Faults) -> Entries:
     """Entries that hold numbers, and unit quaternions where they hold one."""
-    is_whole = np.isfinite(part.values).all(axis=1)
+    is_whole = (np.abs(part.values) < MAX_NUMBER).all(axis=1)  # false of NaN too
     if not is_whole.all():
+        found = part.values[~is_whole][0]
         faults.numbers.extend(part.number[~is_whole].tolist())
-        faults.words.append("holds NaN or infinity")
+        faults.words.append(
+            "holds NaN or infinity"
+            if not np.isfinite(found).all()
+            else f"holds a number of {np.abs(found).max():.3g}"
+        )
     if part.values.shape[1] == 7:
         norms = np.linalg.norm(np.where(is_whole[:, None], part.values[:, 3:], 1.0), axis=1)
         is_turn = ~is_whole | (np.abs(norms - 1) <= MAX_NORM_ERROR)

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Mutated files of every format: a survey or one of our errors, in bounded time and memory. `make fuzz` runs many."""
+
+import logging
+import resource
+import shutil
+import signal
+import sqlite3
+import zipfile
+import zlib
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.data.format import SurveyFormat
+from magmatch.data.load_trajectory import load_trajectory
+from magmatch.data.logs.open import open_log
+from magmatch.data.read import read_survey
+from magmatch.errors import MagmatchError
+
+SECONDS = 20
+MEBIBYTES = 700
+LENGTHS = (0, 1, 0x7F, 0xFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
+
+
+@contextmanager
+def bounded():
+    """Whatever is read here takes little time and memory."""
+
+    def give_up(*_):
+        msg = f"took longer than {SECONDS} s"
+        raise TimeoutError(msg)
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    old = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, old)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    assert grown < MEBIBYTES, f"grew by {grown:.0f} MiB"
+
+
+def mutated(raw, rng):
+    """Bytes flipped, lengths overwritten, pieces cut out, doubled, moved or cut off."""
+    data = bytearray(raw)
+    for _ in range(int(rng.integers(1, 4))):
+        n = max(1, len(data))
+        at, size = int(rng.integers(n)), int(rng.integers(1, 40))
+        kind = int(rng.integers(8))
+        if kind == 0:
+            data[at : at + 1] = bytes([data[at] ^ (1 << int(rng.integers(8)))]) if data else b"x"
+        elif kind == 1:
+            data[at : at + size] = rng.bytes(size)
+        elif kind == 2:
+            width = int(rng.choice([2, 4, 8]))
+            length = LENGTHS[int(rng.integers(len(LENGTHS)))] % (1 << 8 * width)
+            data[at : at + width] = length.to_bytes(width, "little" if rng.integers(2) else "big")
+        elif kind == 3:
+            del data[at : at + size]
+        elif kind == 4:
+            data[at:at] = data[at : at + size]
+        elif kind == 5:
+            data[at : at + size] = bytes(size)
+        elif kind == 6:
+            other = int(rng.integers(n))
+            data[at : at + size] = data[other : other + size]
+        else:
+            del data[at:]
+    return bytes(data)
+
+
+def hold(path, layout):
+    """Read as users do, and through everything the reader can reach."""
+    for recover in (False, True):
+        words = ""
+        try:
+            read_survey(path, layout.model_copy(update={"recover": recover}))
+        except MagmatchError as error:
+            words = str(error)
+        assert "\n" not in words
+        assert len(words) < 1500
+
+
+@pytest.fixture(scope="module")
+def seeds(made, tmp_path_factory):
+    """One small whole file of each kind."""
+    folder = tmp_path_factory.mktemp("seeds")
+    series = made.flight(n_mag=24, n_pose=14).series
+    static = made.Series(
+        "/tf_static", "tf2_msgs/msg/TFMessage", series[1].log_ns[:1], series[1].values[:1], child="b"
+    )
+    three = [*series, static]
+    poses = [f"{0.05 * i - 0.1!r} {i} {i * i} 0 0 0 0 1" for i in range(14)]
+    (folder / "poses.tum").write_text("\n".join(poses))
+    for name, write in made.WRITERS.items():
+        write(folder, three if "JSON" not in name else series)
+    for name, options in {"free.mcap": {}, "free-z.mcap": {"compression": "ZSTD"}}.items():
+        made.mcap(folder / name, three, **({"compression": "NONE"} | options), enable_crcs=False)
+    rows = [f"{1_700_000_000_000_000_000 + 20_000_000 * i},{0.02 * i},{-45},{3},{20 + i}" for i in range(24)]
+    logger = "\n".join(["time,seconds_elapsed,z,y,x", *rows, ""])
+    (folder / "sensor-logger.csv").write_text(logger)
+    names = ["Time (s)", *(f"Magnetic field {axis} (µT)" for axis in "xyz")]
+    rows = [f"{0.02 * i!r},20,{3 + i},-45" for i in range(24)]
+    (folder / "phyphox.csv").write_text("\n".join([",".join(f'"{n}"' for n in names), *rows, ""]))
+    for name, member in {"logger.zip": "Magnetometer.csv", "phyphox.zip": "Raw Data.csv"}.items():
+        with zipfile.ZipFile(folder / name, "w", zipfile.ZIP_DEFLATED) as archive:
+            content = logger if "logger" in name else (folder / "phyphox.csv").read_text()
+            archive.writestr(member, content)
+    t = [1_700_000_000_000_000_000 + 20_000_000 * i for i in range(24)]
+    (folder / "euroc.csv").write_text(
+        "#timestamp [ns],x,y,z\n" + "\n".join(f"{s},20,{i},-45" for i, s in enumerate(t))
+    )
+    table = [f"{i / 10!r},{i},{i * i},0,2e-5,{i}e-7,-4e-5,0,0,0,1" for i in range(24)]
+    (folder / "survey.csv").write_text("\n".join(["t,x,y,z,bx,by,bz,qx,qy,qz,qw", *table]))
+    if _has_pyarrow():
+        import pandas as pd
+
+        frame = pd.read_csv(folder / "survey.csv")
+        frame.to_parquet(folder / "survey.parquet")
+        frame.to_parquet(folder / "survey-plain.parquet", compression="none", row_group_size=5)
+    return folder
+
+
+def _has_pyarrow():
+    try:
+        import pandas  # noqa: F401
+        import pyarrow  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+FILES = [
+    "log.bag", "log-bz2.bag", "log-lz4.bag", "log.mcap", "log1.mcap", "logj.mcap", "logl.mcap", "logn.mcap",
+    "logc.mcap", "logs.mcap", "free.mcap", "free-z.mcap", "log-db3/log-db3.db3",
+    "log-db3z/metadata.yaml", "log-mcap/metadata.yaml",
+    "survey.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv", "logger.zip",
+    "phyphox.zip", "euroc.csv",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_mutated_files_end_in_a_survey_or_a_known_error(name, seeds, tmp_path, n_fuzz, caplog):
+    if not (seeds / name).exists():
+        pytest.skip("written by an extra that is not installed")
+    caplog.set_level(logging.CRITICAL, logger="magmatch")
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    raw = (seeds / name).read_bytes()
+    needs_poses = name.endswith((".zip", "logger.csv", "phyphox.csv", "euroc.csv"))
+    layout = SurveyFormat(trajectory=seeds / "poses.tum" if needs_poses else None)
+    target = tmp_path / Path(name).name
+    if "/" in name:
+        shutil.copytree(seeds / Path(name).parent, tmp_path / "bag")
+        target = tmp_path / "bag" / Path(name).name
+    for _ in range(n_fuzz):
+        target.write_bytes(mutated(raw, rng))
+        try:
+            with bounded():
+                hold(target.parent if "/" in name else target, layout)
+        except BaseException:
+            (Path("fuzz-failure") if n_fuzz > 1000 else target).write_bytes(target.read_bytes())
+            raise
+
+
+@pytest.mark.parametrize("name", ["poses.tum", "euroc.csv"])
+def test_mutated_trajectories_end_in_poses_or_a_known_error(name, seeds, tmp_path, n_fuzz):
+    rng = np.random.default_rng(5)
+    raw = (seeds / name).read_bytes()
+    for _ in range(n_fuzz):
+        (tmp_path / name).write_bytes(mutated(raw, rng))
+        with suppress(MagmatchError):
+            load_trajectory(tmp_path / name, SurveyFormat())
+
+
+MAGIC = [
+    b"\x89MCAP0\r\n",
+    b"#ROSBAG V2.0\n",
+    b"SQLite format 3\0",
+    b"PAR1",
+    b"PK\x03\x04",
+    b"#timestamp [ns],x\n",
+    b"",
+]
+
+
+@settings(max_examples=150, deadline=None)
+@given(magic=st.sampled_from(MAGIC), body=st.binary(max_size=400), tail=st.sampled_from(MAGIC))
+def test_any_bytes_behind_any_signature_end_in_a_known_error(magic, body, tail, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "any.bin"
+    path.write_bytes(magic + body + tail)
+    hold(path, SurveyFormat())
+
+
+TYPES = [
+    "sensor_msgs/msg/MagneticField", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage",
+    "geometry_msgs/msg/PoseStamped",
+]  # fmt: skip
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    payloads=st.lists(st.binary(max_size=120), min_size=1, max_size=8),
+    name=st.sampled_from(TYPES),
+    encoding=st.sampled_from(["cdr", "ros1", "json"]),
+)
+def test_any_message_of_any_type_ends_in_a_known_error(payloads, name, encoding, tmp_path_factory):
+    from mcap.writer import Writer
+
+    path = tmp_path_factory.getbasetemp() / "any.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, kind in (("/a", name), ("/b", "sensor_msgs/msg/MagneticField"), ("/c", "nav_msgs/msg/Odometry")):
+            channel = writer.register_channel(topic, encoding, writer.register_schema(kind, "", b""))
+            for i, payload in enumerate(payloads):
+                head = b"\0\1\0\0" if encoding == "cdr" else b""
+                writer.add_message(channel, i, head + payload, i)
+        writer.finish()
+    hold(path, SurveyFormat())
+
+
+def test_rows_of_any_type_in_a_database_end_in_a_known_error(tmp_path):
+    values = [None, 1, -1, 1 << 62, 1.5, "text", b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(120)]
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        path = tmp_path / f"{k}.db3"
+        database = sqlite3.connect(path)
+        database.execute("CREATE TABLE topics (id, name, type, serialization_format)")
+        database.execute("CREATE TABLE messages (id, topic_id, timestamp, data)")
+        for j, name in enumerate(["sensor_msgs/msg/MagneticField", "nav_msgs/msg/Odometry"]):
+            row = [j, f"/{j}", name, "cdr"]
+            if rng.random() < 0.3:
+                row[int(rng.integers(4))] = values[int(rng.integers(len(values)))]
+            database.execute("INSERT INTO topics VALUES (?, ?, ?, ?)", row)
+        for i in range(12):
+            row = [i, i % 2, i, bytes(130)]
+            if rng.random() < 0.3:
+                row[int(rng.integers(4))] = values[int(rng.integers(len(values)))]
+            database.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
+        database.commit()
+        database.close()
+        hold(path, SurveyFormat())
+
+
+def test_whole_seeds_are_read(seeds):
+    """Else mutating them would test little."""
+    for name in FILES:
+        if not (seeds / name).exists() or name.endswith((".zip", "logger.csv", "phyphox.csv", "euroc.csv")):
+            continue
+        path = (seeds / name).parent if "/" in name else seeds / name
+        assert len(read_survey(path)) >= 10
+    log = open_log(seeds / "log.bag")
+    assert len(log.topics()) == 3
+    log.close()
