@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -79,16 +80,23 @@ def make_flight(n_mag=300, n_pose=130, seed=3):
     return Flight(mag_ns, field, pose_ns, poses, series)
 
 
+@lru_cache
+def type_store(version):
+    """Types of ROS 1, to which one belongs that rosbags leaves out, or ROS 2."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    if version == 1:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    return store
+
+
 class Messages:
     """Makes messages of a type store, for ROS 1 or ROS 2."""
 
     def __init__(self, version):
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
         self.is_ros1 = version == 1
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
-        if self.is_ros1:
-            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        self.store = type_store(version)
         self._number = 0
 
     def make(self, name, **fields):

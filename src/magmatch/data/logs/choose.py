@@ -97,7 +97,7 @@ def _candidates(
     """Topics that may serve."""
     flag = "--mag-topic" if what == "field" else "--pose-topic"
     named = [topic for topic in topics if name is None or topic.name == name or topic.name == "/" + name]
-    if not named:
+    if not named and name is not None:
         raise DataFormatError(path, f"{flag} {name}: no such topic; the log holds {describe_topics(topics)}")
     typed = [topic for topic in named if topic.type in types]
     if not typed:

@@ -91,6 +91,9 @@ class McapContainer:
                     raise ValueError(msg) from None
                 if definition is not None:
                     yield definition
+            else:
+                msg = f"a chunk holds a record of operation {opcode}"
+                raise ValueError(msg)
             position = stop
 
     def verify(self, chunk: Chunk, body: bytes) -> None:

@@ -86,7 +86,7 @@ class SqliteLog:
         for row in self._readable_rows(wanted):
             held.append(row)
             n_held += len(row[3])
-            while n_held > self._suspect:
+            while held and n_held - len(held[0][3]) >= self._suspect:
                 n_held -= len(held[0][3])
                 yield held.popleft()
         if held:  # they may lie on the page in which the file ends, whose missing part SQLite takes for zeros
