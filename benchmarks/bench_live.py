@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Live estimation along an endless walk, one sample per call, against the published recursive update; one thread.
 
-Usage: OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 8]
+Usage: OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16] [--data DIR]
 A robot walks loops through a building at 1 m/s with a 200 Hz sensor, and asks once a second of its own time for
 field, gradient and variance at 25 points within half a metre, from data at most 1 s old. Truth is a sum of dipoles.
 The peer is the published recursion over a room, its domain declared beforehand; it gets the same samples there.
@@ -143,10 +143,32 @@ def run_peer(x, b, half, n_updates=100):
     print(f"    memory: {2 * state.white_covariance.nbytes / 1e6:.0f} MB, growing with the square of the area")
 
 
+def run_building(folder):
+    """Walk one of a real building, one sample per call and nothing given, predicting walk two."""
+    names = ("corridor_training.csv", "corridor_test.csv")
+    one, two = (np.loadtxt(folder / "cea" / name, delimiter=",") for name in names)
+    estimator, seconds = FieldEstimator(), []
+    for position, field in zip(one[:, :3], one[:, 3:] * UT, strict=True):
+        start = time.perf_counter()
+        estimator.update(position, field)
+        seconds.append(time.perf_counter() - start)
+    print(f"building (CEA), {len(one):,} samples, hyperparameters from the first: {estimator.hyperparameters}")
+    show("update", seconds, " (the one that chose them)")
+    start = time.perf_counter()
+    found = estimator.predict(two[:, :3])
+    n = estimator._tiles.n_fits
+    print(f"    predict all {len(two):,} points of walk two: {time.perf_counter() - start:.1f} s, {n} blocks fitted")
+    error = found.field - two[:, 3:] * UT
+    sd = np.sqrt(found.variance + estimator.hyperparameters.noise_sd**2)
+    rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
+    print(f"    RMSE {rmse:.2f} uT, 95 % intervals cover {np.mean(np.abs(error) < 1.96 * sd):.1%}")
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--samples", type=int, default=200_000)
     parser.add_argument("--block", type=int, default=EstimatorConfig().block)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[1] / "../shared/data")
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
     x = walk(arguments.samples, rng)
@@ -161,6 +183,8 @@ def main():
     show_memory(estimator, len(x))
     for half in (2.0, 6.0):
         run_peer(x, b, half)
+    if (arguments.data / "cea").exists():
+        run_building(arguments.data)
 
 
 if __name__ == "__main__":

@@ -314,6 +314,12 @@ def test_a_batch_with_one_bad_sample_is_refused_whole():
         estimator.predict(queries())
 
 
+def test_variance_is_left_out_where_it_is_not_wanted(at_once):
+    without = at_once.predict(queries(), 1, with_variance=False)
+    assert np.isnan(without.covariance).all()
+    assert np.array_equal(without.values.gradient, at_once.predict(queries(), 1).values.gradient)
+
+
 def test_impossible_questions_are_refused(at_once):
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
         at_once.predict(np.zeros(3))

@@ -156,7 +156,9 @@ class FieldEstimator:
             if self._n_waiting == N_WAITING:
                 self._take_in()
 
-    def predict(self, points: Points, order: int = 0, max_age: float = 0.0) -> Prediction:
+    def predict(
+        self, points: Points, order: int = 0, max_age: float = 0.0, *, with_variance: bool = True
+    ) -> Prediction:
         """Field at points, from all samples up to now.
 
         Parameters
@@ -166,6 +168,8 @@ class FieldEstimator:
             0: field; 1: and gradient; 2: and second derivatives.
         max_age : float, s
             Samples younger than this may be left out, so that a block is fitted again at most that often.
+        with_variance : bool
+            False leaves the variance NaN and saves its cost, which for hundreds of points a block is that of a fit.
 
         Returns
         -------
@@ -183,7 +187,7 @@ class FieldEstimator:
         if order not in (0, 1, 2):
             msg = f"expected order 0, 1 or 2, got {order}"
             raise ValueError(msg)
-        return Prediction(*self._ready().predict(p, order, max_age))
+        return Prediction(*self._ready().predict(p, order, max_age, with_variance=with_variance))
 
     def choose_hyperparameters(self) -> Hyperparameters:
         """Choose the numbers of the prior again, from the samples that are kept (all, in cells visited briefly).
@@ -320,7 +324,7 @@ def _warm_up() -> None:
     """Compile, or load what was compiled, before the first sample arrives."""
     tiles = _lay_tiles(Hyperparameters(1.0, 1e-5, 1e-6, 0.5), 4, time.monotonic)
     tiles.absorb(np.zeros((2 * KEPT_PER_CELL, 6)))
-    tiles.predict(np.zeros((1, 3)), 2, 0.0)
+    tiles.predict(np.zeros((1, 3)), 2, 0.0, with_variance=True)
 
 
 @single_threaded

@@ -98,15 +98,19 @@ class LiveTiles:
         self.hyperparameters = hyperparameters
         self._fits.clear()
 
-    def predict(self, points: Points, order: int, max_age: float) -> tuple[FieldValues, np.ndarray, Mask]:
-        """Field and derivatives, covariance of the field, and whether there are data near."""
+    def predict(
+        self, points: Points, order: int, max_age: float, *, with_variance: bool
+    ) -> tuple[FieldValues, np.ndarray, Mask]:
+        """Field and derivatives, covariance of the field (NaN unless asked for), and whether there are data near."""
         tiles, keys = self._tile_keys()
         shares = list(tile_shares(self.tiling, tiles, keys, points, order))
         fits = {number: self._fitted(tiles[number], max_age) for number, _, _ in shares}
         mean, spread = self._far_away()
         values = blended_values(points, order, mean, shares, fits.__getitem__)
-        outside = outside_covariance(self.hyperparameters, spread)[:3, :3]
-        covariance = blended_covariance(points, 0, outside, shares, fits.__getitem__)
+        covariance = np.full((len(points), 3, 3), np.nan)
+        if with_variance:
+            outside = outside_covariance(self.hyperparameters, spread)[:3, :3]
+            covariance = blended_covariance(points, 0, outside, shares, fits.__getitem__)
         known = np.zeros(len(points), dtype=np.bool_)
         for number, rows, _ in shares:
             known[rows] |= fits[number].knows(points[rows])
