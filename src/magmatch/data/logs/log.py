@@ -27,6 +27,11 @@ class Channel:
     type: str
     encoding: str
 
+    @classmethod
+    def named(cls, topic: str, kind: str, encoding: str) -> "Channel":
+        """Channel as a log names it; what could not be shown in a message is replaced."""
+        return cls(printable(topic), plain_type(printable(kind)), printable(encoding))
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:
@@ -119,6 +124,11 @@ class Log(Protocol):
 
     def close(self) -> None:
         """Let go of the file."""
+
+
+def printable(name: str) -> str:
+    """Names of a log as they can be shown: on one line and not endless."""
+    return "".join(c if c.isprintable() else "?" for c in name[:200])
 
 
 def plain_type(name: str) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from magmatch.data.logs.chunked import Chunk, Count, Definition, Index, Loose, Message, Piece
-from magmatch.data.logs.log import Channel, plain_type
+from magmatch.data.logs.log import Channel
 from magmatch.data.logs.source import MAX_RECORD, DamagedError, Source
 from magmatch.errors import DataFormatError
 
@@ -124,7 +124,7 @@ class McapContainer:
         if schema not in self._schemas:
             msg = f"channel {key} refers to schema {schema}, which is nowhere defined"
             raise ValueError(msg)
-        return Definition(key, Channel(topic, plain_type(self._schemas[schema]), encoding))
+        return Definition(key, Channel.named(topic, self._schemas[schema], encoding))
 
 
 def _chunk(source: Source, position: int, body: int, stop: int) -> Chunk:

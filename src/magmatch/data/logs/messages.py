@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.logs.cursor import Cursor, MalformedError, UnevenError
-from magmatch.data.logs.log import Batch
+from magmatch.data.logs.log import Batch, printable
 from magmatch.typing import Indices, Matrix
 
 SECOND = 1_000_000_000
@@ -197,7 +197,7 @@ def _by_frames(header: np.ndarray, child: np.ndarray) -> Iterator[tuple[Frames, 
 
 def _name(raw: bytes) -> str:
     """Name of a frame, without the slash that tf once put in front."""
-    return raw.rstrip(b"\0").decode("utf-8", "replace").lstrip("/")
+    return printable(raw.rstrip(b"\0").decode("utf-8", "replace")).lstrip("/")
 
 
 def _decode_json(batch: Batch, layout: Layout, first: int, faults: Faults) -> Iterator[Entries]:
@@ -211,7 +211,9 @@ def _decode_json(batch: Batch, layout: Layout, first: int, faults: Faults) -> It
                 yield Entries(frames, one[0], one[1], one[2], values)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
             faults.numbers.append(first + i)
-            faults.words.append(f"is not the JSON of such a message ({type(error).__name__}: {error})")
+            faults.words.append(
+                printable(f"is not the JSON of such a message ({type(error).__name__}: {error}") + ")"
+            )
 
 
 def _read_json(entry: dict[str, Any], layout: Layout) -> tuple[Frames, int, Matrix]:
@@ -228,6 +230,7 @@ def _read_json(entry: dict[str, Any], layout: Layout) -> tuple[Frames, int, Matr
         numbers = [place[k] for k in "xyz"] + [turn[k] for k in "xyzw"]
     else:
         numbers = [part[k] for k in "xyz"]
-    child = str(entry["child_frame_id"]) if layout.has_child else ""
+    header_frame = printable(str(header["frame_id"])).lstrip("/")
+    child = printable(str(entry["child_frame_id"])).lstrip("/") if layout.has_child else ""
     values = np.array([[float(number) for number in numbers]])
-    return (str(header["frame_id"]).lstrip("/"), child.lstrip("/")), int(seconds) * SECOND + int(rest), values
+    return (header_frame, child), int(seconds) * SECOND + int(rest), values

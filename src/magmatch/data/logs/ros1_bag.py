@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from magmatch.data.logs.chunked import Chunk, Count, Definition, Index, Loose, Message, Piece
-from magmatch.data.logs.log import Channel, plain_type
+from magmatch.data.logs.log import Channel
 from magmatch.data.logs.source import MAX_RECORD, DamagedError, Source
 from magmatch.errors import DataFormatError
 
@@ -176,7 +176,7 @@ def _definition(fields: dict[bytes, bytes], content: bytes) -> Definition:
         raise ValueError(msg)
     topic = fields.get(b"topic", about.get(b"topic", b"")).decode("utf-8", "replace")
     name = about[b"type"].decode("utf-8", "replace")
-    return Definition(int.from_bytes(key, "little"), Channel(topic, plain_type(name), "ros1"))
+    return Definition(int.from_bytes(key, "little"), Channel.named(topic, name, "ros1"))
 
 
 def _index(fields: dict[bytes, bytes], content: bytes, position: int) -> Index | None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic, plain_type
+from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic, printable
 from magmatch.data.logs.source import MAX_CHUNK
 from magmatch.data.table import read_bytes
 from magmatch.errors import DataFormatError
@@ -16,6 +16,8 @@ from magmatch.errors import DataFormatError
 # The last of them: names in a damaged file are no UTF-8.
 SQLITE_ERRORS = (sqlite3.Error, OverflowError, UnicodeDecodeError)
 MAX_STEP = 1 << 40  # how far behind a damage the next message is looked for, in message numbers
+# Steps of SQLite's machine; counting and reading honest messages takes less than one for each byte.
+WORK, WORK_PER_BYTE, WORK_STEP = 10_000_000, 5, 100_000
 Row = tuple[int, int, int, bytes]  # id, topic, log time (ns), payload
 
 
@@ -34,8 +36,10 @@ class SqliteLog:
         self.path, self._recover = Path(path), recover
         self._losses: dict[str, Loss] = {}
         self._suspect = _bytes_cut(self.path)
+        self._work_left = WORK + WORK_PER_BYTE * self.path.stat().st_size
         with self._refusing():
             self._database = _open(self.path, recover=recover)
+        self._database.set_progress_handler(self._is_too_much, WORK_STEP)
         try:
             with self._refusing():
                 self._channels = self._read_channels()
@@ -103,6 +107,9 @@ class SqliteLog:
             try:
                 for row in self._database.execute(query, (last + step,)):
                     self._check_row(row)
+                    if row[0] <= last + step:
+                        msg = "its rows do not follow each other"
+                        raise sqlite3.DatabaseError(msg)
                     if step:
                         self._note(f"messages {last + 1} to {row[0] - 1} lie on damaged pages")
                     last, step = row[0], 0
@@ -116,6 +123,11 @@ class SqliteLog:
             break
         if step:
             self._note(f"messages after {last} lie on damaged pages")
+
+    def _is_too_much(self) -> bool:
+        """Stop a query that runs on and on: damaged pages may lead in circles."""
+        self._work_left -= WORK_STEP
+        return self._work_left < 0
 
     def _note(self, words: str) -> None:
         self._losses[words] = Loss(0, 0, words)
@@ -133,7 +145,7 @@ class SqliteLog:
         ):
             if not isinstance(key, int) or not all(isinstance(text, str) for text in (name, kind, encoding)):
                 raise DataFormatError(self.path, "its table of topics holds other things than names")
-            channels[key] = Channel(name, plain_type(kind), encoding)
+            channels[key] = Channel.named(name, kind, encoding)
         return channels
 
     def _checked(self, count: tuple[object, object, object]) -> tuple[int, int, int]:
@@ -148,7 +160,8 @@ class SqliteLog:
 
     def _refusal(self, error: Exception) -> DataFormatError:
         return DataFormatError(
-            self.path, f"is a damaged ROS 2 bag (SQLite: {error}); --recover reads all that is whole of it"
+            self.path,
+            f"is a damaged ROS 2 bag (SQLite: {printable(str(error))}); --recover reads all that is whole of it",
         )
 
     @contextmanager
