@@ -8,7 +8,7 @@ from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
 
-SMALL = SimulationConfig(n_samples=1200, room_size=(2.0, 2.0, 0.6))
+SMALL = SimulationConfig(n_samples=1200, room_size=(1.6, 1.6, 0.5))
 
 
 def log_of(scenario, seed):

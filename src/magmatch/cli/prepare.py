@@ -10,16 +10,19 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.narration import say
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged, read_settings
-from magmatch.errors import ConfigurationError
+from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 
 if TYPE_CHECKING:
+    from magmatch.data.format import SurveyFormat
     from magmatch.data.trajectory import Trajectory
     from magmatch.preparation.earth_field import Place
+    from magmatch.preparation.sensor_model import SensorModel
 
 EXAMPLES = (
     "magmatch prepare log.csv --field-unit uT --field-frame sensor --trajectory poses.tum --out survey.csv",
     "magmatch prepare log.csv --out survey.csv --place 48.14,11.58,520 --date 2024-05-01",
     "magmatch prepare log.csv --out survey.csv --config steps.yaml",
+    "magmatch prepare robot.csv --out survey.csv --sensor-from turned_by_hand.csv",
 )
 
 
@@ -37,6 +40,13 @@ def prepare(
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML file: time_offset, calibration, currents, disturbances, resampling.")
+    ] = None,
+    sensor_from: Annotated[
+        Path | None,
+        typer.Option(
+            help="Begin from what is known of the sensor: the report (JSON) of another log, or a CSV of bx,by,bz "
+            "(sensor frame) recorded while turning it about in one place."
+        ),
     ] = None,
     place: Annotated[
         str | None, typer.Option(help="LAT,LON,HEIGHT in degrees and metres: compare with the Earth's field there.")
@@ -56,7 +66,7 @@ def prepare(
 
     report = report or out.with_suffix(".json")
     layout = layouts.of()
-    inputs = [path for path in (log, config, layout.trajectory) if path is not None]
+    inputs = [path for path in (log, config, sensor_from, layout.trajectory) if path is not None]
     check_outputs((out, report), inputs=inputs)
     where = parse_place(place, date)
     settings = PreparationConfig()
@@ -68,7 +78,8 @@ def prepare(
     if settings.currents.mode != "off" and sniff(log) == "csv":
         channels = read_channels(log).at(survey.times, len(survey))
     trajectory = None if layout.trajectory is None else read_trajectory(layout.trajectory, layout.length_unit)
-    prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where)
+    known = None if sensor_from is None else read_sensor(sensor_from, layout)
+    prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where, sensor=known)
     prepared.save(out)
     done.save(report)
     say(f"{done.table()}\nWrote {len(prepared)} of {len(survey)} samples to {out}, the report to {report}")
@@ -96,6 +107,24 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
         msg = f"--date: expected YYYY-MM-DD, found '{day}'"
         raise ConfigurationError(msg) from None
     return Place(latitude, longitude, height, when)
+
+
+def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
+    """Known correction of the sensor, from a report or from a recording of it being turned about."""
+    from magmatch.data.survey import FIELD_COLUMNS
+    from magmatch.data.table import read_bytes, read_table
+    from magmatch.data.units import TESLA_PER_UNIT
+    from magmatch.preparation.ellipsoid import fit_ellipsoid
+    from magmatch.preparation.report import PreparationReport
+
+    if read_bytes(path, 64).lstrip()[:1] == b"{":
+        return PreparationReport.load(path).sensor
+    table = read_table(path, FIELD_COLUMNS)
+    table.require(FIELD_COLUMNS, "A recording of the sensor turned about needs no more than these")
+    try:
+        return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]
+    except SurveyError as error:
+        raise DataFormatError(path, str(error)) from None
 
 
 def read_trajectory(path: Path, length_unit: str) -> "Trajectory":

@@ -56,6 +56,8 @@ class Calibration:
         Of the map that everything was held against.
     is_refused : bool
         Whether the correction was withdrawn because a map predicts left-out stretches worse with it.
+    held_out : (float, float), T
+        Median miss of a map at stretches left out of it, as read and with the correction.
     """
 
     model: SensorModel
@@ -66,10 +68,7 @@ class Calibration:
     inconsistency: tuple[float, float]
     hyperparameters: Hyperparameters
     is_refused: bool = False
-
-    def refused(self) -> "Calibration":
-        """The same findings, withdrawn."""
-        return replace(self, model=SensorModel(), is_refused=True)
+    held_out: tuple[float, float] = (0.0, 0.0)
 
 
 @single_threaded
@@ -125,23 +124,23 @@ def calibrate(
         (_rms(estimator.as_read()), _rms(chosen.residual)),
         estimator.hyperparameters,
     )
-    return calibration if _predicts_better(calibration, part, values) else calibration.refused()
+    return _held_to_account(calibration, part, values)
 
 
 def _rms(residual: Vectors) -> float:
     return float(np.sqrt((residual**2).mean()))
 
 
-def _predicts_better(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> bool:
-    """Whether a map predicts left-out stretches at least as well as without the correction."""
-    if not calibration.chosen.estimate:
-        return True
+def _held_to_account(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> Calibration:
+    """The calibration with its errors at left-out stretches; withdrawn if a map predicts them worse with it."""
     errors = []
     for model in (SensorModel(), calibration.model):
         positions, orientations = part.at(model.time_offset)
         field = orientations.apply(model.corrected(part.readings, channels))
         errors.append(held_out_error(positions, field, calibration.hyperparameters))
-    return errors[1] <= TOLERATED * errors[0]
+    if errors[1] > TOLERATED * errors[0]:
+        calibration = replace(calibration, model=SensorModel(), is_refused=True)
+    return replace(calibration, held_out=(errors[0], errors[1]))
 
 
 def switches_of(
@@ -167,8 +166,8 @@ def sizes_of(config: PreparationConfig, switches: Mapping[str, Switch]) -> dict[
 
 
 def _rough(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
-    """Begin from neighbours in time, which need no map."""
-    offset, solution = search_time_offset(part, largest, sizes, np.ones(len(part)))
+    """Begin from a coarse map."""
+    offset, solution = search_time_offset(part, largest, sizes)
     return replace(model_of(solution.estimate, {}), time_offset=offset)
 
 
@@ -246,5 +245,5 @@ class _Estimator:
 
     def _weigh(self, solution: Solution) -> None:
         """Give samples that disagree less weight."""
-        square = (solution.residual**2).sum(axis=1) / solution.noise_sd**2
+        square = (solution.free**2).sum(axis=1) / solution.noise_sd**2
         self.weights = (STUDENT + 3) / (STUDENT + square)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two tests of whether field vectors can be those of one place: against their neighbours in time, against a map."""
+"""Can these field vectors be those of one place? What no map of it explains, and how it predicts what it lacks."""
 
 import numpy as np
 
@@ -7,45 +7,10 @@ from magmatch.field.held_out import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import factorise
 from magmatch.field.spline_model import SplineModel, SplinePosterior
-from magmatch.preparation.least_squares import Projection
 from magmatch.typing import Points, Scalars, Tensors, Vectors
 
-# s; long enough for a hand to turn a sensor by some degrees, short enough for the place's field to stay.
-INCREMENT = 0.25
-# Readings farther apart in time than this many increments are no neighbours.
-LARGEST_INCREMENT = 2.0
 # Stretches left out of a map; long enough that their ends do not predict their middle.
 STRETCH_IN_LENGTHSCALES = 3.0
-
-
-def increments(n: int, times: Scalars | None, weights: Scalars) -> Projection:
-    """What changes from a reading to one a little later: turned right, hardly anything.
-
-    Parameters
-    ----------
-    n : int
-        Number of readings, in the order they were taken.
-    times : (n,) array, s, optional
-        Their stamps; each is compared with its successor without them.
-    weights : (n,) array
-        0 leaves a reading out.
-
-    Returns
-    -------
-    Projection
-        Columns to their increments.
-    """
-    lag, is_pair = 1, np.ones(max(n - 1, 0), dtype=bool)
-    if times is not None:
-        lag = int(np.clip(round(INCREMENT / float(np.median(np.diff(times)))), 1, n // 4))
-        is_pair = times[lag:] - times[:-lag] < LARGEST_INCREMENT * INCREMENT + float(np.median(np.diff(times)))
-    weight = (is_pair * np.sqrt(weights[lag:] * weights[:-lag]))[:, None]
-
-    def project(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        difference = np.asarray((columns[:, lag:] - columns[:, :-lag]) * weight)
-        return difference, difference
-
-    return project
 
 
 class MapConsistency:

@@ -3,11 +3,9 @@
 
 import numpy as np
 from scipy.ndimage import label, median_filter
-from scipy.spatial import cKDTree
 
 from magmatch.field.held_out import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline_model import SplineModel
 from magmatch.preparation.consistency import MapConsistency
 from magmatch.typing import Mask, Points, Scalars, Vectors
 
@@ -18,10 +16,10 @@ MEDIAN_TO_SD = 1.4826
 ROUNDS, STUDENT = 3, 4.0
 # Readings at one and the same largest value before it is the sensor's range.
 FEWEST_AT_LIMIT = 5
-# Metal that moved: median disagreement of a run with other passes, in robust standard deviations, and its length.
-CONTRADICTION, FEWEST_IN_RUN = 6.0, 9
-N_FOLDS = 4
-SEGMENT_IN_LENGTHSCALES = 3.0
+# Metal that moved: median residual of a run, in standard deviations, and the run's length.
+CONTRADICTION, FEWEST_IN_RUN = 4.0, 9
+# Stretches are trusted or not as a whole, in so many rounds.
+STRETCH_IN_LENGTHSCALES, ROUNDS_OF_TRUST = 0.5, 8
 
 
 def find_jumps(readings: Vectors, threshold: float) -> Mask:
@@ -137,22 +135,17 @@ def find_contradictions(points: Points, field: Vectors, hyperparameters: Hyperpa
     is_contradicted = np.zeros(len(points), dtype=bool)
     if not has_path_order(points):
         return is_contradicted
-    segment = path_segments(points, SEGMENT_IN_LENGTHSCALES * hyperparameters.lengthscale)
-    size, is_revisit = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
-    for fold in range(N_FOLDS):
-        out = segment % N_FOLDS == fold
-        if not out.any() or out.all():
-            continue
-        model = SplineModel.over(points, hyperparameters)
-        posterior = model.infer(model.observe(points[~out], field[~out]))
-        size[out] = np.linalg.norm(posterior.evaluate(points[out]).field - field[out], axis=1)
-        is_revisit[out] = cKDTree(points[~out]).query(points[out])[0] < hyperparameters.spacing
-    # Beside the ends of a stretch its own neighbours in time stand in for another pass.
-    if is_revisit.sum() < 10 * FEWEST_IN_RUN:
-        return is_contradicted
-    usual = float(np.median(size[is_revisit]))
-    smooth = median_filter(np.where(is_revisit, size, 0.0), size=FEWEST_IN_RUN, mode="nearest")
-    return np.asarray(smooth > CONTRADICTION * max(usual, 1e-300))
+    stretch = path_segments(points, STRETCH_IN_LENGTHSCALES * hyperparameters.lengthscale)
+    counts = np.bincount(stretch)
+    trust = np.ones(len(points))
+    for _ in range(ROUNDS_OF_TRUST):
+        residual = MapConsistency(points, hyperparameters, trust).project(field[None])[1][0]
+        sd = _robust_sd(residual)
+        square = np.bincount(stretch, (residual**2).mean(axis=1) / sd**2) / np.maximum(counts, 1)
+        # A stretch that disagrees counts less as a whole, so that those it contradicts decide what the field is.
+        trust = (2 / (1 + square))[stretch]
+    smooth = median_filter(np.abs(residual).max(axis=1), size=FEWEST_IN_RUN, mode="nearest")
+    return np.asarray(smooth > CONTRADICTION * sd)
 
 
 def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:

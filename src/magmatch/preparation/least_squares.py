@@ -12,9 +12,10 @@ from magmatch.typing import Matrix, Scalars
 # (k, n, 3) columns -> (left, right), both (k, n, 3): what the data say of columns i and j is sum left_i right_j.
 Projection = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # A direction is fixed by the data when they know it this many times better (in variance) than what was expected
-# before: a posterior standard deviation under half of the prior's.
-LEAST_INFORMATION = 4.0
+# before: to a fifth, 10 uT of hard iron or 1 % of soft iron. What is known worse is better left alone.
+LEAST_INFORMATION = 25.0
 N_STRETCHES = 40
+ROUNDS_OF_NOISE = 3
 SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
 
@@ -50,6 +51,8 @@ class Solution:
         Which unknowns the data do not tell.
     residual : (n, 3) array, T
         What remains of the field's inconsistency.
+    free : (n, 3) array, T
+        What would remain if nothing were left at zero: noise, and what no unknown explains.
     noise_sd : float, T
         Its robust standard deviation per component.
     """
@@ -59,6 +62,7 @@ class Solution:
     p_value: Mapping[str, float]
     is_open: Mapping[str, np.ndarray]
     residual: np.ndarray
+    free: np.ndarray
     noise_sd: float
 
 
@@ -106,29 +110,30 @@ class System:
         -----
         With the columns scaled by the expected sizes, ``H = J' P J / s^2`` has eigenvectors v and values l. Errors
         of the data are correlated along the path, so l is divided by f = v' S v / l, where S sums the outer products
-        of the scores of stretches of the path (a cluster sandwich), unless f < 1. Directions with l / f < 4 are left
-        at zero; along the others the estimate is ``-v'g / (l + f)``, with variance ``1 / (1 + l / f)``.
+        of the scores of stretches of the path (a cluster sandwich), unless f < 1. Directions with l / f < 25 are
+        left at zero; along the others the estimate is ``-v'g / (l + f)``, with variance ``1 / (1 + l / f)``.
         """
         rows = [i for i, name in enumerate(self.names) if name in active]
         left, right, y = self.left[rows], self.right[rows], self.right[-1]
         if not rows:
-            return Solution({}, {}, {}, {}, y, max(_robust_sd(y), SMALLEST_NOISE))
+            return Solution({}, {}, {}, {}, y, y, max(_robust_sd(y), SMALLEST_NOISE))
         products, against = np.einsum("inc,jnc->ij", left, right), np.einsum("inc,nc->i", left, y)
         values, vectors = np.linalg.eigh((products + products.T) / 2)
         noise = max(_robust_sd(y), SMALLEST_NOISE)
-        # The errors' correlation is judged by what remains when everything is free.
-        z = -vectors @ ((vectors.T @ against) / (np.maximum(values, 0) + noise**2))
-        for _ in range(3):
-            residual = y + np.einsum("i,inc->nc", z, right)
-            noise = max(_robust_sd(residual), SMALLEST_NOISE)
-            information = np.maximum(values, 0) / noise**2
-            inflation = _inflation(left, residual, vectors, information, noise)
-            is_fixed = information > LEAST_INFORMATION * inflation
-            z = -vectors @ np.where(is_fixed, (vectors.T @ against) / noise**2 / (information + inflation), 0.0)
+        # Noise and its correlation are judged by what remains when everything is free: otherwise what is held at zero
+        # by mistake would look like noise, and stay there.
+        for _ in range(ROUNDS_OF_NOISE):
+            z = -vectors @ ((vectors.T @ against) / (np.maximum(values, 0) + noise**2))
+            free = y + np.einsum("i,inc->nc", z, right)
+            noise = max(_robust_sd(free), SMALLEST_NOISE)
+        information = np.maximum(values, 0) / noise**2
+        inflation = _inflation(left, free, vectors, information, noise)
+        is_fixed = information > LEAST_INFORMATION * inflation
+        z = -vectors @ np.where(is_fixed, (vectors.T @ against) / noise**2 / (information + inflation), 0.0)
         residual = y + np.einsum("i,inc->nc", z, right)
         variance = np.where(is_fixed, inflation / (information + inflation), 1.0)
         names = np.array(self.names)[rows]
-        return _by_block(names, self.scale[rows], z, (vectors * variance) @ vectors.T, residual)
+        return _by_block(names, self.scale[rows], z, (vectors * variance) @ vectors.T, residual, free)
 
 
 def _inflation(left: np.ndarray, residual: np.ndarray, vectors: Matrix, values: Scalars, noise: float) -> Scalars:
@@ -140,7 +145,9 @@ def _inflation(left: np.ndarray, residual: np.ndarray, vectors: Matrix, values: 
     return np.asarray(np.maximum(spread / np.maximum(values, 1e-300), 1.0))
 
 
-def _by_block(names: np.ndarray, scale: Scalars, z: Scalars, covariance: Matrix, residual: np.ndarray) -> Solution:
+def _by_block(
+    names: np.ndarray, scale: Scalars, z: Scalars, covariance: Matrix, residual: np.ndarray, free: np.ndarray
+) -> Solution:
     """Sort the unknowns by block."""
     estimate, sd, p_value, is_open = {}, {}, {}, {}
     for name in dict.fromkeys(names.tolist()):
@@ -151,7 +158,7 @@ def _by_block(names: np.ndarray, scale: Scalars, z: Scalars, covariance: Matrix,
         is_open[name] = np.diag(own) > 1 / (1 + LEAST_INFORMATION)
         square = float(z[rows] @ np.linalg.solve(own, z[rows])) / len(rows)
         p_value[name] = float(scipy.stats.f.sf(square, len(rows), N_STRETCHES - len(rows)))
-    return Solution(estimate, sd, p_value, is_open, residual, max(_robust_sd(residual), SMALLEST_NOISE))
+    return Solution(estimate, sd, p_value, is_open, residual, free, max(_robust_sd(free), SMALLEST_NOISE))
 
 
 def _robust_sd(residual: np.ndarray) -> float:

@@ -11,15 +11,16 @@ from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
-from magmatch.preparation.calibration import Calibration, calibrate
+from magmatch.preparation.calibration import calibrate
 from magmatch.preparation.checks import earth_step, find_disturbances, resampling_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
 from magmatch.preparation.earth_field import Place
 from magmatch.preparation.report import PreparationReport
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.words import calibration_steps
-from magmatch.typing import Mask, Scalars
+from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.words import calibration_steps, known_sensor_step
+from magmatch.typing import Indices, Mask, Scalars
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ def prepare(
     trajectory: Trajectory | None = None,
     channels: Mapping[str, Scalars] | None = None,
     place: Place | None = None,
+    sensor: SensorModel | None = None,
 ) -> tuple[Survey, PreparationReport]:
     """Correct a log's clock and sensor, and say what else is odd about it.
 
@@ -46,6 +48,8 @@ def prepare(
         Other channels of the log, such as motor currents, one value per sample.
     place : Place, optional
         Where and when, for the check against the Earth's field.
+    sensor : SensorModel, optional
+        Known correction of the sensor, such as another log's report has; made before all else, without its clock.
 
     Returns
     -------
@@ -61,11 +65,18 @@ def prepare(
     """
     config, channels = config or PreparationConfig(), channels or {}
     sensor_log = None if survey.orientations is None else SensorLog.of(survey, trajectory)
+    if sensor is not None:
+        if sensor_log is None:
+            msg = f"{survey.name}: a known correction of the sensor needs orientations to be made"
+            raise SurveyError(msg)
+        sensor_log = replace(sensor_log, readings=sensor.corrected(sensor_log.readings))
     calibration = None
     if sensor_log is not None:
         calibration = calibrate(sensor_log, config, channels, trusted(sensor_log, config))
-    steps = calibration_steps(survey, sensor_log, calibration, config, channels)
-    corrected, rows = apply_calibration(survey, sensor_log, calibration, channels)
+    steps = [known_sensor_step(sensor)]
+    steps += calibration_steps(survey, sensor_log, calibration, config, channels)
+    model = SensorModel() if calibration is None else calibration.model
+    corrected, rows = apply_model(survey, sensor_log, model, channels, is_changed=sensor is not None)
     readings = survey.field[rows] if sensor_log is None else sensor_log.readings[rows]
     kept, found = find_disturbances(corrected, readings, calibration, config)
     steps += found
@@ -77,7 +88,7 @@ def prepare(
     steps += [resampled, earth_step(left, place)]
     report = PreparationReport(
         survey.name, (len(survey), len(left)), tuple(steps), config.model_dump(mode="json"),
-        ({"name": survey.name, "sha256": hash_survey(survey)},),
+        model if sensor is None else model.after(sensor), ({"name": survey.name, "sha256": hash_survey(survey)},),
     )  # fmt: skip
     return left, report
 
@@ -105,9 +116,10 @@ def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
     return np.asarray(~(is_bad | find_repeats(readings) | find_saturation(readings)))
 
 
-def apply_calibration(
-    survey: Survey, sensor_log: SensorLog | None, calibration: Calibration | None, channels: Mapping[str, Scalars]
-) -> tuple[Survey, np.ndarray]:
+def apply_model(
+    survey: Survey, sensor_log: SensorLog | None, model: SensorModel, channels: Mapping[str, Scalars], *,
+    is_changed: bool,
+) -> tuple[Survey, Indices]:  # fmt: skip
     """Correct all samples of a survey, and say which rows were kept.
 
     Parameters
@@ -116,10 +128,12 @@ def apply_calibration(
         As read.
     sensor_log : SensorLog, optional
         The same in the sensor's frame.
-    calibration : Calibration, optional
+    model : SensorModel
         What to correct.
     channels : dict of str to (n,) array
         For the disturbances that follow them.
+    is_changed : bool
+        Whether the log's readings are no longer the survey's.
 
     Returns
     -------
@@ -129,9 +143,8 @@ def apply_calibration(
         Samples that have a pose once their stamps are moved.
     """
     every = np.arange(len(survey))
-    if sensor_log is None or calibration is None or calibration.model.is_identity:
+    if sensor_log is None or (model.is_identity and not is_changed):
         return survey, every
-    model = calibration.model
     rows = every if model.time_offset == 0 else np.flatnonzero(sensor_log.covered(model.time_offset))
     part = sensor_log.subset(rows)
     positions, orientations = part.at(model.time_offset)

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from magmatch import __version__
 from magmatch.atomic import atomic_write
 from magmatch.data.table import read_bytes
 from magmatch.errors import DataFormatError
+from magmatch.preparation.sensor_model import SensorModel
 
 SCHEMA = "magmatch.preparation/1"
 # off: not looked at. unchanged: looked at, nothing to do. applied: the survey was changed. flagged: found, not
@@ -61,6 +64,9 @@ class PreparationReport:
         In the order they were done.
     config : dict
         The resolved configuration.
+    sensor : SensorModel
+        The correction as a whole, with a known one that was made first: what another log of this sensor can begin
+        from.
     inputs : tuple of dict
         Name and SHA-256 of the files, where known.
     version : str
@@ -71,6 +77,7 @@ class PreparationReport:
     n_samples: tuple[int, int]
     steps: tuple[StepReport, ...]
     config: Mapping[str, Any]
+    sensor: SensorModel = field(default_factory=SensorModel)
     inputs: tuple[Mapping[str, str], ...] = ()
     version: str = __version__
 
@@ -95,6 +102,7 @@ class PreparationReport:
             "n_samples": list(self.n_samples),
             "steps": steps,
             "config": dict(self.config),
+            "sensor": {"matrix": self.sensor.matrix.tolist(), "shift": self.sensor.shift.tolist()},
             "inputs": [dict(entry) for entry in self.inputs],
             "version": self.version,
         }
@@ -123,6 +131,7 @@ class PreparationReport:
                 (int(content["n_samples"][0]), int(content["n_samples"][1])),
                 tuple(StepReport(**step) for step in content["steps"]),
                 content["config"],
+                _sensor_from(content["sensor"]),
                 tuple(content["inputs"]),
                 content["version"],
             )
@@ -130,6 +139,16 @@ class PreparationReport:
             if isinstance(error, DataFormatError):
                 raise
             raise DataFormatError(path, f"is not a report of 'magmatch prepare' ({SCHEMA})") from None
+
+
+def _sensor_from(content: Mapping[str, Any]) -> SensorModel:
+    """Correction as a report holds it; ValueError where it is none."""
+    matrix, shift = np.array(content["matrix"], dtype=np.float64), np.array(content["shift"], dtype=np.float64)
+    is_one = matrix.shape == (3, 3) and shift.shape == (3,) and np.isfinite(matrix).all() and np.isfinite(shift).all()
+    if not is_one or not 0.1 < abs(np.linalg.det(matrix)) < 10:
+        msg = "expected a 3x3 matrix near the identity and 3 numbers"
+        raise ValueError(msg)
+    return SensorModel(matrix, shift)
 
 
 def _change(step: StepReport) -> str:

@@ -2,7 +2,7 @@
 """What undoes the errors of a magnetometer: ``b_true = M b_read - d``, in the sensor's frame, and its clock."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -70,6 +70,12 @@ class SensorModel:
         """Turn of the sensor against the poses' frame: rotation vector of the soft iron's rotation, (3,), rad."""
         u, _, vt = np.linalg.svd(self.soft_iron)
         return np.asarray(Rotation.from_matrix(u @ vt).as_rotvec())
+
+    def after(self, first: "SensorModel") -> "SensorModel":
+        """Correction that makes another one first; this one's clock and currents hold."""
+        return replace(
+            self, matrix=self.matrix @ first.matrix, shift=np.asarray(self.matrix @ first.shift + self.shift)
+        )
 
     def corrected(self, readings: Vectors, channels: Mapping[str, np.ndarray] | None = None) -> Vectors:
         """Field that was there when the sensor read this.

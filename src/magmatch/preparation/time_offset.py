@@ -1,26 +1,32 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where to begin: the offset between two clocks at which the turned field hardly changes from reading to reading."""
+"""Where to begin: the offset between two clocks at which one coarse map explains the turned field best."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
+from magmatch.field.cells import count_active_cells
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.spline_model import REACH_IN_CELLS
 from magmatch.preparation.blocks import sensor_blocks
-from magmatch.preparation.consistency import increments
+from magmatch.preparation.consistency import MapConsistency
 from magmatch.preparation.least_squares import N_STRETCHES, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.typing import Scalars
+from magmatch.typing import Points, Scalars
 
-# s; hands and wheels turn more slowly than this, so the curve has no narrower dip.
-STEP = 0.025
-# Standard errors; the best of some eighty trials is ahead of a given one by two or three of them by luck.
-CLEARLY = 4.0
+# s, of the first and of the second pass; dips of the curve are some 0.3 s wide, as long as a hand takes to turn.
+STEPS = (0.1, 0.025)
+# Samples that the curve is made from; its place, not its depth, is asked for.
+N_SAMPLES = 600
+# Standard errors; the best of some thirty trials is ahead of a given one by two of them by luck.
+CLEARLY = 3.0
+# The map: as fine as this many cells allow, never finer than a share of the extent; ordinary field and noise.
+MOST_CELLS, FINEST_SHARE = 800, 0.1
+LENGTHSCALE_IN_SPACINGS, SIGNAL_SD, NOISE_SD, STIFFNESS = 2.5, 10e-6, 0.5e-6, 3000.0
 
 
-def search_time_offset(
-    log: SensorLog, largest: float, sizes: Mapping[str, float], weights: Scalars
-) -> tuple[float, Solution]:
-    """Offset of least change of the turned field, and the sensor's errors that go with it.
+def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float]) -> tuple[float, Solution]:
+    """Offset at which a coarse map explains the field best, and the sensor's errors that go with it.
 
     Parameters
     ----------
@@ -30,51 +36,63 @@ def search_time_offset(
         How far to search to either side; 0 looks at the stamps as they are.
     sizes : dict of str to float
         Errors of the sensor that are free, and how large they are expected to be.
-    weights : (n,) array
-        0 leaves a reading out.
 
     Returns
     -------
     offset : float, s
-        To be added to the readings' stamps; between two steps of the search by a parabola. 0 where no offset is
-        clearly better than none: near strong sources the place changes the field more than turning does.
+        To be added to the readings' stamps, within a step of the second pass. 0 where none is clearly better than
+        none at all.
     solution : Solution
-        At the best step.
+        At that offset.
 
     Notes
     -----
-    A sensor that turns sees a still field turn the other way, ``R(t + offset) (M b - d)`` does not change; what the
-    place itself changes is noise here. M and d are found along with each trial offset, so a hard iron of any size
-    does not hide the turning.
+    At a wrong offset the field is turned with the wrong attitude and put at the wrong place; neither can be one map,
+    whatever hard and soft iron are, and these are found along with each trial. No error hides the others.
     """
-    n_steps = int(np.ceil(largest / STEP)) if log.times is not None else 0
-    offsets = STEP * np.arange(-n_steps, n_steps + 1)
-    project = increments(len(log), log.times, weights)
-    solutions = []
-    for offset in offsets:
-        R = log.at(float(offset))[1].as_matrix()
-        y = np.einsum("nij,nj->ni", R, log.readings)
-        solutions.append(System.of(y, sensor_blocks(R, log.readings, sizes), project).solve(sizes))
-    squares = _bounded_squares(solutions)
-    change = squares.mean(axis=1)
-    best, as_stamped = int(np.argmin(change)), n_steps
-    if not _is_clearly_less(squares[best], squares[as_stamped]):
-        return 0.0, solutions[as_stamped]
-    offset = float(offsets[best])
-    if 0 < best < len(offsets) - 1:
-        before, here, after = change[best - 1 : best + 2]
-        offset += STEP * 0.5 * (before - after) / max(before - 2 * here + after, 1e-300)
-    return offset, solutions[best]
+    part = log.subset(np.arange(0, len(log), -(-len(log) // N_SAMPLES)))
+    settings = coarse_settings(part.positions)
+    trials = {0.0: _solved(part, 0.0, settings, sizes)}
+    if log.times is None or largest == 0:
+        return 0.0, trials[0.0]
+    center, reach = 0.0, largest
+    for step in STEPS:
+        n = int(reach / step)
+        for offset in center + step * np.arange(-n, n + 1):
+            if abs(offset) <= largest and not any(abs(offset - known) < 1e-9 for known in trials):
+                trials[float(offset)] = _solved(part, float(offset), settings, sizes)
+        center, reach = _best(trials), step
+    return center, trials[center]
 
 
-def _bounded_squares(solutions: list[Solution]) -> np.ndarray:
-    """Square of each change at each trial, large ones cut off at one common limit so that spikes do not choose."""
-    limit = 5 * min(solution.noise_sd for solution in solutions)
-    squares = [(solution.residual**2).sum(axis=1) for solution in solutions]
-    return np.minimum(squares, 3 * limit**2)
+def coarse_settings(points: Points) -> Hyperparameters:
+    """Settings of a map that is cheap, whatever the size of the place."""
+    extent = float(np.ptp(points, axis=0).max())
+    spacing = extent / 2
+    while spacing > FINEST_SHARE * extent:
+        n_active, _ = count_active_cells(points, spacing / 1.25, REACH_IN_CELLS)
+        if not 0 <= n_active <= MOST_CELLS:
+            break
+        spacing /= 1.25
+    return Hyperparameters(LENGTHSCALE_IN_SPACINGS * spacing, SIGNAL_SD, NOISE_SD, spacing, STIFFNESS)
 
 
-def _is_clearly_less(squares: Scalars, others: Scalars) -> bool:
-    """Whether one trial changes less than another in stretch after stretch, not by luck of a few."""
-    gains = np.array([part.mean() for part in np.array_split(others - squares, N_STRETCHES)])
-    return bool(gains.mean() > CLEARLY * gains.std(ddof=1) / np.sqrt(len(gains)))
+def _solved(part: SensorLog, offset: float, settings: Hyperparameters, sizes: Mapping[str, float]) -> Solution:
+    """Sensor errors that make the field most consistent at one offset."""
+    positions, orientations = part.at(offset)
+    R = orientations.as_matrix()
+    y = np.einsum("nij,nj->ni", R, part.readings)
+    consistency = MapConsistency(positions, settings, np.ones(len(part)))
+    return System.of(y, sensor_blocks(R, part.readings, sizes), consistency.project).solve(sizes)
+
+
+def _best(trials: Mapping[float, Solution]) -> float:
+    """Offset of the least misfit; 0 unless it is beaten in stretch after stretch, not by luck of a few."""
+    # Cut off at one common limit, so that spikes do not choose.
+    limit = 5 * min(solution.noise_sd for solution in trials.values())
+    squares: dict[float, Scalars] = {
+        offset: np.minimum((solution.free**2).sum(axis=1), 3 * limit**2) for offset, solution in trials.items()
+    }
+    best = min(squares, key=lambda offset: float(squares[offset].mean()))
+    gains = np.array([part.mean() for part in np.array_split(squares[0.0] - squares[best], N_STRETCHES)])
+    return best if gains.mean() > CLEARLY * gains.std(ddof=1) / np.sqrt(len(gains)) else 0.0

@@ -11,11 +11,13 @@ from magmatch.preparation.calibration import Calibration
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.sensor_model import SensorModel
 from magmatch.typing import Scalars
 
 AXES = ("x", "y", "z")
 SOFT_IRON_PARTS = ("(xx-yy)/2", "zz", "xy", "xz", "yz")
 MICROTESLA = 1e-6
+NEGLIGIBLE = 0.01  # uT, %, deg
 
 
 def calibration_steps(
@@ -59,7 +61,31 @@ def calibration_steps(
         told = {CHANNEL + name: values for name, values in channels.items()}
         told = {k: v for k, v in told.items() if k in calibration.watched or k in calibration.full.estimate}
         steps += [_told_of_channel(name, calibration, values, config) for name, values in told.items()]
+    if calibration is not None:
+        steps.append(_held_out_step(calibration))
     return steps
+
+
+def known_sensor_step(sensor: SensorModel | None) -> StepReport:
+    """Report of a correction that was known before."""
+    if sensor is None:
+        return StepReport("known sensor", "off", "")
+    hard = ", ".join(f"{axis} {1e6 * value:+.3g}" for axis, value in zip(AXES, sensor.hard_iron, strict=True))
+    soft = 100 * float(np.abs(sensor.soft_iron - np.eye(3)).max())
+    return StepReport(
+        "known sensor", "applied", f"hard iron {hard} uT, soft iron up to {soft:.2g} %, taken off first"
+    )
+
+
+def _held_out_step(calibration: Calibration) -> StepReport:
+    """All corrections together, judged by stretches that were left out."""
+    before, after = (value / MICROTESLA for value in calibration.held_out)
+    if calibration.is_refused:
+        words = "left-out stretches are predicted worse with the corrections, so none was made"
+        return StepReport("all corrections", "unchanged", words, before, after, "uT")
+    outcome: Outcome = "unchanged" if calibration.model.is_identity else "applied"
+    words = "median miss of a map at stretches that were left out of it"
+    return StepReport("all corrections", outcome, words, before, after, "uT")
 
 
 def _why_not(name: str, survey: Survey, sensor_log: SensorLog | None) -> str:
@@ -122,15 +148,14 @@ def _estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.
     per_unit, unit = {"soft_iron": (1e2, "%"), "misalignment": (180 / np.pi, "deg")}.get(name, (1e6, "uT"))
     if name.startswith(CHANNEL):
         unit = "uT per unit of the channel"
-    known = [
-        f"{part} {per_unit * value:+.3g}"
-        for part, value, hidden in zip(parts, estimate, is_open, strict=True)
-        if not hidden
-    ]
+    rows = list(zip(parts, per_unit * estimate, is_open, strict=True))
+    # Unknowns may be open one by one although a combination of them is known: that shows as a value.
+    known = [f"{part} {value:+.3g}" for part, value, hidden in rows if not hidden or abs(value) > NEGLIGIBLE]
+    hidden = ", ".join(part for part, _, flag in rows if flag)
     prefix = "correction " if name == "soft_iron" else ""
-    text = f"{prefix}{', '.join(known)} {unit} (sd up to {per_unit * sd[~is_open].max():.2g})" if known else ""
-    if is_open.any():
-        hidden = ", ".join(part for part, flag in zip(parts, is_open, strict=True) if flag)
+    sure = f" (sd up to {per_unit * sd[~is_open].max():.2g})" if not is_open.all() else ""
+    text = f"{prefix}{', '.join(known)} {unit}{sure}" if known else ""
+    if hidden:
         text += (
             f"{'; ' if text else ''}{hidden} not separable from the place's own field: the sensor turned too little"
         )

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hard and soft iron of a sensor that was turned about in one place: its readings lie on an ellipsoid."""
+
+import numpy as np
+
+from magmatch.errors import SurveyError
+from magmatch.preparation.blocks import model_of
+from magmatch.preparation.config import CalibrationConfig
+from magmatch.preparation.least_squares import Block, Solution, System
+from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
+from magmatch.typing import Vector3, Vectors
+
+FEWEST_READINGS = 50
+MOST_STEPS, CONVERGED = 50, 1e-10  # T
+STUDENT = 4.0
+# Spread of |b| after the fit, relative to its mean: more than this is no one field seen from many sides.
+WORST_FIT = 0.1
+
+
+def fit_ellipsoid(readings: Vectors, config: CalibrationConfig | None = None) -> tuple[SensorModel, Solution]:
+    """Correction that gives all readings of a turn one magnitude.
+
+    Parameters
+    ----------
+    readings : (n, 3) array, T
+        Sensor frame, taken in one place from as many sides as can be.
+    config : CalibrationConfig, optional
+        Expected sizes of hard and soft iron.
+
+    Returns
+    -------
+    model : SensorModel
+        Zero along what the attitudes do not tell: without turning the sensor upside down, one axis of the hard iron
+        and parts of the soft iron remain unknown. A misalignment changes no magnitude and is never known.
+    solution : Solution
+        Estimates with standard deviations, and what is open.
+
+    Raises
+    ------
+    SurveyError
+        Too few readings, or no ellipsoid fits: the field was not the same throughout.
+
+    Notes
+    -----
+    Gauss-Newton on ``|(I + N) b - d| - r`` with Student weights; r, which is the field's strength there, is free. As
+    elsewhere N is symmetric without trace, since scale and strength cannot be told apart.
+    """
+    if len(readings) < FEWEST_READINGS:
+        msg = f"expected at least {FEWEST_READINGS} readings of a sensor turned about, got {len(readings)}"
+        raise SurveyError(msg)
+    sizes = config or CalibrationConfig()
+    model, weights = SensorModel(shift=_sphere_center(readings)), np.ones(len(readings))
+    values = {"hard_iron": model.shift, "soft_iron": np.zeros(5)}
+    for _ in range(MOST_STEPS):
+        corrected = model.corrected(readings)
+        magnitude = np.linalg.norm(corrected, axis=1)
+        u = corrected / magnitude[:, None]
+        columns = {"hard_iron": -u.T, "soft_iron": np.einsum("ni,kij,nj->kn", u, SOFT_IRON_BASIS, readings)}
+        y = magnitude - sum(values[name] @ columns[name] for name in columns)
+        scale = {"hard_iron": sizes.hard_iron_sd, "soft_iron": sizes.soft_iron_sd}
+        blocks = {name: Block(column[..., None], scale[name]) for name, column in columns.items()}
+
+        def project(c: np.ndarray, w: np.ndarray = weights) -> tuple[np.ndarray, np.ndarray]:
+            left = c * w[:, None]
+            return left, np.asarray(c - (left.sum(axis=1) / w.sum())[:, None])
+
+        solution = System.of(y[:, None], blocks, project).solve(blocks)
+        before, values, model = model, dict(solution.estimate), model_of(solution.estimate, {})
+        square = (solution.free[:, 0] / solution.noise_sd) ** 2
+        weights = (STUDENT + 1) / (STUDENT + square)
+        if np.abs(model.shift - before.shift).max() < CONVERGED:
+            break
+    _require_one_field(model.corrected(readings))
+    return model, solution
+
+
+def _sphere_center(readings: Vectors) -> Vector3:
+    """Where the iteration begins: ``|b|^2 = 2 c.b + k`` by least squares."""
+    A = np.column_stack([2 * readings, np.full(len(readings), 1e-5)])
+    return np.asarray(np.linalg.lstsq(A, (readings**2).sum(axis=1), rcond=1e-3)[0][:3])
+
+
+def _require_one_field(corrected: Vectors) -> None:
+    magnitude = np.linalg.norm(corrected, axis=1)
+    misfit = 1.4826 * float(np.median(np.abs(magnitude - np.median(magnitude)))) / float(np.median(magnitude))
+    if misfit > WORST_FIT:
+        msg = (
+            f"no ellipsoid fits: the magnitude still varies by {misfit:.0%} after the correction; "
+            "turn the sensor about in one place, away from steel"
+        )
+        raise SurveyError(msg)

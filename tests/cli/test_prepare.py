@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch prepare`` reads logs as they come, writes a survey and a report, and refuses in one line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.read import read_survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.corruption import Corruption, corrupt
+from magmatch.simulation.simulate import simulate
+
+HARD_IRON = np.array([12e-6, -20e-6, 15e-6])
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Folder with log.csv (uT, sensor frame, a text and a number column more), poses.tum and quick.yaml."""
+    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
+    folder = tmp_path_factory.mktemp("logs")
+    clean = simulate("office-hand-held", 3, SimulationConfig(n_samples=600, room_size=(1.5, 1.5, 0.5))).target
+    Trajectory(clean.times, clean.positions, clean.orientations).save(folder / "poses.tum")
+    raw, _ = corrupt(clean, Corruption(hard_iron=HARD_IRON), np.random.default_rng(0))
+    readings = 1e6 * raw.orientations.apply(raw.field, inverse=True)
+    rows = [
+        f"{t!r},{b[0]!r},{b[1]!r},{b[2]!r},ok,{k % 7}"
+        for k, (t, b) in enumerate(zip(raw.times.tolist(), readings.tolist(), strict=True))
+    ]
+    (folder / "log.csv").write_text("\n".join(["t,bx,by,bz,state,amps", *rows]) + "\n")
+    quick = {"time_offset": {"mode": "off"}, "disturbances": {"spikes": "off", "moving_metal": "off"}}
+    (folder / "quick.yaml").write_text(json.dumps(quick))
+    return folder
+
+
+def words(logs, *more):
+    return (
+        "prepare", logs / "log.csv", "--field-unit", "uT", "--field-frame", "sensor", "--trajectory",
+        logs / "poses.tum", "--config", logs / "quick.yaml", *more,
+    )  # fmt: skip
+
+
+def test_a_raw_log_becomes_a_survey_with_a_report_beside_it(logs, run, tmp_path):
+    outcome = run(*words(logs, "--out", tmp_path / "s.csv"))
+    assert outcome.code == 0, outcome.err
+    report = json.loads((tmp_path / "s.json").read_text())
+    assert report["schema"] == "magmatch.preparation/1"
+    steps = {step["step"]: step for step in report["steps"]}
+    np.testing.assert_allclose(steps["hard iron"]["figures"]["hard_iron"], HARD_IRON, rtol=0, atol=0.5e-6)
+    assert steps["channel amps"]["outcome"] == "unchanged"
+    assert "hard iron" in outcome.err
+    assert "applied" in outcome.err
+    assert len(read_survey(tmp_path / "s.csv")) == report["n_samples"][1]
+    known = run(*words(logs, "--out", tmp_path / "t.csv", "--sensor-from", tmp_path / "s.json"))
+    assert known.code == 0
+    np.testing.assert_allclose(
+        read_survey(tmp_path / "t.csv").field, read_survey(tmp_path / "s.csv").field, rtol=0, atol=0.3e-6
+    )
+
+
+def test_a_sensor_turned_about_is_a_known_one(logs, run, tmp_path):
+    rng = np.random.default_rng(1)
+    readings = 1e6 * (Rotation.random(200, rng=rng).apply([2e-5, 0, -4e-5]) + HARD_IRON)
+    np.savetxt(tmp_path / "turned.csv", readings, delimiter=",", header="bx,by,bz", comments="")
+    off = dict.fromkeys(("hard_iron", "soft_iron", "misalignment"), "off")
+    off = {"time_offset": {"mode": "off"}, "calibration": off, "currents": {"mode": "off"}}
+    off |= {"disturbances": dict.fromkeys(("spikes", "moving_metal"), "off")}
+    (tmp_path / "off.yaml").write_text(json.dumps(off))
+    more = ("--out", tmp_path / "s.csv", "--sensor-from", tmp_path / "turned.csv", "--config", tmp_path / "off.yaml")
+    assert run(*words(logs, *more)).code == 0
+    sensor = json.loads((tmp_path / "s.json").read_text())["sensor"]
+    np.testing.assert_allclose(sensor["shift"], HARD_IRON, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        (["--place", "48,11,500"], "--date"),
+        (["--date", "2024-05-01"], "--place"),
+        (["--place", "48;11", "--date", "2024-05-01"], "LAT,LON,HEIGHT"),
+        (["--place", "98,11,500", "--date", "2024-05-01"], "latitude"),
+        (["--place", "48,11,500", "--date", "May"], "YYYY-MM-DD"),
+        (["--sensor-from", "nowhere.json"], "no such file"),
+        (["--out", "missing/s.csv"], "does not exist"),
+        (["--config", "wrong.yaml"], "did you mean 'hard_iron'"),
+        (["--config", "high.yaml"], "time_offset.largest"),
+        (["--sensor-from", "other.json"], "magmatch.preparation/1"),
+        (["--sensor-from", "few.csv"], "at least 50 readings"),
+    ],
+)
+def test_mistakes_are_one_line_and_code_2(more, expected, logs, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("wrong.yaml").write_text("calibration: {hard_irn: on}\n")
+    Path("high.yaml").write_text("time_offset: {largest: 1e9}\n")
+    Path("other.json").write_text('{"schema": "magmatch.registration/1"}')
+    Path("few.csv").write_text("bx,by,bz\n1,2,3\n")
+    out = [] if "--out" in more else ["--out", "s.csv"]
+    outcome = run(*words(logs, *out, *more))
+    assert outcome.code == 2, outcome
+    assert outcome.err.count("\n") == 1
+    assert expected in outcome.err
+    assert not Path("s.csv").exists()
+
+
+def test_the_input_is_never_written_over(logs, run):
+    assert run(*words(logs, "--out", logs / "log.csv")).code == 2

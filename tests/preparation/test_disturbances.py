@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Disturbances in a surveyed room: found where they are, nowhere else, and removed only where that was asked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magmatch.errors import SurveyError
+from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.prepare import prepare
+from magmatch.simulation.corruption import Corruption, corrupt
+
+STILL = {"time_offset": {"mode": "off"}, "calibration": dict.fromkeys(("soft_iron", "misalignment"), "off")}
+
+
+def settings_of(**changes):
+    return PreparationConfig.model_validate(STILL | changes)
+
+
+@pytest.fixture(scope="module")
+def disturbed(robot):
+    """Metal that passed for some seconds, spikes, a stuck sensor and a current."""
+    clean = robot[0]
+    rng = np.random.default_rng(4)
+    current = np.repeat(rng.uniform(0, 5, 60), 20)
+    coefficient = np.array([1e-6, -0.5e-6, 0.3e-6])
+    raw, _ = corrupt(clean, Corruption(current=current, current_coefficient=coefficient), rng)
+    field = raw.field.copy()
+    field[[100, 500, 900]] += 40e-6
+    passing = (clean.times > 20) & (clean.times < 24)
+    field[passing] += 10e-6 * np.sin((clean.times[passing] - 20) / 4 * np.pi)[:, None] * [0.7, -0.5, 0.5]
+    readings = clean.orientations.apply(field, inverse=True)
+    readings[700:704] = readings[700]
+    survey = replace(clean, field=clean.orientations.apply(readings))
+    channels = {"amps": current, "noise": rng.standard_normal(len(clean))}
+    return survey, channels, coefficient
+
+
+@pytest.fixture(scope="module")
+def flagged(disturbed):
+    survey, channels, _ = disturbed
+    return prepare(survey, settings_of(), channels=channels)
+
+
+@pytest.fixture(scope="module")
+def removed(disturbed):
+    survey, channels, _ = disturbed
+    modes = dict.fromkeys(("spikes", "drop_outs", "saturation", "moving_metal"), "remove")
+    return prepare(survey, settings_of(disturbances=modes, currents={"mode": "remove"}), channels=channels)
+
+
+def test_flagging_removes_no_sample(flagged, disturbed):
+    assert len(flagged[0]) == len(disturbed[0])
+    assert flagged[1].n_samples == (1200, 1200)
+
+
+def test_a_current_is_reported_with_its_coefficient(flagged, disturbed):
+    step = flagged[1]["channel amps"]
+    assert step.outcome == "flagged"
+    np.testing.assert_allclose(step.figures["estimate"][:2], disturbed[2][:2], rtol=0, atol=0.2e-6)
+
+
+def test_a_channel_that_does_nothing_is_not_shown(flagged):
+    assert flagged[1]["channel noise"].outcome == "unchanged"
+
+
+def test_a_current_is_taken_off_where_asked_for(removed, disturbed):
+    step = removed[1]["channel amps"]
+    assert step.outcome == "applied"
+    assert step.after < step.before
+    np.testing.assert_allclose(step.figures["estimate"], disturbed[2], rtol=0, atol=0.2e-6)
+
+
+def test_spikes_are_found_and_removed(removed):
+    assert removed[1]["spikes"].figures["runs"] == [[5.0, 5.0], [25.0, 25.0], [45.0, 45.0]]
+    assert not np.isin([5.0, 25.0, 45.0], removed[0].times).any()
+
+
+def test_repeated_readings_are_found(flagged):
+    assert flagged[1]["drop-outs"].figures["runs"] == [[pytest.approx(35.05), pytest.approx(35.15)]]
+
+
+def test_metal_that_passed_is_found_where_it_passed(removed):
+    found = removed[1]["moving metal"].figures["runs"]
+    assert found
+    assert all(19.5 < first <= last < 24.5 for first, last in found)
+
+
+def test_what_is_removed_is_counted(removed):
+    survey, report = removed
+    assert report.n_samples == (1200, len(survey))
+    assert 1100 < len(survey) < 1190
+
+
+def test_nothing_left_is_an_error_in_words(robot, monkeypatch):
+    monkeypatch.setattr("magmatch.preparation.checks.find_repeats", lambda readings: np.ones(len(readings), bool))
+    off = dict.fromkeys(("spikes", "moving_metal", "saturation"), "off") | {"drop_outs": "remove"}
+    few = robot[0].subset(np.arange(60))
+    with pytest.raises(SurveyError, match="nothing is left"):
+        prepare(few, settings_of(disturbances=off))

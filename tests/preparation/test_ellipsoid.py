@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A sensor turned about in one place tells its hard and soft iron; what it was not turned to see stays open."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magmatch.errors import SurveyError
+from magmatch.preparation.ellipsoid import fit_ellipsoid
+from magmatch.simulation.corruption import draw_corruption
+
+EARTH = np.array([17.8e-6, 0, -44.6e-6])
+
+
+def turned(orientations, corruption, rng):
+    readings = orientations.apply(EARTH, inverse=True) @ corruption.soft_iron.T + corruption.hard_iron
+    return readings + 0.3e-6 * rng.standard_normal(readings.shape)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_hard_and_soft_iron_are_found_in_spite_of_spikes(seed):
+    rng = np.random.default_rng(seed)
+    corruption = draw_corruption(rng, hard_iron=60e-6, soft_iron=0.1)
+    readings = turned(Rotation.random(500, rng=rng), corruption, rng)
+    readings[:5] += 30e-6
+    model, solution = fit_ellipsoid(readings)
+    np.testing.assert_allclose(model.hard_iron, corruption.hard_iron, rtol=0, atol=0.15e-6)
+    truth = corruption.soft_iron / np.cbrt(np.linalg.det(corruption.soft_iron))
+    np.testing.assert_allclose(model.soft_iron, truth, rtol=0, atol=5e-3)
+    assert not any(np.any(is_open) for is_open in solution.is_open.values())
+
+
+def test_turning_about_one_axis_leaves_that_axis_open_and_at_zero():
+    rng = np.random.default_rng(1)
+    about_z = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi, (500, 1)))
+    model, solution = fit_ellipsoid(turned(about_z, draw_corruption(rng), rng))
+    assert solution.is_open["hard_iron"].tolist() == [False, False, True]
+    assert abs(model.shift[2]) < 3e-6
+
+
+def test_a_perfect_sensor_is_left_nearly_as_it_is():
+    rng = np.random.default_rng(2)
+    readings = Rotation.random(500, rng=rng).apply(EARTH) + 0.3e-6 * rng.standard_normal((500, 3))
+    model, _ = fit_ellipsoid(readings)
+    assert np.abs(model.shift).max() < 0.1e-6
+    np.testing.assert_allclose(model.matrix, np.eye(3), rtol=0, atol=3e-3)
+
+
+def test_a_field_that_is_not_one_is_refused():
+    rng = np.random.default_rng(3)
+    with pytest.raises(SurveyError, match="no ellipsoid fits"):
+        fit_ellipsoid(rng.uniform(0.1, 3.0, (300, 1)) * Rotation.random(300, rng=rng).apply(EARTH))
+
+
+def test_too_few_readings_are_refused():
+    with pytest.raises(SurveyError, match="at least 50 readings"):
+        fit_ellipsoid(np.ones((10, 3)))
