@@ -45,6 +45,10 @@ class DatasetError(MagmatchError, OSError):
     """A public recording cannot be had: no connection, or what came is not what was published."""
 
 
+class TaskError(MagmatchError, RuntimeError):
+    """A part of the work that was given to another process or machine could not be done."""
+
+
 class MissingExtraError(MagmatchError, ImportError):
     """An optional dependency is not installed; names the extra that brings it.
 

@@ -133,6 +133,25 @@ def test_map_takes_its_settings_from_flags_and_file(place, run, tmp_path):
     assert field_map.config.domain == (-1, -1, -0.5, 1, 1, 0.5)
 
 
+def test_map_grows_in_its_place(place, run, tmp_path):
+    path = tmp_path / "grown.map"
+    path.write_bytes((place / "base.map").read_bytes())
+    outcome = run("map", path, place / "base.csv", "--out", path)
+    assert outcome.code == 0
+    assert "Added 300 samples to 300; fitted 1 tiles again" in outcome.err
+    old, new = FieldMap.load(place / "base.map"), FieldMap.load(path)
+    assert len(new.survey) == 600
+    assert new.hyperparameters == old.hyperparameters
+    assert np.array_equal(new.T_map_model.as_matrix(), old.T_map_model.as_matrix())
+
+
+def test_scheduler_needs_an_address(place, run, tmp_path):
+    pytest.importorskip("distributed")
+    outcome = run("map", place / "base.csv", "--scheduler", "there", "--out", tmp_path / "m.map")
+    assert outcome.code == 2
+    assert "--scheduler: expected an address such as tcp://" in outcome.err
+
+
 def test_units_are_stated_for_one_survey_or_all(place, run, tmp_path):
     survey = read_survey(place / "base.csv")
     rows = np.column_stack([1000 * survey.positions, 1e6 * survey.field])

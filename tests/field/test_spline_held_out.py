@@ -51,8 +51,9 @@ def test_part_has_about_the_samples_asked_for():
     assert 300 <= part.sum() <= 600
 
 
-def test_spacing_of_a_country_is_widened_with_a_word(caplog):
-    x = rng.uniform(0, 5e4, (500, 3)) * [1, 1, 0.01]
+def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeypatch):
+    monkeypatch.setattr("magmatch.field.cross_validation.MOST_OPERATIONS", (5e8, 1e5))
+    x = rng.uniform(0, 30, (500, 3)) * [1, 1, 0.01]
     spacing = affordable_spacing(x, 0.1)
     assert spacing > 0.1
     assert "widened" in caplog.text

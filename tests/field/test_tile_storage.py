@@ -75,6 +75,11 @@ def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypat
     assert np.array_equal(*draws)
 
 
+def test_map_of_chosen_numbers_loads_too(tmp_path):
+    build_map(walk(0, 8)).save(tmp_path / "m")
+    FieldMap.load(tmp_path / "m")
+
+
 def test_every_tile_is_one_chunk(saved, old):
     tiles = {n for n in chunks(saved) if n.startswith("tile.")}
     assert tiles == {f"tile.{i}.{j}.{k}/c/0" for i, j, k in old.posterior.tiles}

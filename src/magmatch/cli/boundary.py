@@ -10,7 +10,7 @@ from collections.abc import Callable
 import typer
 
 from magmatch.cli.narration import Narrator, say
-from magmatch.errors import MagmatchError
+from magmatch.errors import MagmatchError, TaskError
 
 DONE, FAULT, BAD_INPUT, NOT_ACCEPTED, INTERRUPTED, READER_LEFT = 0, 1, 2, 3, 130, 141
 
@@ -75,7 +75,7 @@ def explain(error: Exception) -> tuple[str, int]:
     if isinstance(error, UsageError):
         return _explain_usage(error), BAD_INPUT
     if isinstance(error, MagmatchError):
-        return str(error), BAD_INPUT
+        return str(error), FAULT if isinstance(error, TaskError) else BAD_INPUT
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename is not None else ""
         words = f"{place}{(error.strerror or str(error) or type(error).__name__)}"

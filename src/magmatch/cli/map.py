@@ -1,23 +1,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch map``: infer the field of a place and save it."""
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_samples
+from magmatch.cli.inputs import read_map, read_samples
 from magmatch.cli.narration import say
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.workers import runner
 from magmatch.data.units import field_text
 from magmatch.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.field.tile_fit import TileTask
+    from magmatch.field.tiled_model import Runner
+    from magmatch.typing import Scalars
 
 EXAMPLES = (
     "magmatch map room.csv --out room.map",
     "magmatch map monday.csv tuesday.csv --field-unit uT --out room.map",
     "magmatch map room.csv --prior divergence_free --domain 0,0,0,5,4,2 --out room.map",
+    "magmatch map building.map friday.csv --out building.map",
+    "magmatch map building.csv --jobs 4 --out building.map",
 )
 
 
@@ -29,7 +39,11 @@ def add_to(app: typer.Typer) -> None:
 def build(
     surveys: Annotated[
         list[Path],
-        typer.Argument(help="Surveys (or saved maps) in one frame; several are merged.", metavar="SURVEY..."),
+        typer.Argument(
+            help="Surveys (or saved maps) in one frame; several are merged. Where the first is a saved map and no "
+            "setting is given, the others are added to it: only what they touch is fitted again.",
+            metavar="SURVEY...",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Write the map here.")],
     layouts: Layouts,
@@ -42,12 +56,22 @@ def build(
     config: Annotated[
         Path | None, typer.Option(help="YAML file of field settings (lengthscale, noise_sd, ...).")
     ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that fit the tiles of a large map.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
+    ] = None,
 ) -> None:
-    """Build a field map from surveys and save it."""
+    """Build a field map from surveys and save it, or add surveys to a saved map."""
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
 
-    check_outputs((out,), inputs=[*surveys, *([config] if config else [])])
+    is_addition = prior == "auto" and domain is None and config is None and _is_map(surveys[0]) and len(surveys) > 1
+    # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
+    check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
+    if is_addition:
+        with runner(jobs, scheduler) as run:
+            extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
+        return
     settings = FieldConfig()
     if config is not None:
         read = read_settings(config)
@@ -56,13 +80,40 @@ def build(
     if domain is not None:
         stated["domain"] = parse_domain(domain)
     settings = FieldConfig.model_validate(settings.model_dump() | stated)
-    field_map = build_map([read_samples(path, layouts) for path in surveys], settings)
+    samples = [read_samples(path, layouts) for path in surveys]
+    with runner(jobs, scheduler) as run:
+        field_map = build_map(samples, settings, run)
     field_map.save(out)
     numbers = field_map.hyperparameters
     say(
         f"Mapped {len(field_map.survey)} samples: lengthscale {numbers.lengthscale:.3g} m, field varies by "
         f"{field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}\nWrote the map to {out}"
     )
+
+
+def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> None:
+    """Add surveys to a saved map."""
+    n_fitted = 0
+
+    def counting(fit: "Callable[[TileTask], Scalars]", tasks: "Iterable[TileTask]") -> "Iterator[Scalars]":
+        nonlocal n_fitted
+        for weights in run(fit, tasks):
+            n_fitted += 1
+            yield weights
+
+    old = read_map(path)
+    new = old.with_surveys(*surveys, run=counting)
+    new.save(out)
+    say(
+        f"Added {len(new.survey) - len(old.survey)} samples to {len(old.survey)}; fitted {n_fitted} tiles again\n"
+        f"Wrote the map to {out}"
+    )
+
+
+def _is_map(path: Path) -> bool:
+    from magmatch.data.sniff import sniff
+
+    return sniff(path) == "map"
 
 
 def parse_domain(text: str) -> tuple[float, ...]:

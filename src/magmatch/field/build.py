@@ -13,6 +13,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Prior
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
+from magmatch.field.tiled_model import Runner
 from magmatch.threads import single_threaded
 from magmatch.typing import Points, Vectors
 
@@ -20,7 +21,7 @@ log = logging.getLogger(__name__)
 
 
 @single_threaded
-def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = None) -> FieldMap:
+def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = None, run: Runner = map) -> FieldMap:
     """Infer the magnetic field of a place from a survey.
 
     Parameters
@@ -29,6 +30,9 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
         Samples; several surveys must share one frame and are merged.
     config : FieldConfig, optional
         Prior and hyperparameters; what is left out is chosen from the data.
+    run : callable, optional
+        Runs the tasks of a map in tiles, such as `magmatch.field.distributed.DaskRunner`; one after the other here by
+        default. The map is the same to the bit.
 
     Returns
     -------
@@ -50,7 +54,7 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     box = declared_box(config, T_map_model)
     hyperparameters = _hyperparameters(prior, samples.positions, samples.field, config, box)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
-    posterior = fit_posterior(samples, hyperparameters, config, T_map_model)
+    posterior = fit_posterior(samples, hyperparameters, config, T_map_model, run=run)
     return FieldMap(merged, posterior, T_map_model, config, T_map_model, samples, surveys if len(surveys) > 1 else ())
 
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.cells import MAX_ACTIVE_CELLS, MAX_BOX_CELLS, CellGrid, count_active_cells, lay_cells
+from magmatch.field.cells import MAX_BOX_CELLS, CellGrid, lay_cells
 from magmatch.field.held_out import choose_part, has_path_order, path_segments, space_blocks, typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.nested_dissection import Elimination, order_elimination
+from magmatch.field.region_model import fit_operations
 from magmatch.field.spline_model import REACH_IN_CELLS, SplineInformation, SplineModel, SplinePosterior
 from magmatch.typing import Mask, Points, Vectors
 
@@ -55,7 +56,9 @@ SEGMENT_IN_LENGTHSCALES, SEGMENT_IN_EXTENTS = 4.0, 0.25
 SMALLEST_ERROR = 0.02
 # Operations of one factorisation: of the part that is searched at the first spacing, and of the whole survey at the
 # finest; each a constant and a share per sample. A spacing that would cost the whole more than the last is widened.
-PART_OPERATIONS, FINE_OPERATIONS, MOST_OPERATIONS = (1e9, 5e4), (2e10, 1e6), 1.5e11
+PART_OPERATIONS, FINE_OPERATIONS, MOST_OPERATIONS = (1e9, 5e4), (2e10, 1e6), (1e11, 1.5e6)
+# Samples beyond these do not widen the search.
+MOST_SEARCHED = 50_000
 COARSER = 1.25
 
 
@@ -241,7 +244,9 @@ def _prepare(points: Points, field: Vectors, start: Hyperparameters) -> HeldOutS
     else:
         group = space_blocks(points, 1.5 * spacing, np.random.default_rng(0))
     folds = [group % N_GROUPS == fold for fold in FOLDS]
-    n, part, budget = len(points), np.ones(len(points), dtype=bool), _budget(PART_OPERATIONS, len(points))
+    n = min(len(points), MOST_SEARCHED)
+    budget = _budget(PART_OPERATIONS, n)
+    part = np.ones(len(points), dtype=bool) if n == len(points) else choose_part(points, n, 3)
     for _ in range(MOST_STEPS):
         chosen = [fold[part] for fold in folds]
         usable = [fold for fold in chosen if fold.any() and not fold.all()]
@@ -268,20 +273,18 @@ def affordable_spacing(points: Points, spacing: float) -> float:
     float, m
     """
     wished = spacing
-    while (operations := _operations(points, spacing)) > MOST_OPERATIONS:
-        n_box = np.prod(np.ptp(points, axis=0) / spacing + 1)
-        spacing *= COARSER if np.isfinite(operations) else max(COARSER, (n_box / MAX_BOX_CELLS) ** (1 / 3))
+    while _operations(points, spacing) > _budget(MOST_OPERATIONS, len(points)):
+        spacing *= COARSER
     if spacing > wished:
         log.warning("the survey is large: spacing widened from %.3g m to %.3g m", wished, spacing)
     return spacing
 
 
 def _operations(points: Points, spacing: float) -> float:
-    """Cost of one factorisation over the surroundings of points; infinite where memory does not allow it."""
-    n_active, n_box = count_active_cells(points, spacing, REACH_IN_CELLS)
-    if n_box > MAX_BOX_CELLS or n_active > MAX_ACTIVE_CELLS // 2:
+    """Cost of one fit over the surroundings of points; infinite where the search could not lay its cells at once."""
+    if np.prod(np.ptp(points, axis=0) / spacing + 2 * REACH_IN_CELLS + 1) > MAX_BOX_CELLS:
         return np.inf
-    return order_elimination(lay_cells(points, spacing, REACH_IN_CELLS)).n_operations
+    return fit_operations(points, Hyperparameters(LENGTHSCALE_IN_SPACINGS * spacing, 1.0, 1.0, spacing))
 
 
 def _budget(terms: tuple[float, float], n: int) -> float:

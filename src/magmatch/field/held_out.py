@@ -12,6 +12,9 @@ from magmatch.typing import Indices, Mask, Points, Vectors
 SHARE_AT_LENGTHSCALE = 0.6
 SMALLEST_STRUCTURE = 0.1
 
+# Samples of a large survey that are asked how far they are from the places chosen so far.
+MOST_CANDIDATES = 20_000
+
 
 def typical_length(points: Points, field: Vectors) -> float:
     """Distance at which field vectors have lost most of their likeness: where the variogram reaches 60 %.
@@ -125,8 +128,9 @@ def choose_part(points: Points, n_samples: int, n_places: int) -> Mask:
         nearest = np.argpartition(distance, min(n_samples // n_places, len(points) - 1))
         is_chosen[nearest[: max(1, n_samples // n_places)]] = True
         chosen = points[is_chosen]
-        # Next: the place of median distance to what was chosen, so that corners do not stand for the whole.
-        away = cKDTree(chosen).query(points)[0]
-        centre = int(np.argsort(away, kind="stable")[int(0.75 * len(points))])
-        distance = ((points - points[centre]) ** 2).sum(axis=1)
+        # Next: a place further from what was chosen than most, so that corners do not stand for the whole.
+        candidates = points[:: max(1, len(points) // MOST_CANDIDATES)]
+        away = cKDTree(chosen).query(candidates)[0]
+        centre = int(np.argsort(away, kind="stable")[int(0.75 * len(candidates))])
+        distance = ((points - candidates[centre]) ** 2).sum(axis=1)
     return is_chosen

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magmatch.errors import ConfigurationError
 from magmatch.field.cells import count_active_cells, lay_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.nested_dissection import order_elimination
@@ -21,6 +22,8 @@ WHOLE: Index = (0, 0, 0)
 # What one factor may cost: floating-point operations (about a second), and cells of the region and of the box around
 # it that are worth looking at to count them.
 MOST_OPERATIONS, MOST_CELLS, MOST_BOX_CELLS = 3e10, 30_000, 4e6
+# Tiles that stand for all when the cost of a fit is estimated.
+N_WEIGHED_TILES = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +55,31 @@ def lay_splines(points: Points, hyperparameters: Hyperparameters) -> SplineModel
         if elimination.n_operations <= MOST_OPERATIONS:
             return SplineModel(hyperparameters, cells, elimination)
     return TiledModel.over(points, hyperparameters)
+
+
+def fit_operations(points: Points, hyperparameters: Hyperparameters) -> float:
+    """Estimate the floating-point operations of a fit, without fitting; about 3e10 of them take a second.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    hyperparameters : Hyperparameters
+        Only spacing and lengthscale matter.
+
+    Returns
+    -------
+    float
+        Infinite where the region is refused.
+    """
+    try:
+        model = lay_splines(points, hyperparameters)
+    except ConfigurationError:
+        return np.inf
+    if isinstance(model, SplineModel):
+        return model.elimination.n_operations
+    some = np.unique(np.linspace(0, len(model.tiles) - 1, N_WEIGHED_TILES).astype(np.int64))
+    tasks = tasks_of(model, points, points)
+    return len(model.tiles) * float(np.mean([tasks.task(k).model().elimination.n_operations for k in some]))
 
 
 def fit_splines(

@@ -85,7 +85,8 @@ class TileTask:
     def fingerprint(self) -> str:
         """SHA-256 of everything the weights follow from."""
         sizes = None if self.tiling is None else astuple(self.tiling)
-        about = (LAYOUT, sorted(self.hyperparameters.as_dict().items()), sizes, self.index)
+        numbers = [(name, float(value)) for name, value in sorted(self.hyperparameters.as_dict().items())]
+        about = (LAYOUT, numbers, sizes, self.index)
         digest = hashlib.sha256(repr(about).encode())
         arrays = [self.around, *(a for p in self.parts for a in (p.points, p.field, p.weights, np.array(p.sign)))]
         for array in arrays:

@@ -22,9 +22,9 @@ Index = tuple[int, int, int]
 CORE = 24
 # Half the width over which two tiles blend, cells.
 BLEND = 2
-# Cells between core and cut: what a cut changes falls off over about two lengthscales, but never at once.
-# At these margins it is a third of a posterior standard deviation at the face of the core.
-LEAST_MARGIN, FIXED_MARGIN, MARGIN_IN_LENGTHSCALES, MOST_MARGIN = 6, 4.0, 0.5, 10
+# Cells between core and cut. Closer cuts cost less; with these, tiles differ from one large fit by a quarter of a
+# posterior standard deviation (rms) and predict new points as well (benchmarks/bench_tiles.py agreement).
+LEAST_MARGIN, FIXED_MARGIN, MARGIN_IN_LENGTHSCALES, MOST_MARGIN = 5, 3.0, 0.5, 9
 # So that tiles can be counted in 64 bits, and listed in a file.
 MOST_CELLS_ALONG, MOST_TILES = 40_000_000, 40_000
 

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tiles on one and two workers, against what two dgemm processes gain here; workers killed at random.
+
+Usage: python benchmarks/bench_distributed.py [--kills 20] [--rounds 3]
+
+On a busy or shared machine two processes gain less than twice; that is why the gain is held against dgemm, measured
+right before and after in the same rounds.
+"""
+
+import argparse
+import os
+import random
+import signal
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+from bench_tiles import FIXED, walk
+from threadpoolctl import threadpool_limits
+
+from magmatch.field.distributed import DaskRunner
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.tile_fit import fit_weights
+from magmatch.field.tiled_model import TiledModel
+
+
+def tasks_of_a_floor(extent=(40.0, 30.0), n=60_000):
+    """Tiles of a floor."""
+    survey, _ = walk(extent, n, 1.0)
+    samples = survey.transformed(survey.principal_frame().inv())
+    model = TiledModel.over(samples.positions, Hyperparameters(**FIXED, stiffness=300.0))
+    tasks = model.tasks(model.observe(samples.positions, samples.field))
+    return [tasks.task(k) for k in range(len(model.tiles))]
+
+
+def dgemm(_):
+    """Two seconds of one core's work in matrix products; gives products a second."""
+    a = np.ones((800, 800))
+    with threadpool_limits(1):
+        t0, n = time.perf_counter(), 0
+        while time.perf_counter() - t0 < 2:
+            a @ a
+            n += 1
+        return n / (time.perf_counter() - t0)
+
+
+def gain_of_dgemm(pool):
+    """How much more two processes do than one."""
+    alone = next(iter(pool.map(dgemm, [0])))
+    return sum(pool.map(dgemm, [0, 1])) / alone
+
+
+def seconds(run, tasks):
+    t0 = time.perf_counter()
+    weights = list(run(fit_weights, tasks))
+    return time.perf_counter() - t0, weights
+
+
+def kill_at_random(run, stop, killed, rng):
+    """Kill a worker every now and then, as long as there are kills left."""
+    while not stop.wait(rng.uniform(0.2, 2.0)):
+        pids = list(run._client.run(os.getpid).values())
+        if pids:
+            os.kill(rng.choice(pids), signal.SIGKILL)
+            killed.append(time.perf_counter())
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--rounds", type=int, default=3)
+    arguments = parser.parse_args()
+    tasks = tasks_of_a_floor()
+    print(f"{len(tasks)} tiles, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    gains, dgemms = [], []
+    with DaskRunner(1) as one, DaskRunner(2) as two, ProcessPoolExecutor(2) as pool:
+        list(one(fit_weights, tasks[:2])), list(two(fit_weights, tasks[:4])), list(pool.map(dgemm, [0, 1]))
+        for _ in range(arguments.rounds):
+            dgemms.append(gain_of_dgemm(pool))
+            alone, expected = seconds(one, tasks)
+            both, weights = seconds(two, tasks)
+            gains.append(alone / both)
+            assert all(np.array_equal(a, b) for a, b in zip(expected, weights, strict=True))
+            print(
+                f"    one worker {alone:.1f} s, two {both:.1f} s: {gains[-1]:.2f}; dgemm {dgemms[-1]:.2f}", flush=True
+            )
+    print(f"gain of two workers {np.median(gains):.2f}, of two dgemm processes {np.median(dgemms):.2f}: "
+          f"{np.median(gains) / np.median(dgemms):.0%}")  # fmt: skip
+    rng, stop, killed, n_rounds = random.Random(0), threading.Event(), [], 0
+    with DaskRunner(2) as run:
+        list(run(fit_weights, tasks[:2]))
+        killer = threading.Thread(target=kill_at_random, args=(run, stop, killed, rng))
+        killer.start()
+        while len(killed) < arguments.kills:
+            _, weights = seconds(run, tasks)
+            n_rounds += 1
+            assert all(np.array_equal(a, b) for a, b in zip(expected, weights, strict=True)), "another result"
+        stop.set()
+        killer.join()
+    print(f"{len(killed)} workers killed (SIGKILL, at random times) over {n_rounds} fits: the same bits each time")
+
+
+if __name__ == "__main__":
+    main()

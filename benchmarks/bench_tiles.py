@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Large maps: time, memory and accuracy from 10 to 10,000 m^2; OPENBLAS_NUM_THREADS=1 gives the one-thread figures.
+
+Usage: python benchmarks/bench_tiles.py [office|million|doubling|samples|agreement ...] [--jobs N]
+
+Each case runs in a process of its own, so that its peak memory is its own. Surveys are walked in lanes over a floor,
+a sensor at 1 m height, dipoles 0.4 to 1.2 m under the floor and in the walls; noise is 0.3 uT. Menzen et al. 2023
+(D-SKI) report under two minutes for 40,000 three-axis samples on a laptop.
+"""
+
+import argparse
+import logging
+import resource
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.distributed import DaskRunner
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.map import FieldMap
+from magmatch.field.spline_model import SplineModel
+from magmatch.field.tiled_model import TiledModel
+from magmatch.field.tiles import Tiling
+
+UT = 1e-6
+CELL = 4.0
+
+
+def dipoles(extent, rng, density=0.5):
+    """Sources under a floor: positions and moments (T m^3)."""
+    n = int(density * np.prod(np.add(extent, 4)))
+    position = np.c_[rng.uniform(-2, np.add(extent, 2), (n, 2)), -rng.uniform(0.4, 1.2, n)]
+    return position, rng.normal(size=(n, 3)) * rng.lognormal(0, 0.7, (n, 1)) * 4 * UT
+
+
+def field_at(x, sources):
+    """Field (T) of the sources within 5 m (the rest counts as the Earth's), bucket by bucket."""
+    position, moment = sources
+    out = np.tile(np.array([18.0, 3.0, -45.0]) * UT, (len(x), 1))
+    bucket = np.floor(x[:, :2] / CELL).astype(int)
+    keys, inverse = np.unique(bucket, axis=0, return_inverse=True)
+    order = np.argsort(inverse.ravel(), kind="stable")
+    cuts = np.searchsorted(inverse.ravel()[order], np.arange(1, len(keys)))
+    for key, rows in zip(keys, np.split(order, cuts), strict=True):
+        near = np.flatnonzero(np.all(np.abs(position[:, :2] - (key + 0.5) * CELL) < CELL / 2 + 5, axis=1))
+        for part in np.array_split(rows, max(1, len(rows) // 2000)):
+            r = x[part, None] - position[near]
+            d2 = (r**2).sum(axis=2)
+            # Smoothly to zero at 5 m, so that the field has no steps where a source leaves the list.
+            fade = np.clip(1 - np.hypot(r[..., 0], r[..., 1]) / 5, 0, 1) ** 2 / d2**2.5
+            along = 3 * (r * moment[near]).sum(axis=2) * fade
+            out[part] += np.einsum("nk,nka->na", along, r) - (fade * d2) @ moment[near]
+    return out
+
+
+def walk(extent, n, gap):
+    """Lanes along both axes of a floor, samples evenly along them, the sensor swaying by 2 cm."""
+    rng = np.random.default_rng(0)
+    lanes = []
+    for axis in range(2):
+        for k, at in enumerate(np.arange(gap / 2, extent[1 - axis], gap * (1 + axis))):
+            lane = np.empty((2, 2))
+            lane[:, axis], lane[:, 1 - axis] = (0, extent[axis]) if k % 2 else (extent[axis], 0), at
+            lanes.append(lane)
+    corners = np.concatenate(lanes)
+    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    s = np.linspace(0, arc[-1], n)
+    x = np.stack([np.interp(s, arc, c) for c in corners.T] + [np.ones(n)], axis=1)
+    sway = np.cumsum(rng.normal(size=(n, 3)), axis=0)
+    sway = sway - np.stack([np.convolve(c, np.ones(201) / 201, "same") for c in sway.T], axis=1)
+    x += np.clip(0.02 * sway / sway.std(axis=0), -0.08, 0.08)
+    sources = dipoles(extent, rng)
+    return Survey(x, field_at(x, sources) + 0.3 * UT * rng.normal(size=x.shape)), sources
+
+
+def measure(extent, n, gap, config, jobs, label):
+    """Build a map in this process, and print what it took and how right it is."""
+    survey, sources = walk(extent, n, gap)
+    build_map(walk((3, 3), 500, 0.6)[0])  # compiles
+    before, t0, c0 = peak_memory(), time.perf_counter(), time.process_time()
+    if jobs > 1:
+        with DaskRunner(jobs) as run:
+            field_map = build_map(survey, config, run)
+    else:
+        field_map = build_map(survey, config)
+    seconds, cpu = time.perf_counter() - t0, time.process_time() - c0
+    rng = np.random.default_rng(1)
+    q = np.c_[rng.uniform(0.3, np.subtract(extent, 0.3), (4000, 2)), rng.uniform(0.97, 1.03, 4000)]
+    error = field_map.evaluate(q).field - field_at(q, sources)
+    rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
+    h = field_map.hyperparameters
+    tiles = len(getattr(field_map.posterior, "tiles", [0]))
+    print(
+        f"{label}: {n:,} samples, {np.prod(extent):,.0f} m^2, spacing {h.spacing:.2f} m, lengthscale "
+        f"{h.lengthscale:.2f} m, {tiles} tiles: {seconds:.2f} s ({cpu:.2f} s of this process, "
+        f"{1e6 * cpu / n:.1f} us a sample), peak {peak_memory():.2f} GiB ({before:.2f} before), RMSE {rmse:.3f} uT",
+        flush=True,
+    )
+    return field_map
+
+
+def peak_memory():
+    """Largest resident memory so far, GiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def office(jobs):
+    measure((40.0, 20.0), 40_000, 1.0, FieldConfig(), jobs, "office floor")
+
+
+def million(jobs):
+    field_map = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), jobs, "100 x 100 m")
+    t = [time.perf_counter()]
+    field_map.save("/tmp/bench_tiles.map")
+    t.append(time.perf_counter())
+    FieldMap.load("/tmp/bench_tiles.map")
+    t.append(time.perf_counter())
+    print(f"    save {t[1] - t[0]:.1f} s, load {t[2] - t[1]:.1f} s, peak {peak_memory():.2f} GiB")
+
+
+def agreement(_):
+    """Tiles of several sizes against one large fit of the same samples."""
+    survey, sources = walk((20.0, 16.0), 16_000, 1.0)
+    T = survey.principal_frame().inv()
+    samples, rng = survey.transformed(T), np.random.default_rng(1)
+    q = np.c_[rng.uniform(0.3, [19.7, 15.7], (6000, 2)), rng.uniform(0.97, 1.03, 6000)]
+    truth, q = T.rotation.apply(field_at(q, sources)), T.apply(q)
+    h = Hyperparameters(1.16, 1.6 * UT, 0.35 * UT, 0.33, 3000.0, looseness=22.0, inflation=1.7)
+    model = SplineModel.over(samples.positions, h)
+    whole = model.infer(model.observe(samples.positions, samples.field))
+    expected, sd = whole.evaluate(q, 1), np.sqrt(np.trace(whole.covariance(q), axis1=1, axis2=2))
+    scale = np.sqrt((expected.gradient**2).sum(axis=(1, 2)).mean())
+    print(f"one fit: RMSE {rms(expected.field - truth) / UT:.3f} uT, sd {np.sqrt((sd**2).mean()) / UT:.3f} uT")
+    for core, margin in ((24, 3), (24, 4), (24, 5), (24, 6), (24, 8), (16, 5), (32, 5)):
+        tiled = TiledModel.over(samples.positions, h, Tiling(h.spacing, margin, 2, core))
+        t0 = time.process_time()
+        posterior = tiled.infer(tiled.observe(samples.positions, samples.field))
+        seconds, values = time.process_time() - t0, posterior.evaluate(q, 1)
+        gradient = values.gradient
+        curl = np.abs(gradient - gradient.transpose(0, 2, 1)).max(axis=(1, 2))
+        off = rms((values.field - expected.field) / sd[:, None])
+        bent = rms((gradient - expected.gradient).reshape(len(q), 9)) / scale
+        print(
+            f"core {core}, margin {margin}: {len(tiled.tiles)} tiles, {seconds:.2f} s; differs by {off:.2f} sd "
+            f"(rms), gradient by {bent:.1%}; curl at {(curl > 1e-12).mean():.0%} of points, rms "
+            f"{rms(curl[:, None]) / scale:.1%} of the gradient; RMSE {rms(values.field - truth) / UT:.3f} uT"
+        )
+
+
+def rms(rows):
+    """Root of the mean squared length of rows."""
+    return np.sqrt((rows**2).sum(axis=1).mean())
+
+
+# The same numbers for all sizes: what is measured is the fit.
+FIXED = {"lengthscale": 1.2, "signal_sd": 4 * UT, "noise_sd": 0.5 * UT, "spacing": 0.35}
+
+
+def doubling(jobs, area):
+    """One area at 100 samples a square metre."""
+    side = np.sqrt(area)
+    measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), jobs, "doubling")
+
+
+def samples(jobs, n):
+    """One number of samples at 100 a square metre."""
+    measure((100.0, 100.0 * n / 1e6), int(n), 1.0, FieldConfig(**FIXED), jobs, "samples")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("cases", nargs="*", default=["office", "million", "doubling", "samples", "agreement"])
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--size", type=float)
+    parser.add_argument("--most", type=float, default=1e4, help="largest area of the doubling, m^2")
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.WARNING)
+    if arguments.size is not None:
+        {"doubling": doubling, "samples": samples}[arguments.cases[0]](arguments.jobs, arguments.size)
+        return
+    sizes = {"doubling": [10 * 2.0**k for k in range(11) if 10 * 2.0**k <= 1.1 * arguments.most],
+             "samples": [1e4, 3e4, 1e5, 3e5, 1e6]}  # fmt: skip
+    for case in arguments.cases:
+        if case in sizes:
+            for size in sizes[case]:
+                command = [sys.executable, __file__, case, "--size", str(size), "--jobs", str(arguments.jobs)]
+                subprocess.run(command, check=True)
+        elif len(arguments.cases) > 1:
+            subprocess.run([sys.executable, __file__, case, "--jobs", str(arguments.jobs)], check=True)
+        else:
+            {"office": office, "million": million, "agreement": agreement}[case](arguments.jobs)
+
+
+if __name__ == "__main__":
+    main()

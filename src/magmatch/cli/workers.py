@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Who fits the tiles of a large map."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from magmatch.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from magmatch.field.tiled_model import Runner
+
+
+@contextmanager
+def runner(jobs: int, scheduler: str | None) -> "Iterator[Runner]":
+    """Give what runs the tasks of a map in tiles: this process, others on this machine, or a cluster.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes on this machine.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers are used instead.
+
+    Yields
+    ------
+    Runner
+
+    Raises
+    ------
+    ConfigurationError
+        The scheduler's address is none.
+    MissingExtraError
+        Dask is not installed.
+    """
+    if jobs == 1 and scheduler is None:
+        yield map
+        return
+    from magmatch.field.distributed import DaskRunner
+
+    if scheduler is not None and "://" not in scheduler:
+        msg = f"--scheduler: expected an address such as tcp://10.0.0.1:8786, found '{scheduler}'"
+        raise ConfigurationError(msg)
+    with DaskRunner(jobs, scheduler) as run:
+        yield run
