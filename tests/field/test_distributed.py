@@ -80,11 +80,6 @@ def test_task_that_raises_ends_in_one_line_and_the_workers_go_on(workers, tasks)
     assert np.array_equal(next(workers(fit_weights, tasks[:1])), fit_weights(tasks[0]))
 
 
-def test_task_that_kills_every_worker_is_given_up(workers, tasks):
-    with pytest.raises(TaskError, match=r"^tile 2\.-?\d\.0 took down several workers one after the other"):
-        list(workers(dies, tasks))
-
-
 def test_few_tasks_are_on_their_way_at_any_time(workers, tasks):
     taken = []
     results = workers(lambda task: len(task.around), (taken.append(k) or tasks[0] for k in range(100)))
@@ -106,3 +101,8 @@ def test_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"magmatch\[distributed\]"):
         DaskRunner()
+
+
+def test_task_that_kills_every_worker_is_given_up(workers, tasks):  # last: workers are still coming back after it
+    with pytest.raises(TaskError, match=r"^tile 2\.-?\d\.0 took down several workers one after the other"):
+        list(workers(dies, tasks))
