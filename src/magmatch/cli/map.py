@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "magmatch map room.csv --out room.map",
+    "magmatch map drive.mcap --out hall.map",
     "magmatch map monday.csv tuesday.csv --field-unit uT --out room.map",
     "magmatch map room.csv --prior divergence_free --domain 0,0,0,5,4,2 --out room.map",
     "magmatch map building.map friday.csv --out building.map",

@@ -19,6 +19,7 @@ EXAMPLES = (
     "magmatch register base.csv target.csv",
     "magmatch register base.csv target.csv --out result.json --report result.html",
     "magmatch register base.csv target.csv --field-unit uT --target-length-unit mm",
+    "magmatch register monday.bag tuesday.mcap --target-pose-topic /slam/pose",
     "magmatch register room.map target.csv --preset paper --json > result.json",
 )
 

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A package that is not installed is named by the extra that brings it, and only where it is needed."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from magmatch.data.read import read_survey
+from magmatch.data.survey import Survey
+from magmatch.data.write import SURVEY_WRITERS
+from magmatch.errors import MissingExtraError
+
+
+@pytest.fixture
+def walk(rng):
+    n = 40
+    times = 1.7e9 + 0.5 * np.arange(n)
+    return Survey(rng.uniform(0, 3, (n, 3)), rng.normal([2e-5, 0, -4e-5], 1e-6, (n, 3)), times)
+
+
+def hide(monkeypatch, *names):
+    for name in names:
+        for loaded in [key for key in sys.modules if key == name or key.startswith(name + ".")]:
+            monkeypatch.setitem(sys.modules, loaded, None)
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "package", "extra"), [(".mcap", "mcap", "ros"), (".parquet", "pyarrow", "parquet")]
+)
+def test_writing_names_the_extra(suffix, package, extra, walk, tmp_path, monkeypatch):
+    hide(monkeypatch, package)
+    with pytest.raises(MissingExtraError, match=f"magmatch\\[{extra}\\]"):
+        SURVEY_WRITERS[suffix](walk, tmp_path / f"walk{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("suffix", "package", "extra"), [(".mcap", "zstandard", "ros"), (".parquet", "pyarrow", "parquet")]
+)
+def test_reading_names_the_extra(suffix, package, extra, walk, tmp_path, monkeypatch):
+    pytest.importorskip(package)
+    SURVEY_WRITERS[suffix](walk, tmp_path / f"walk{suffix}")
+    hide(monkeypatch, package)
+    with pytest.raises(MissingExtraError, match=f"magmatch\\[{extra}\\]"):
+        read_survey(tmp_path / f"walk{suffix}")
+
+
+def test_reading_mcap_needs_no_library_of_the_format(walk, tmp_path, monkeypatch):
+    pytest.importorskip("mcap")
+    SURVEY_WRITERS[".mcap"](walk, tmp_path / "walk.mcap")
+    hide(monkeypatch, "mcap", "rosbags")
+    assert len(read_survey(tmp_path / "walk.mcap")) == 40
