@@ -118,7 +118,7 @@ CONTENTS = {
     "tf that lacks the sensor": (
         lambda s: changed(s, 1, topic="/tf", type="tf2_msgs/msg/TFMessage", child="wheel"),
         {},
-        "tf never moves",
+        "tf does not know 'mag_link'",
     ),
 }
 

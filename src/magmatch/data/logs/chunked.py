@@ -172,7 +172,7 @@ class ChunkedLog:
                 continue
             body = self._body(part)
             for key, log_ns, start, stop in self._messages_in(part, body, wanted):
-                batch = batcher.add(self._channels[key], log_ns, body[start:stop])
+                batch = batcher.add(key, self._channels[key], log_ns, body[start:stop])
                 if batch is not None:
                     yield batch
         yield from batcher.rest()
@@ -242,11 +242,10 @@ class ChunkedLog:
 
     def _counted(self, part: Chunk | Loose) -> dict[int, Count]:
         """Count messages one by one."""
-        counts: dict[int, Count] = {}
+        times: dict[int, list[int]] = {}
         for key, log_ns, _, _ in self._messages_in(part, self._body(part), None):
-            one = Count(1, log_ns, log_ns)
-            counts[key] = counts[key].plus(one) if key in counts else one
-        return counts
+            times.setdefault(key, []).append(log_ns)
+        return {key: Count(len(found), min(found), max(found)) for key, found in times.items()}
 
     def _define_from_chunks(self) -> None:
         """Definitions from inside the chunks, where the file has lost its summary."""

@@ -41,6 +41,10 @@ class FrameTree:
             T = T * (self.static[edge] if is_forward else self.static[edge].inv())
         return T
 
+    def frames(self) -> list[str]:
+        """All names of frames, sorted."""
+        return sorted({name for edge in (*self.static, *self.moving) for name in edge})
+
     def root_over(self, frame: str) -> str:
         """The last frame reached from a frame by going to parents."""
         parents = {child: parent for parent, child in (*self.static, *self.moving)}
@@ -71,8 +75,9 @@ class FrameTree:
         """
         edges = _path([*self.static, *self.moving], to, frm)
         if edges is None:
-            known = sorted({name for edge in (*self.static, *self.moving) for name in edge})
-            message = f"tf does not connect {frm!r} to {to!r}; it knows {', '.join(known[:12]) or 'no frames'}"
+            message = (
+                f"tf does not connect {frm!r} to {to!r}; it knows {', '.join(self.frames()[:12]) or 'no frames'}"
+            )
             raise DataFormatError(path, message)
         parts = [self.moving[edge] for edge, _ in edges if edge in self.moving]
         if not parts:

@@ -146,20 +146,18 @@ class Batcher:
     """Collects messages by channel and hands on full batches."""
 
     def __init__(self) -> None:
-        self._open: dict[Channel, tuple[list[int], list[bytes]]] = {}
+        self._open: dict[int, Batch] = {}
 
-    def add(self, channel: Channel, log_ns: int, payload: bytes) -> Batch | None:
-        """Take one message; gives a batch when one is full."""
-        times, payloads = self._open.setdefault(channel, ([], []))
-        times.append(log_ns)
-        payloads.append(payload)
-        return self._take(channel) if len(times) >= BATCH else None
+    def add(self, key: int, channel: Channel, log_ns: int, payload: bytes) -> Batch | None:
+        """Take one message of the channel with this number; gives a batch when one is full."""
+        batch = self._open.get(key)
+        if batch is None:
+            batch = self._open[key] = Batch(channel, [], [])
+        batch.log_ns.append(log_ns)
+        batch.payloads.append(payload)
+        return self._open.pop(key) if len(batch.payloads) >= BATCH else None
 
     def rest(self) -> Iterator[Batch]:
         """Whatever has not been handed on."""
-        for channel in list(self._open):
-            yield self._take(channel)
-
-    def _take(self, channel: Channel) -> Batch:
-        times, payloads = self._open.pop(channel)
-        return Batch(channel, times, payloads)
+        while self._open:
+            yield self._open.pop(next(iter(self._open)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.data.logs.chunked import Chunk, Count, Definition, Index, Loose, Message, Piece
 from magmatch.data.logs.log import Channel
-from magmatch.data.logs.source import MAX_RECORD, DamagedError, Source
+from magmatch.data.logs.source import MAX_CHUNK, MAX_RECORD, DamagedError, Source
 from magmatch.errors import DataFormatError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -17,6 +17,7 @@ SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END, LAST_OPCODE = 0x03, 0x
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size, crc, length of the compression's name
+RUN = 4 << 20  # bytes of messages outside any chunk that are read together
 _CHAIN = 3  # records in a row that must be plausible before reading goes on behind a damage
 
 
@@ -51,6 +52,7 @@ class McapContainer:
         if stop > source.size:
             raise DamagedError(position, "the file ends in the middle of a record")
         if opcode == MESSAGE:
+            stop = _end_of_run(source, position, stop)
             return Loose(position, stop, position), stop
         if opcode in {SCHEMA, CHANNEL, MESSAGE_INDEX}:
             if length > MAX_RECORD:
@@ -138,6 +140,19 @@ def _chunk(source: Source, position: int, body: int, stop: int) -> Chunk:
     if start + n_records != stop:
         raise DamagedError(position, "the lengths in the head of a chunk do not fit each other")
     return Chunk(position, stop, start, name or "none", size, crc)
+
+
+def _end_of_run(source: Source, position: int, stop: int) -> int:
+    """Where messages end that stand side by side outside any chunk; a few MB of them, or one."""
+    if stop - position > MAX_CHUNK:
+        raise DamagedError(position, f"a message of {stop - position} bytes, more than the {MAX_CHUNK} allowed")
+    window, at = source.read_available(position, RUN), 0
+    while at + _RECORD.size <= len(window):
+        opcode, length = _RECORD.unpack_from(window, at)
+        if opcode != MESSAGE or length < _MESSAGE.size or at + _RECORD.size + length > len(window):
+            break
+        at += _RECORD.size + length
+    return max(stop, position + at)
 
 
 def _index(content: bytes) -> Index | None:

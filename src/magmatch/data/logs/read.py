@@ -114,6 +114,10 @@ def _poses(path: Path, layout: SurveyFormat, stream: Stream | None, tree: FrameT
         has_orientations = entries.values.shape[1] == 7
         return Poses(trajectory_of(path, entries).scaled(metre), *entries.frames, has_orientations)
     fixed, body = _pose_frames(layout.pose_frames) if layout.pose_frames else (tree.root_over(sensor), sensor)
+    if fixed == body:
+        known = ", ".join(tree.frames()[:12])
+        message = f"tf does not know {sensor!r}, the frame of the field; it knows {known}: --pose-frames MAP,BODY"
+        raise DataFormatError(path, message)
     logger.info("%s: poses of %s in %s from tf", path, body, fixed)
     return Poses(tree.trajectory(path, fixed, body).scaled(metre), fixed, body)
 

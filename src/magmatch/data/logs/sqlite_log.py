@@ -78,7 +78,7 @@ class SqliteLog:
         """Messages of some topics, in the order in which they were written."""
         batcher = Batcher()
         for _, key, log_ns, payload in self._rows({k for k, c in self._channels.items() if c.topic in topics}):
-            batch = batcher.add(self._channels[key], log_ns, payload)
+            batch = batcher.add(key, self._channels[key], log_ns, payload)
             if batch is not None:
                 yield batch
         yield from batcher.rest()
