@@ -107,10 +107,17 @@ def _load_jidling(files: Mapping[str, Path]) -> dict[str, Survey]:
     content = scipy.io.loadmat(files["dataSet14.mat"], squeeze_me=True, struct_as_record=False)
     record = content["data_obj"][1]
     positions, field = np.asarray(record.pos, dtype=np.float64), np.asarray(record.mag, dtype=np.float64)
-    kept = np.isfinite(positions).all(axis=1) & np.isfinite(field).all(axis=1)
+    # Sensor to world: turned by it, readings that the magnetometer gave twice are equal again.
+    wxyz = np.asarray(record.quat, dtype=np.float64)
+    kept = np.isfinite(np.column_stack([positions, field, wxyz])).all(axis=1)
     times: Scalars = 0.01 * np.arange(len(positions))  # 100 Hz; its own clock runs for another row count
     survey = Survey(
-        positions[kept], field[kept] * TESLA_PER_SITE_UNIT, times[kept], frame="jidling", name="jidling/volume"
+        positions[kept],
+        field[kept] * TESLA_PER_SITE_UNIT,
+        times[kept],
+        Rotation.from_quat(wxyz[kept][:, [1, 2, 3, 0]]),
+        frame="jidling",
+        name="jidling/volume",
     )
     return {"volume": survey}
 

@@ -14,7 +14,8 @@ Projection = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # A direction is fixed by the data when they know it this many times better (in variance) than what was expected
 # before: to a fifth, 10 uT of hard iron or 1 % of soft iron. What is known worse is better left alone.
 LEAST_INFORMATION = 25.0
-N_STRETCHES = 40
+# Numbers of stretches that errors are summed over, and the degrees of freedom that this leaves their spread.
+STRETCHES, N_STRETCHES = (40, 20, 10), 20
 ROUNDS_OF_NOISE = 3
 SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
@@ -110,8 +111,9 @@ class System:
         -----
         With the columns scaled by the expected sizes, ``H = J' P J / s^2`` has eigenvectors v and values l. Errors
         of the data are correlated along the path, so l is divided by f = v' S v / l, where S sums the outer products
-        of the scores of stretches of the path (a cluster sandwich), unless f < 1. Directions with l / f < 25 are
-        left at zero; along the others the estimate is ``-v'g / (l + f)``, with variance ``1 / (1 + l / f)``.
+        of the scores of 40, 20 or 10 stretches of the path (a cluster sandwich), whichever is worst, unless f < 1.
+        Directions with l / f < 25 are left at zero; along the others the estimate is ``-v'g / (l + f)``, with
+        variance ``1 / (1 + l / f)``.
         """
         rows = [i for i, name in enumerate(self.names) if name in active]
         left, right, y = self.left[rows], self.right[rows], self.right[-1]
@@ -137,12 +139,18 @@ class System:
 
 
 def _inflation(left: np.ndarray, residual: np.ndarray, vectors: Matrix, values: Scalars, noise: float) -> Scalars:
-    """How many times less the data say along each eigenvector than if their errors were independent."""
-    stretches = np.array_split(np.arange(len(residual)), min(N_STRETCHES, len(residual)))
-    scores = np.einsum("inc,nc->ni", left, residual) / noise**2
-    sums = np.array([scores[rows].sum(axis=0) for rows in stretches]) @ vectors
-    spread: Scalars = (sums**2).sum(axis=0)
-    return np.asarray(np.maximum(spread / np.maximum(values, 1e-300), 1.0))
+    """How many times less the data say along each eigenvector than if their errors were independent.
+
+    The worst of short and long stretches: steel beside the path correlates errors over metres, drift over laps.
+    """
+    scores = np.cumsum(np.einsum("inc,nc->ni", left, residual) / noise**2, axis=0) @ vectors
+    worst = np.ones(len(values))
+    for n_stretches in STRETCHES:
+        ends = np.linspace(0, len(residual), n_stretches + 1).astype(np.int64)[1:] - 1
+        sums = np.diff(scores[ends], axis=0, prepend=0.0)
+        spread = (sums**2).sum(axis=0) * n_stretches / (n_stretches - 1)
+        worst = np.maximum(worst, spread / np.maximum(values, 1e-300))
+    return worst
 
 
 def _by_block(

@@ -101,7 +101,7 @@ def _told(name: str, label: str, calibration: Calibration) -> StepReport:
     """Report of one error of clock or sensor that was estimated."""
     is_kept = name in calibration.chosen.estimate and not calibration.is_refused
     solution = calibration.chosen if is_kept else calibration.full
-    estimate, sd, is_open = solution.estimate[name], solution.sd[name], calibration.full.is_open[name]
+    estimate, sd, is_open = solution.estimate[name], solution.sd[name], solution.is_open[name]
     outcome: Outcome = "applied" if is_kept else "unknown" if is_open.all() else "unchanged"
     words = _estimate_text(name, estimate, sd, is_open)
     if outcome == "unchanged":
