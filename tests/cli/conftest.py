@@ -42,7 +42,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("place")
     write_pair(simulate("office", 1, SimulationConfig(n_samples=300, room_size=(2.0, 2.0, 0.8))), folder)
     for name in ("base", "target"):
-        assert main(["map", str(folder / f"{name}.csv"), "--out", str(folder / f"{name}.map")]) == 0
+        assert (
+            main(["map", str(folder / f"{name}.csv"), "--prior", "spline", "--out", str(folder / f"{name}.map")]) == 0
+        )
     words = ["register", folder / "base.map", folder / "target.map", "--out", folder / "result.json"]
     assert main([str(word) for word in [*words, "--report", folder / "report.html"]]) == 0
     return folder

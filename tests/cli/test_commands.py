@@ -236,8 +236,8 @@ def test_warnings_come_after_the_work_and_once(run, tmp_path, place):
 
 
 def test_verbose_says_each_step(place, run, tmp_path):
-    quiet = run("map", place / "base.csv", "--out", tmp_path / "a.map")
-    loud = run("map", place / "base.csv", "--out", tmp_path / "a.map", "--verbose")
+    quiet = run("map", place / "base.csv", "--prior", "spline", "--out", tmp_path / "a.map")
+    loud = run("map", place / "base.csv", "--prior", "spline", "--out", tmp_path / "a.map", "--verbose")
     assert "fitting the field" in loud.err
     assert "fitting the field" not in quiet.err
 

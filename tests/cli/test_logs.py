@@ -44,7 +44,7 @@ def test_info_of_a_log_without_a_survey_still_lists_topics(log, run):
 
 def test_a_log_is_taken_wherever_a_survey_is(log, run, tmp_path):
     assert run("convert", log, tmp_path / "out.csv").code == 0
-    outcome = run("map", log, "--out", tmp_path / "out.map")
+    outcome = run("map", log, "--prior", "spline", "--out", tmp_path / "out.map")
     assert outcome.code == 0, outcome.err
     assert "Mapped 200 samples" in outcome.err
 

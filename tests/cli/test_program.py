@@ -152,7 +152,7 @@ def test_a_missing_extra_leaves_no_empty_folder(run, tmp_path, monkeypatch):
 def test_progress_comes_and_goes_on_a_terminal(place, run, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    outcome = run("map", place / "base.csv", "--out", tmp_path / "m.map")
+    outcome = run("map", place / "base.csv", "--prior", "spline", "--out", tmp_path / "m.map")
     assert outcome.code == 0
     assert "fitting the field" in outcome.err
     assert "\x1b[2K" in outcome.err  # the line is wiped again

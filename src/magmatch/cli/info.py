@@ -74,7 +74,10 @@ def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
 
     field_map = read_map(path)
     numbers = field_map.hyperparameters.as_dict()
-    return {"prior": field_map.config.prior, "hyperparameters": numbers} | describe(field_map.survey)
+    facts: dict[str, Any] = {"prior": field_map.config.prior}
+    if field_map.config.comparison:
+        facts["left_out_error"] = field_map.config.comparison
+    return facts | {"hyperparameters": numbers} | describe(field_map.survey)
 
 
 def _of_trajectory(path: Path, _layouts: Layouts) -> dict[str, Any]:

@@ -49,8 +49,12 @@ def build(
     out: Annotated[Path, typer.Option(help="Write the map here.")],
     layouts: Layouts,
     prior: Annotated[
-        str, typer.Option(help="Law of the field: auto|spline|divergence_free|curl_free|harmonic.")
-    ] = "auto",
+        str | None,
+        typer.Option(
+            help="Law of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) takes what "
+            "predicts left-out parts best."
+        ),
+    ] = None,
     domain: Annotated[
         str | None, typer.Option(help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; the samples' box by default.")
     ] = None,
@@ -66,18 +70,18 @@ def build(
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
 
-    is_addition = prior == "auto" and domain is None and config is None and _is_map(surveys[0]) and len(surveys) > 1
+    is_addition = prior is None and domain is None and config is None and _is_map(surveys[0]) and len(surveys) > 1
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
     check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
     if is_addition:
         with runner(jobs, scheduler) as run:
             extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
         return
-    settings = FieldConfig()
+    settings = FieldConfig(prior="auto")
     if config is not None:
         read = read_settings(config)
         settings = merged(settings, read.get("field", read), config)
-    stated: dict[str, Any] = {} if prior == "auto" else {"prior": _known_prior(prior)}
+    stated: dict[str, Any] = {} if prior is None else {"prior": _known_prior(prior)}
     if domain is not None:
         stated["domain"] = parse_domain(domain)
     settings = FieldConfig.model_validate(settings.model_dump() | stated)
@@ -85,7 +89,10 @@ def build(
     with runner(jobs, scheduler) as run:
         field_map = build_map(samples, settings, run)
     field_map.save(out)
-    numbers = field_map.hyperparameters
+    numbers, errors = field_map.hyperparameters, field_map.config.comparison
+    if errors:
+        told = ", ".join(f"{name} {field_text(error)}" for name, error in sorted(errors.items(), key=lambda e: e[1]))
+        say(f"Prior {field_map.config.prior} taken; typical error of left-out parts: {told}")
     say(
         f"Mapped {len(field_map.survey)} samples: lengthscale {numbers.lengthscale:.3g} m, field varies by "
         f"{field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}\nWrote the map to {out}"
@@ -135,7 +142,7 @@ def parse_domain(text: str) -> tuple[float, ...]:
 def _known_prior(prior: str) -> str:
     from magmatch.field.priors import PRIORS
 
-    if prior not in PRIORS:
+    if prior not in ("auto", *PRIORS):
         msg = f"--prior: expected one of auto, {', '.join(PRIORS)}; found '{prior}'"
         raise ConfigurationError(msg)
     return prior

@@ -51,6 +51,7 @@ UNITS = {
     "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
     "first": "s", "last": "s", "duration": "s", "rate": "Hz", "longest_gap": "s",
     "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
+    "spline": "uT", "divergence_free": "uT", "curl_free": "uT", "harmonic": "uT",
 }  # fmt: skip
 
 

@@ -3,19 +3,14 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 
 from magmatch.data.survey import Survey
-from magmatch.field.box import Box
+from magmatch.field.comparison import choose_prior, resolved_hyperparameters
 from magmatch.field.config import FieldConfig
-from magmatch.field.fit import check_finite, declared_box, fit_posterior
-from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Prior
+from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.map import FieldMap
-from magmatch.field.priors import PRIORS
 from magmatch.field.tiled_model import Runner
 from magmatch.threads import single_threaded
-from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -50,19 +45,10 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     check_finite(merged)
     T_map_model = merged.principal_frame()
     samples = merged.transformed(T_map_model.inv())
-    prior = PRIORS[config.prior]
-    box = declared_box(config, T_map_model)
-    hyperparameters = _hyperparameters(prior, samples.positions, samples.field, config, box)
-    log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), prior.name)
+    if config.prior == "auto":
+        config, hyperparameters = choose_prior(samples, config, T_map_model)
+    else:
+        hyperparameters = resolved_hyperparameters(samples, config, T_map_model)
+    log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), config.prior)
     posterior = fit_posterior(samples, hyperparameters, config, T_map_model, run=run)
     return FieldMap(merged, posterior, T_map_model, config, T_map_model, samples, surveys if len(surveys) > 1 else ())
-
-
-def _hyperparameters(
-    prior: Prior, points: Points, field: Vectors, config: FieldConfig, box: Box | None
-) -> Hyperparameters:
-    """Numbers from the configuration where given, from the data otherwise."""
-    names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
-    given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
-    log.info("choosing hyperparameters")
-    return replace(prior.choose_hyperparameters(points, field, box), **given)

@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magmatch.field.box import Box
 from magmatch.field.held_out import has_path_order, path_segments, space_blocks
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Posterior
+from magmatch.field.linear_model import Posterior, Prior
+from magmatch.field.marginal_likelihood import choose_samples
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # Groups of parts; as many folds are judged.
@@ -23,6 +25,8 @@ FEWEST_SAMPLES = 40
 # Size of what is left out, in lengthscales; a slice off the end holds at most this share of the samples.
 _STRETCH, _CUBE, _SLICE, _SLICE_SHARE = 4.0, 0.5, 0.5, 0.15
 _STRETCH_IN_EXTENTS = 0.25
+# Samples that are used, all folds together.
+_N_USED = 2000
 # Samples of one fold at which the covariance is computed.
 _N_COMPARED = 400
 # Factors tried on the posterior's standard deviation.
@@ -82,6 +86,38 @@ def divide(points: Points, lengthscale: float) -> Parts:
         limit = max(float(along.max()) - _SLICE * lengthscale, float(np.quantile(along, 1 - _SLICE_SHARE)))
         folds.append(along > limit)
     return Parts(number, tuple(fold for fold in folds if fold.any() and not fold.all()), is_path)
+
+
+def calibrated(
+    prior: Prior, points: Points, field: Vectors, h: Hyperparameters, box: Box | None = None
+) -> Hyperparameters:
+    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+
+    Parameters
+    ----------
+    prior : Prior
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    h : Hyperparameters
+    box : Box, optional
+        What the prior is laid over beside the points.
+
+    Returns
+    -------
+    Hyperparameters
+    """
+    some = np.sort(choose_samples(points, field, _N_USED))
+    few, values = points[some], field[some]
+    parts = divide(few, h.lengthscale)
+    if not parts.folds:
+        return h
+    model = prior.build(points, field, h, box)
+    everything = model.observe(few, values)
+
+    def without(fold: Mask) -> Posterior:
+        return model.infer(everything - model.observe(few[fold], values[fold]))
+
+    return widened(h, few, values, parts, without)
 
 
 def widened(h: Hyperparameters, points: Points, field: Vectors, parts: Parts, fit: FitWithout) -> Hyperparameters:

@@ -15,8 +15,8 @@ class FieldConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Which law and basis: 'spline' (soft div B = 0, sparse), 'divergence_free' (published), 'curl_free' (potential),
-    # 'harmonic' (no source in the region).
-    prior: Literal["spline", "divergence_free", "curl_free", "harmonic"] = "spline"
+    # 'harmonic' (no source in the region), or 'auto': the one that predicts left-out parts best.
+    prior: Literal["auto", "spline", "divergence_free", "curl_free", "harmonic"] = "spline"
     # Distance over which the field changes, m. None: chosen from the data.
     lengthscale: float | None = Field(default=None, gt=0)
     # Prior standard deviation of one field component, T. None: chosen from the data.
@@ -28,6 +28,8 @@ class FieldConfig(BaseModel):
     # Box outside which the map says nothing but its prior: (x0, y0, z0, x1, y1, z1), m, frame of the survey the map
     # is made from. None: as far as the samples inform the basis, about one lengthscale beyond them.
     domain: tuple[float, float, float, float, float, float] | None = None
+    # Where 'auto' compared priors: typical error of left-out parts of each, T. An outcome, for the record.
+    comparison: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _is_a_box(self) -> Self:

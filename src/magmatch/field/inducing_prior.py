@@ -9,7 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.errors import SurveyError
 from magmatch.field.box import Box
+from magmatch.field.calibration import calibrated
 from magmatch.field.gaussian_grid import GaussianGrid
+from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_grid import InducingGrid, lay_affordable_grid
 from magmatch.field.inducing_model import InducingModel
@@ -22,6 +24,10 @@ log = logging.getLogger(__name__)
 # A field that varies less than this is taken as constant: well below the rounding of any recording, T.
 SMALLEST_SD = 1e-12
 MIN_SAMPLES = 4
+# More samples take minutes with thousands of dense weights.
+MOST_SAMPLES = 30_000
+# Nodes farther apart than wished by more than this lose what the field holds.
+_AFFORDABLE_WIDENING = 1.3
 
 
 class InducingConfig(BaseModel):
@@ -75,6 +81,8 @@ class InducingPrior:
     ) -> Hyperparameters:
         """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows.
 
+        Noise and spread are then widened as held-out samples ask for.
+
         Parameters
         ----------
         points : (n, 3) array, m
@@ -91,7 +99,7 @@ class InducingPrior:
         SurveyError
             Fewer than 4 samples, or NaN.
         """
-        _check(points, field)
+        check_samples(points, field)
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         if float(field.std(axis=0).max()) < SMALLEST_SD or extent == 0:
             # Nothing varies, or nothing can be told from noise: any numbers do, these give flat answers.
@@ -109,7 +117,15 @@ class InducingPrior:
             )  # fmt: skip
             rows = choose_samples(points, field, n)
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
-        return self._resolved(points, fit)
+        return calibrated(self, points, field, self._resolved(points, fit))
+
+    def is_affordable(self, points: Points, field: Vectors) -> bool:
+        """Whether the inducing points allowed follow the field's typical length."""
+        length = typical_length(points, field)
+        if len(points) > MOST_SAMPLES or length == 0:
+            return False
+        wished = self.config.spacing_ratio * length
+        return self._grid(points, wished, None).spacing <= _AFFORDABLE_WIDENING * wished
 
     def build(
         self,
@@ -141,7 +157,7 @@ class InducingPrior:
         ValueError
             The inducing points are too dense for their lengthscale.
         """
-        _check(points, field)
+        check_samples(points, field)
         h, config = hyperparameters, self.config
         grid = self._grid(points, max(h.spacing, config.min_spacing_ratio * h.lengthscale), h.lengthscale)
         if grid.spacing > 1.5 * h.lengthscale:
@@ -182,7 +198,8 @@ def _bounds(extent: float) -> tuple[float, float]:
     return extent / 100, extent / 2
 
 
-def _check(points: Points, field: Vectors) -> None:
+def check_samples(points: Points, field: Vectors) -> None:
+    """Refuse too few samples, NaN and infinity."""
     if len(points) < MIN_SAMPLES:
         msg = f"expected at least {MIN_SAMPLES} samples to fit a field, got {len(points)}"
         raise SurveyError(msg)

@@ -107,6 +107,10 @@ class Prior(Protocol):
         """Numbers that fit the data; deterministic. ``box``: where else the field will be asked for."""
         ...
 
+    def is_affordable(self, points: Points, field: Vectors) -> bool:
+        """Whether such a survey can be fitted in tens of seconds without smoothing it for want of weights."""
+        ...
+
     def build(
         self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
     ) -> LinearModel[Any]:

@@ -6,23 +6,18 @@ import logging
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from magmatch.errors import SurveyError
 from magmatch.field.box import Box
-from magmatch.field.calibration import divide, widened
+from magmatch.field.calibration import calibrated, divide
 from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_model import InducingModel
+from magmatch.field.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
 from magmatch.field.kernels import CurlFreeKernel
-from magmatch.field.linear_model import Posterior
 from magmatch.field.shell import SourceShell, lay_shell
 from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
-from magmatch.typing import Mask, Points, Vectors
+from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
-
-# A field that varies less than this is taken as constant: well below the rounding of any recording, T.
-SMALLEST_SD = 1e-12
-MIN_SAMPLES = 4
 
 
 class HarmonicConfig(BaseModel):
@@ -77,7 +72,7 @@ class HarmonicPrior:
         SurveyError
             Fewer than 4 samples, or NaN.
         """
-        _check(points, field)
+        check_samples(points, field)
         ratio = self.config.spacing_ratio
         length = typical_length(points, field)
         sd = float(field.std(axis=0).max())
@@ -88,7 +83,16 @@ class HarmonicPrior:
         some = slice(None, None, -(-len(points) // self.config.n_search_samples))
         fit = self._search(points, field, some, length, box)
         h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
-        return self._calibrated(points[some], field[some], h, points, box)
+        return calibrated(self, points, field, h, box)
+
+    def is_affordable(self, points: Points, field: Vectors) -> bool:
+        """Whether the charges allowed can stand as near as the field's typical length asks for."""
+        length = typical_length(points, field)
+        if len(points) > MOST_SAMPLES or length == 0:
+            return False
+        ratio = self.config.spacing_ratio
+        shell = self._shell(points, length / 2, ratio * length / 2, None, self.config.max_sources)
+        return shell.distance <= length
 
     def build(
         self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
@@ -114,7 +118,7 @@ class HarmonicPrior:
         SurveyError
             Fewer than 4 samples, or NaN.
         """
-        _check(points, field)
+        check_samples(points, field)
         h = hyperparameters
         shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
         if shell.distance > 1.01 * h.lengthscale:
@@ -147,26 +151,3 @@ class HarmonicPrior:
             return fit_shell(shell, points[some], field[some], parts)
 
         return search_distance(fit_at, length / 2, length / 10, extent / 2)
-
-    def _calibrated(
-        self, points: Points, field: Vectors, h: Hyperparameters, region: Points, box: Box | None
-    ) -> Hyperparameters:
-        parts = divide(points, h.lengthscale)
-        if not parts.folds:
-            return h
-        model = self.build(region, np.zeros_like(region), h, box)
-        everything = model.observe(points, field)
-
-        def without(fold: Mask) -> Posterior:
-            return model.infer(everything - model.observe(points[fold], field[fold]))
-
-        return widened(h, points, field, parts, without)
-
-
-def _check(points: Points, field: Vectors) -> None:
-    if len(points) < MIN_SAMPLES:
-        msg = f"expected at least {MIN_SAMPLES} samples to fit a field, got {len(points)}"
-        raise SurveyError(msg)
-    if not (np.isfinite(points).all() and np.isfinite(field).all()):
-        msg = "expected finite positions and field, got NaN or infinity"
-        raise SurveyError(msg)

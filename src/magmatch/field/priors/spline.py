@@ -24,6 +24,10 @@ class SplinePrior:
         """Numbers that predict left-out parts of the survey best; deterministic."""
         return choose_spline_hyperparameters(points, field)
 
+    def is_affordable(self, points: Points, field: Vectors) -> bool:  # noqa: ARG002
+        """Any survey is."""
+        return True
+
     def build(
         self,
         points: Points,

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which prior predicts left-out parts of a survey best: what ``prior="auto"`` does.
+
+The spline is preferred unless another is better by a clear margin: held-out errors are noisy, it follows what others
+do not (magnets among the samples, walks of any length), and it costs least.
+"""
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.errors import MagmatchError
+from magmatch.field.calibration import Parts, divide
+from magmatch.field.config import FieldConfig
+from magmatch.field.fit import declared_box
+from magmatch.field.held_out import typical_length
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.priors import PRIORS
+from magmatch.typing import Scalars
+
+log = logging.getLogger(__name__)
+
+PREFERRED = "spline"
+# Samples that the comparison uses.
+_N_COMPARED = 2500
+# Another prior must miss by this share less (noise included, which no prior predicts), and by this many standard
+# errors of the parts' mean.
+_LEAST_GAIN, _LEAST_T = 0.01, 3.0
+# Parts with fewer samples tell too little each; fewer parts are no sample of anything.
+_FEWEST_IN_PART, _FEWEST_PARTS = 3, 6
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rival:
+    """A prior with its numbers, and how it does on each left-out part.
+
+    Attributes
+    ----------
+    name : str
+    hyperparameters : Hyperparameters
+    log_errors : (p,) array
+        Logarithm of the root mean square error (T) of each part.
+    """
+
+    name: str
+    hyperparameters: Hyperparameters
+    log_errors: Scalars
+
+    @property
+    def error(self) -> float:
+        """Typical (geometric mean) error of a left-out part, T."""
+        return float(np.exp(self.log_errors.mean()))
+
+
+def choose_prior(
+    samples: Survey, config: FieldConfig, T_domain_model: RigidTransform
+) -> tuple[FieldConfig, Hyperparameters]:
+    """Take the prior that predicts left-out parts best, and say by how much.
+
+    Parameters
+    ----------
+    samples : Survey
+        In the model's frame.
+    config : FieldConfig
+        Numbers that are given hold for every prior.
+    T_domain_model : RigidTransform
+        Takes model coordinates to the frame of ``config.domain``.
+
+    Returns
+    -------
+    config : FieldConfig
+        With the prior that was taken, and the held-out error of each in ``comparison``.
+    hyperparameters : Hyperparameters
+        Of that prior.
+    """
+    parts = divide(samples.positions, typical_length(samples.positions, samples.field))
+    some = np.arange(0, len(samples), -(-len(samples) // _N_COMPARED))
+    few = Parts(parts.number[some], tuple(fold[some] for fold in parts.folds), parts.is_path)
+    rivals = list(_rivals(samples, samples.subset(some), few, config, T_domain_model))
+    taken = _best(rivals)
+    comparison = {rival.name: rival.error for rival in rivals if len(rival.log_errors)}
+    _tell(taken, comparison)
+    return config.model_copy(update={"prior": taken.name, "comparison": comparison}), taken.hyperparameters
+
+
+def resolved_hyperparameters(samples: Survey, config: FieldConfig, T_domain_model: RigidTransform) -> Hyperparameters:
+    """Numbers from the configuration where given, from the data otherwise.
+
+    Parameters
+    ----------
+    samples : Survey
+        In the model's frame.
+    config : FieldConfig
+        Names its prior.
+    T_domain_model : RigidTransform
+        Takes model coordinates to the frame of ``config.domain``.
+
+    Returns
+    -------
+    Hyperparameters
+    """
+    names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
+    given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
+    log.info("choosing hyperparameters of prior %s", config.prior)
+    box = declared_box(config, T_domain_model)
+    chosen = PRIORS[config.prior].choose_hyperparameters(samples.positions, samples.field, box)
+    return replace(chosen, **given)
+
+
+def _rivals(
+    samples: Survey, few: Survey, parts: Parts, config: FieldConfig, T_domain_model: RigidTransform
+) -> Iterator[Rival]:
+    """Every prior that can be afforded, the preferred one first and always."""
+    for name, prior in sorted(PRIORS.items(), key=lambda item: item[0] != PREFERRED):
+        if name != PREFERRED and not (parts.folds and prior.is_affordable(samples.positions, samples.field)):
+            log.info("prior %s is not compared: too few samples to leave any out, or too wide a survey", name)
+            continue
+        named = config.model_copy(update={"prior": name})
+        try:
+            h = resolved_hyperparameters(samples, named, T_domain_model)
+            yield Rival(name, h, _log_errors(few, parts, h, named, T_domain_model))
+        except (MagmatchError, ValueError, np.linalg.LinAlgError) as error:
+            if name == PREFERRED:
+                raise
+            log.info("prior %s is not compared: %s", name, error)
+
+
+def _log_errors(
+    samples: Survey, parts: Parts, h: Hyperparameters, config: FieldConfig, T_domain_model: RigidTransform
+) -> Scalars:
+    """Logarithm of the error of each left-out part that holds enough samples."""
+    points, field, out = samples.positions, samples.field, []
+    # Laid over all samples: what is compared is the field between them, not how far each basis reaches.
+    model = PRIORS[config.prior].build(points, field, h, declared_box(config, T_domain_model))
+    everything = model.observe(points, field)
+    for fold in parts.folds:
+        posterior = model.infer(everything - model.observe(points[fold], field[fold]))
+        square = ((posterior.evaluate(points[fold]).field - field[fold]) ** 2).sum(axis=1)
+        number = parts.number[fold]
+        count = np.bincount(number)
+        mean = np.bincount(number, weights=square)[count >= _FEWEST_IN_PART] / count[count >= _FEWEST_IN_PART]
+        # What was fitted exactly must not weigh infinitely.
+        out.append(0.5 * np.log(np.maximum(mean, 1e-24)))
+    return np.concatenate([np.zeros(0), *out])
+
+
+def _best(rivals: list[Rival]) -> Rival:
+    """The preferred prior, unless others are clearly better: then the best of those."""
+    preferred = rivals[0]
+    better = [rival for rival in rivals[1:] if _is_clearly_better(rival, preferred)]
+    return min(better, key=lambda rival: rival.error, default=preferred)
+
+
+def _is_clearly_better(rival: Rival, preferred: Rival) -> bool:
+    gain = preferred.log_errors - rival.log_errors
+    if len(gain) < _FEWEST_PARTS:
+        return False
+    standard_error = float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return bool(gain.mean() > max(_LEAST_GAIN, _LEAST_T * standard_error))
+
+
+def _tell(taken: Rival, comparison: Mapping[str, float]) -> None:
+    errors = ", ".join(f"{name} {error:.3g} T" for name, error in comparison.items())
+    log.info("prior %s taken; typical error of left-out parts: %s", taken.name, errors or "not compared")

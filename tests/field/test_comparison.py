@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Claims about ``prior="auto"`` and about the spread that held-out samples ask for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.calibration import divide, widened
+from magmatch.field.comparison import Rival, _best
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.map import FieldMap
+from magmatch.field.priors import PRIORS
+
+BOX = np.array([1.6, 1.2, 0.6])
+H = Hyperparameters(0.5, 10e-6, 0.5e-6, 0.35)
+
+
+def field_at(points, *, inside):
+    """Dipoles half a metre below, and magnets among the samples if asked for."""
+    rng = np.random.default_rng(0)
+    sources = [(rng.uniform([-0.3, -0.3, -0.7], [1.9, 1.5, -0.4]), 1.0) for _ in range(12)]
+    if inside:
+        sources += [(BOX * [0.3, 0.4, 0.5], 0.6), (BOX * [0.75, 0.6, 0.5], 0.6)]
+    field = np.array([18e-6, 2e-6, -44e-6]) + np.zeros_like(points)
+    for source, strength in sources:
+        r, moment = points - source, strength * rng.normal(size=3)
+        d = np.linalg.norm(r, axis=1)[:, None]
+        field = field + 1e-6 * (3 * r * (r @ moment)[:, None] / d**5 - moment / d**3)
+    return field
+
+
+def room(*, inside, n=600, noise_sd=1e-6):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(0, BOX, size=(n, 3))
+    for magnet in (BOX * [0.3, 0.4, 0.5], BOX * [0.75, 0.6, 0.5]):
+        points = points[np.linalg.norm(points - magnet, axis=1) > 0.2]
+    return points, field_at(points, inside=inside) + rng.normal(scale=noise_sd, size=points.shape)
+
+
+def test_without_a_source_in_the_region_the_harmonic_prior_is_taken_and_remembered(tmp_path):
+    built = build_map(Survey(*room(inside=False)), FieldConfig(prior="auto"))
+    assert built.config.prior == "harmonic"
+    errors = built.config.comparison
+    assert set(errors) == set(PRIORS)
+    assert errors["harmonic"] < errors["spline"]
+    built.save(tmp_path / "map")
+    again = FieldMap.load(tmp_path / "map")
+    assert again.config == built.config
+    at = BOX * [[0.5, 0.5, 0.5]]
+    np.testing.assert_array_equal(again.evaluate(at).field, built.evaluate(at).field)
+
+
+def test_with_magnets_among_the_samples_the_harmonic_prior_loses():
+    # The box is declared: else the charges may stand in the holes that the magnets leave among the samples.
+    box = (0.0, 0.0, 0.0, *BOX)
+    built = build_map(Survey(*room(inside=True, n=250)), FieldConfig(prior="auto", domain=box))
+    errors = built.config.comparison
+    assert built.config.prior != "harmonic"
+    assert errors["harmonic"] > 1.2 * min(errors.values())
+
+
+def test_too_few_samples_to_compare_take_the_spline():
+    points, field = room(inside=False, n=30)
+    built = build_map(Survey(points, field), FieldConfig(prior="auto"))
+    assert built.config.prior == "spline"
+    assert built.config.comparison == {}
+
+
+def test_only_a_clear_margin_leaves_the_spline():
+    rng = np.random.default_rng(0)
+    spline = Rival("spline", H, rng.normal(size=40))
+    better = Rival("harmonic", H, spline.log_errors - 0.2 + 0.1 * rng.normal(size=40))
+    by_chance = Rival("curl_free", H, spline.log_errors - 0.3 + 1.0 * rng.normal(size=40))
+    hardly = Rival("divergence_free", H, spline.log_errors - 0.001)
+    assert _best([spline, hardly, by_chance]).name == "spline"
+    assert _best([spline, better, hardly]).name == "harmonic"
+    few = [Rival(name, H, spline.log_errors[:3] - k) for k, name in enumerate(("spline", "harmonic"))]
+    assert _best(few).name == "spline"
+
+
+def test_parts_cover_a_survey_and_its_end():
+    points, _ = room(inside=False)
+    parts = divide(points, 0.5)
+    assert not parts.is_path
+    assert len(parts.folds) == 3
+    end = parts.folds[2]
+    assert points[end, 0].min() >= points[~end, 0].max() - 1e-12
+    assert divide(points[:20], 0.5).folds == ()
+
+
+@pytest.mark.parametrize("name", ["divergence_free", "curl_free", "harmonic"])
+def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(name):
+    points, field = room(inside=False, n=300, noise_sd=2e-6)
+    parts, prior = divide(points, 0.5), PRIORS[name]
+
+    def coverage(h):
+        said = []
+        for fold in parts.folds:
+            model = prior.build(points, field, h)
+            posterior = model.infer(model.observe(points[~fold], field[~fold]))
+            variance = np.diagonal(posterior.covariance(points[fold]), axis1=1, axis2=2) + h.noise_sd**2
+            error = posterior.evaluate(points[fold]).field - field[fold]
+            said.append(np.abs(error) < 1.96 * np.sqrt(variance))
+        return np.concatenate(said).mean()
+
+    def without(fold):
+        model = prior.build(points, field, sure)
+        return model.infer(model.observe(points[~fold], field[~fold]))
+
+    sure = replace(H, noise_sd=0.2e-6)
+    honest = widened(sure, points, field, parts, without)
+    assert coverage(sure) < 0.8
+    assert 0.93 < coverage(honest) < 0.97
+    # The mean stays: noise and prior grew alike.
+    assert honest.noise_sd / honest.looseness == pytest.approx(sure.noise_sd / sure.looseness)
