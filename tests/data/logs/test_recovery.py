@@ -103,6 +103,28 @@ def test_a_whole_log_loses_nothing_when_recovered(whole):
     assert losses == []
 
 
+def test_a_bag_whose_recorder_was_killed_gives_all_that_was_written(made, flight, tmp_path):
+    """Recorders write the head of a chunk last; until then it declares no bytes, and its messages stand behind it."""
+    path = made.WRITERS["ROS 1 bag"](tmp_path, flight.series)
+    messages = set(messages_of(path)[0])
+    raw = bytearray(path.read_bytes())
+    mark = b"\x04\x00\x00\x00op=\x05"
+    last = raw.rindex(mark)
+    size = raw.index(b"size=", raw.rindex(b"compression=")) + 5
+    n = int.from_bytes(raw[size : size + 4], "little")
+    data = max(size + 4, last + len(mark))  # the length of the data stands behind the last field
+    assert int.from_bytes(raw[data : data + 4], "little") == n
+    raw[size : size + 4] = raw[data : data + 4] = bytes(4)
+    index = raw.index(b"index_pos=") + 10
+    raw[index : index + 8] = bytes(8)
+    path.write_bytes(raw[: data + 4 + n])
+    with pytest.raises(DataFormatError, match=r"never closed.*--recover"):
+        messages_of(path)
+    found, losses = messages_of(path, recover=True)
+    assert set(found) == messages
+    assert losses == []
+
+
 @pytest.fixture
 def database(made, flight, tmp_path):
     folder = made.ros2(tmp_path / "bag", flight.series)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic
-from magmatch.data.logs.source import DamagedError, Source
+from magmatch.data.logs.source import MAX_CHUNK, DamagedError, Source
 from magmatch.errors import DataFormatError
 
 Message = tuple[int, int, int, int]  # channel id, log time (ns), start and stop of its payload in the chunk
@@ -159,6 +159,9 @@ class ChunkedLog:
                     counts[key] = counts[key].plus(count) if key in counts else count
             if counts.keys() - self._channels.keys():
                 self._define_from_chunks()
+            for key in counts.keys() - self._channels.keys():
+                words = f"{counts[key].n} messages of channel {key}, which is nowhere defined"
+                self._lose(self._begin, self._begin, words)
             self._topics = self._summed(counts)
         return self._topics
 
@@ -211,6 +214,10 @@ class ChunkedLog:
         if isinstance(part, Loose):
             return self._source.read(part.body, part.stop - part.body)
         is_cut = part.stop > self._source.size
+        if part.stop - part.body > MAX_CHUNK:
+            words = f"a chunk of {part.stop - part.body} bytes, more than the {MAX_CHUNK} allowed"
+            self._lose(part.start, min(part.stop, self._source.size), words)
+            return b""
         raw = self._source.read_available(part.body, part.stop - part.body)
         if is_cut and not self._recover:
             self._lose(part.start, self._source.size, "the file ends in the middle of a chunk")
@@ -232,10 +239,8 @@ class ChunkedLog:
             for item in self._container.contents(body, 0, wanted):
                 if isinstance(item, Definition):
                     self._channels[item.id] = item.channel
-                elif item[0] in self._channels:
-                    yield item
                 else:
-                    self._lose(part.start, part.stop, f"messages of channel {item[0]}, which is nowhere defined")
+                    yield item
         except ValueError as error:
             if part.stop <= self._source.size:  # else the cut itself has been noted
                 self._lose(part.start, part.stop, str(error))
