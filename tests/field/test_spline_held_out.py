@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 
-from magmatch.field.cross_validation import affordable_spacing
+from magmatch.field.affordability import affordable_spacing
 from magmatch.field.held_out import choose_part, has_path_order, path_segments, space_blocks, typical_length
+from magmatch.field.hyperparameters import Hyperparameters
 
 rng = np.random.default_rng(0)
 CLOUD = rng.uniform(0, 3, (2000, 3))
@@ -52,8 +53,8 @@ def test_part_has_about_the_samples_asked_for():
 
 
 def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeypatch):
-    monkeypatch.setattr("magmatch.field.cross_validation.MOST_OPERATIONS", (5e8, 1e5))
+    monkeypatch.setattr("magmatch.field.affordability.MOST_OPERATIONS", (5e8, 1e5))
     x = rng.uniform(0, 30, (500, 3)) * [1, 1, 0.01]
-    spacing = affordable_spacing(x, 0.1)
+    spacing = affordable_spacing(x, Hyperparameters(0.35, 1e-6, 1e-7, 0.1))
     assert spacing > 0.1
     assert "widened" in caplog.text

@@ -23,7 +23,6 @@ from magmatch.field.live_record import LiveRecord
 from magmatch.field.live_tiles import LiveTiles
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.field.spline_model import REACH_IN_CELLS
 from magmatch.field.tiles import Tiling
 from magmatch.field.values import FieldValues
 from magmatch.threads import single_threaded
@@ -315,7 +314,7 @@ class FieldEstimator:
 
 def _lay_tiles(h: Hyperparameters, block: int, clock: Callable[[], float]) -> LiveTiles:
     """Tiles without samples."""
-    tiling = replace(Tiling.suited_to(h.lengthscale, h.spacing, REACH_IN_CELLS), core=block)
+    tiling = replace(Tiling.suited_to(h.lengthscale, h.spacing, h.reach), core=block)
     return LiveTiles(h, tiling, clock)
 
 

@@ -26,6 +26,9 @@ class Hyperparameters:
         Prior standard deviation of the basis relative to ``signal_sd``, where held-out data chose it.
     inflation : float
         Factor on posterior standard deviations that held-out data ask for.
+    reach : float
+        How far the basis reaches beyond cells that hold samples, in spacings; beyond, the map knows nothing. Less
+        leaves gaps without a prediction; more costs time and pulls the rim towards zero.
     """
 
     lengthscale: float
@@ -35,6 +38,7 @@ class Hyperparameters:
     stiffness: float = 0.0
     looseness: float = 1.0
     inflation: float = 1.0
+    reach: float = 2.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for saving."""

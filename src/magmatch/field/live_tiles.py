@@ -17,7 +17,7 @@ from magmatch.field.cells import lattice_coordinate, lay_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live_cells import Block, add_sums
 from magmatch.field.nested_dissection import order_elimination
-from magmatch.field.spline_model import REACH_IN_CELLS, SplineModel, SplinePosterior, outside_covariance
+from magmatch.field.spline_model import SplineModel, SplinePosterior, outside_covariance
 from magmatch.field.tiles import Index, TileKeys, Tiling
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Points, Vector3
@@ -120,7 +120,7 @@ class LiveTiles:
         """Fit a tile to all that has been measured in it and around it."""
         blocks = [self.blocks[i] for i in self._around(index)]
         kept = np.concatenate([block.kept for block in blocks])
-        cells = lay_cells(kept[:, :3], self.tiling.spacing, REACH_IN_CELLS, self.tiling.box(index))
+        cells = lay_cells(kept[:, :3], self.tiling.spacing, self.hyperparameters.reach, self.tiling.box(index))
         model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
         inside = kept[self.tiling.is_inside(kept[:, :3], index)]
         information = model.observe(inside[:, :3], inside[:, 3:])

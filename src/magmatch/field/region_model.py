@@ -10,7 +10,7 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.cells import count_active_cells, lay_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.nested_dissection import order_elimination
-from magmatch.field.spline_model import REACH_IN_CELLS, SplineModel, SplinePosterior
+from magmatch.field.spline_model import SplineModel, SplinePosterior
 from magmatch.field.tile_fit import Samples, fit_weights
 from magmatch.field.tile_tasks import TileTasks
 from magmatch.field.tiled_model import Runner, TiledModel
@@ -48,9 +48,9 @@ def lay_splines(points: Points, hyperparameters: Hyperparameters) -> SplineModel
         The latter where a single factor would cost more than `MOST_OPERATIONS`.
     """
     spacing = hyperparameters.spacing
-    n_active, n_box = count_active_cells(points, spacing, REACH_IN_CELLS, MOST_BOX_CELLS)
+    n_active, n_box = count_active_cells(points, spacing, hyperparameters.reach, MOST_BOX_CELLS)
     if n_box <= MOST_BOX_CELLS and n_active <= MOST_CELLS:
-        cells = lay_cells(points, spacing, REACH_IN_CELLS)
+        cells = lay_cells(points, spacing, hyperparameters.reach)
         elimination = order_elimination(cells)
         if elimination.n_operations <= MOST_OPERATIONS:
             return SplineModel(hyperparameters, cells, elimination)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.field.cells import HALF_OFFSET, CellGrid, lay_cells
-from magmatch.field.element_matrices import cell_weights, lone_cell_covariance, prior_element
+from magmatch.field.element_matrices import cell_weights, prior_covariance, prior_element
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
 from magmatch.field.multifrontal import CholeskyFactor, factorise
@@ -23,9 +23,6 @@ from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
 CONSTANT_SD = 1e-4
-# How far the basis reaches beyond cells that hold samples, in cells. Less leaves gaps without a prediction; more
-# costs time, since every cell beyond is one more to solve for.
-REACH_IN_CELLS = 2.5
 # Finer spacings than this share of the lengthscale change nothing but rounding errors.
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
@@ -84,7 +81,7 @@ class SplineModel:
     @classmethod
     def over(cls, points: Points, hyperparameters: Hyperparameters) -> "SplineModel":
         """Lay splines over the surroundings of points."""
-        cells = lay_cells(points, hyperparameters.spacing, REACH_IN_CELLS)
+        cells = lay_cells(points, hyperparameters.spacing, hyperparameters.reach)
         return cls(hyperparameters, cells, order_elimination(cells))
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> SplineInformation:
@@ -120,9 +117,9 @@ class SplineModel:
 
 
 def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
+    """Element matrix of the prior and what it says of field and gradient (both up to scale)."""
     relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
-    return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, REACH_IN_CELLS)
+    return prior_element(relative, h.stiffness), prior_covariance(relative, h.stiffness)
 
 
 def cell_precision(h: Hyperparameters) -> np.ndarray:
@@ -177,7 +174,7 @@ class SplinePosterior:
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's outside the active cells.
 
-        There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
+        There the field has variance `signal_sd` squared beside the constant's; its gradient what follows.
         A few points are solved for; many take the selected inverse, which is computed once and kept.
         """
         if order not in (0, 1):

@@ -12,7 +12,7 @@ from magmatch.field.cells import CellGrid, lay_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import CholeskyFactor
 from magmatch.field.nested_dissection import order_elimination
-from magmatch.field.spline_model import REACH_IN_CELLS, SplineInformation, SplineModel, SplinePosterior
+from magmatch.field.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.tiles import Index, Tiling
 from magmatch.threads import single_threaded
 from magmatch.typing import Points, Scalars, Vectors
@@ -97,7 +97,7 @@ class TileTask:
     def cells(self) -> CellGrid:
         """Cells of the tile: all that a map of the whole region would have in its box."""
         box = None if self.tiling is None else self.tiling.box(self.index)
-        return lay_cells(self.around, self.hyperparameters.spacing, REACH_IN_CELLS, box)
+        return lay_cells(self.around, self.hyperparameters.spacing, self.hyperparameters.reach, box)
 
     def model(self) -> SplineModel:
         """Splines over the tile's cells."""

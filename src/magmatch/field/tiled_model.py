@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline_model import REACH_IN_CELLS
 from magmatch.field.tile_fit import Samples, TileTask, fit_weights
 from magmatch.field.tile_tasks import TileTasks
 from magmatch.field.tiled_posterior import TiledPosterior
@@ -64,7 +63,7 @@ class TiledModel:
     def over(cls, points: Points, hyperparameters: Hyperparameters, tiling: Tiling | None = None) -> "TiledModel":
         """Lay tiles (of the usual sizes unless stated) over the surroundings of points."""
         h = hyperparameters
-        tiling = tiling or Tiling.suited_to(h.lengthscale, h.spacing, REACH_IN_CELLS)
+        tiling = tiling or Tiling.suited_to(h.lengthscale, h.spacing, h.reach)
         tiles = tiling.occupied(points)
         return cls(h, tiling, tiles, points, tiling.assign(points, tiles))
 

@@ -2,9 +2,9 @@
 """The default prior: a potential of cubic splines on cells near the data, smooth, with a soft law div B = 0."""
 
 from magmatch.field.box import Box
-from magmatch.field.cross_validation import choose_spline_hyperparameters
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.region_model import lay_splines
+from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.field.spline_model import SplineModel
 from magmatch.field.tiled_model import TiledModel
 from magmatch.typing import Points, Vectors
@@ -21,7 +21,7 @@ class SplinePrior:
         field: Vectors,
         box: Box | None = None,  # noqa: ARG002
     ) -> Hyperparameters:
-        """Numbers that predict left-out parts of the survey best; deterministic."""
+        """Numbers under which the survey is most likely; deterministic."""
         return choose_spline_hyperparameters(points, field)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:  # noqa: ARG002

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hyperparameters of the spline prior: by tempered evidence on a part of the survey, its noise by other passes."""
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magmatch.field.affordability import affordable_spacing, is_affordable
+from magmatch.field.held_out import choose_part, has_path_order, typical_length
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.other_passes import OtherPasses
+from magmatch.field.spline_evidence import EvidenceSearch
+from magmatch.typing import Mask, Points, Vectors
+
+log = logging.getLogger(__name__)
+
+FEWEST_SAMPLES = 40
+# Where all samples lie at one place, m.
+LONELY_LENGTHSCALE = 0.5
+# The search starts here: spacing and lengthscale from the variogram, a smooth field, a stiffness that suits most.
+LENGTHSCALE_IN_SPACINGS = 3.5
+SIGNAL_TO_NOISE, STIFFNESS = 0.3, 300.0
+# Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
+REACH, REACH_OF_A_PATH = 1.5, 2.0
+# Moves tried in turn, each repeated as long as the evidence grows: what is multiplied and by which factor.
+MOVES = (
+    ("noise_sd", 3.0),
+    ("stiffness", 10.0),
+    ("lengthscale", 1.8),
+    ("spacing", 0.75),
+    ("noise_sd", 1.7),
+)
+# A move must gain so many nats: less is chance, and the start is a good one.
+LEAST_GAIN = 2.0
+ROUNDS, MOST_STEPS = 2, 6
+# Bounds of lengthscale over spacing, stiffness, signal over noise.
+RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.03, 3000.0)
+# Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
+# hold many lanes that cross: from few, nothing tells what they miss of one another.
+PART_OPERATIONS, PART_OF_A_PATH = (3e8, 1e5), (5e8, 1.5e5)
+FEWEST_OF_A_PART, MOST_CUTS = 300, 4
+# The posterior is made a little wider than it says of itself: its numbers are themselves estimates.
+LEAST_INFLATION = 1.3
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One point of the search."""
+
+    hyperparameters: Hyperparameters
+    log_evidence: float
+
+
+def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparameters:
+    """Numbers under which the survey is most likely; deterministic.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+
+    Returns
+    -------
+    Hyperparameters
+    """
+    length = typical_length(points, field)
+    floor = max(float(np.abs(field).max(initial=0.0)) * 1e-6, 1e-15)
+    if len(points) < FEWEST_SAMPLES or length == 0 or np.ptp(field, axis=0).max() <= floor:
+        return _without_evidence(points, field, length, floor)
+    start = _start(points, field, length)
+    part = _part(points, field, start)
+    search = EvidenceSearch(points[part], field[part], np.flatnonzero(part))
+    passes = OtherPasses(points[part], field[part], start.lengthscale) if has_path_order(points) else None
+    best = _search(search, start, points)
+    noise, inflation = max(search.noise_sd(best), floor), LEAST_INFLATION
+    if passes is not None and passes.tell_something:
+        # Along a path the nearest samples share their error: what other passes miss by is the noise that a map for
+        # other surveys must reckon with.
+        alone, noise = noise, max(noise, passes.error(best))
+        inflation = passes.inflation(_with_noise(best, alone), noise) * alone / noise
+    chosen = replace(_with_noise(best, noise), inflation=max(LEAST_INFLATION, inflation))
+    log.info("%.0f samples count as one, %s", search.samples_as_one, chosen)
+    return chosen
+
+
+def _with_noise(h: Hyperparameters, noise_sd: float) -> Hyperparameters:
+    """The same map from the same samples, with another statement of their noise."""
+    return replace(h, noise_sd=noise_sd, looseness=h.looseness * noise_sd / h.noise_sd)
+
+
+def _start(points: Points, field: Vectors, length: float) -> Hyperparameters:
+    """Where the search starts."""
+    reach = REACH_OF_A_PATH if has_path_order(points) else REACH
+    spacing = affordable_spacing(points, length / LENGTHSCALE_IN_SPACINGS, reach)
+    signal = float(np.sqrt(field.var(axis=0).mean()))
+    return Hyperparameters(
+        max(length / 1.5, 2 * spacing), signal, signal / SIGNAL_TO_NOISE, spacing, reach=reach, stiffness=STIFFNESS
+    )
+
+
+def _without_evidence(points: Points, field: Vectors, length: float, floor: float) -> Hyperparameters:
+    """Where nothing can be compared: a broad prior about what was seen."""
+    spacing = affordable_spacing(points, (length or LONELY_LENGTHSCALE) / LENGTHSCALE_IN_SPACINGS, REACH_OF_A_PATH)
+    signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
+    return Hyperparameters(
+        LENGTHSCALE_IN_SPACINGS * spacing, signal, signal / 10, spacing, stiffness=STIFFNESS, reach=REACH_OF_A_PATH
+    )
+
+
+def _part(points: Points, field: Vectors, start: Hyperparameters) -> Mask:
+    """A part of the survey that can be searched fast."""
+    n, part = len(points), np.ones(len(points), dtype=bool)
+    constant, per_sample = PART_OF_A_PATH if has_path_order(points) else PART_OPERATIONS
+    budget = constant + per_sample * len(points)
+    for _ in range(MOST_CUTS):
+        operations = EvidenceSearch(points[part], field[part], np.flatnonzero(part)).operations(start)
+        if operations <= budget or n <= FEWEST_OF_A_PART:
+            break
+        n = max(int(n * max((budget / operations) ** 0.7, 0.1) * 0.95), FEWEST_OF_A_PART)
+        part = choose_part(points, n, 1 if 3 * n > len(points) else 3)
+    return part
+
+
+def _search(search: EvidenceSearch, start: Hyperparameters, whole: Points) -> Hyperparameters:
+    """Walk uphill along one number after the other, twice, with neighbours counted as one as residuals deserve.
+
+    Residuals of the smooth start, that is: once a fit follows errors that neighbours share, what it leaves looks white.
+    """
+    search.samples_as_one = search.correlated_samples(start)
+    best = Trial(start, search.log_evidence(start))
+    for _ in range(ROUNDS):
+        before = best
+        for name, factor in MOVES:
+            further = _along(search, best, name, factor, whole)
+            best = further if further != best else _along(search, best, name, 1 / factor, whole)
+        if best == before:
+            break
+    return best.hyperparameters
+
+
+def _along(search: EvidenceSearch, best: Trial, name: str, factor: float, whole: Points) -> Trial:
+    """Repeat one move as long as it helps."""
+    for _ in range(MOST_STEPS):
+        h = replace(best.hyperparameters, **{name: getattr(best.hyperparameters, name) * factor})
+        if not _is_allowed(h) or (name == "spacing" and not is_affordable(whole, h.spacing, h.reach)):
+            break
+        evidence = search.log_evidence(h)
+        if evidence < best.log_evidence + LEAST_GAIN:
+            break
+        best = Trial(h, evidence)
+    return best
+
+
+def _is_allowed(h: Hyperparameters) -> bool:
+    return (
+        RELATIVE_LENGTHSCALES[0] <= h.lengthscale / h.spacing <= RELATIVE_LENGTHSCALES[1]
+        and STIFFNESSES[0] <= h.stiffness <= STIFFNESSES[1]
+        and SIGNALS_TO_NOISE[0] <= h.signal_sd / h.noise_sd <= SIGNALS_TO_NOISE[1]
+    )

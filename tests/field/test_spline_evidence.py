@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The evidence of the spline prior's numbers, and how many samples of a path count as one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.other_passes import OtherPasses
+from magmatch.field.spline_evidence import EvidenceSearch, correlated_samples
+from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.spline_model import SplineModel
+
+H = Hyperparameters(0.5, 3e-6, 0.5e-6, 0.3, reach=1.0, stiffness=30.0)
+
+
+def draw(n=60, seed=0):
+    """Samples of a field drawn from the prior itself."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, 1, (n, 3))
+    return x, dense_field(x, rng)
+
+
+def dense_covariance(x, h):
+    """Prior covariance of the measured values, by unit weights one at a time."""
+    model = SplineModel.over(x, h)
+    posterior = model.infer(model.observe(x[:0], x[:0]))
+    m = len(posterior.weights)
+    Phi = np.stack([posterior.evaluate(x, 0, row).field.ravel() for row in np.eye(m)], axis=1)
+    P = model.prior_precision().to_dense(model.cells) / h.noise_sd**2
+    return Phi @ np.linalg.solve(P, Phi.T) + h.noise_sd**2 * np.eye(3 * len(x))
+
+
+def dense_field(x, rng):
+    K = dense_covariance(x, H)
+    return (np.linalg.cholesky(K) @ rng.standard_normal(len(K))).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
+def test_evidence_differences_equal_those_of_the_dense_gaussian_at_the_best_noise(factor):
+    x, b = draw()
+    search = EvidenceSearch(x, b, np.arange(len(x)))
+
+    def dense(h):
+        # Everything scales with the noise, so the dense density at the profiled level is what evidence says.
+        scale = search.noise_sd(h) / h.noise_sd
+        return multivariate_normal(None, dense_covariance(x, h) * scale**2).logpdf(b.ravel())
+
+    other = replace(H, lengthscale=H.lengthscale * factor, noise_sd=H.noise_sd * factor)
+    expected = dense(other) - dense(H)
+    assert search.log_evidence(other) - search.log_evidence(H) == pytest.approx(expected, abs=1e-5)
+
+
+def test_evidence_finds_the_noise_level_the_field_was_drawn_with():
+    x, b = draw(300, seed=3)
+    search = EvidenceSearch(x, b, np.arange(len(x)))
+    ratios = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
+    best = ratios[np.argmax([search.log_evidence(replace(H, noise_sd=H.noise_sd * r)) for r in ratios])]
+    assert best == 1.0
+    assert search.noise_sd(H) == pytest.approx(H.noise_sd, rel=0.1)
+
+
+def test_white_residuals_count_one_by_one():
+    r = np.random.default_rng(0).standard_normal((5000, 3))
+    assert correlated_samples(r, np.arange(5000)) == 1.0
+    assert correlated_samples(np.zeros((50, 3)), np.arange(50)) == 1.0
+
+
+@given(share=st.floats(0.2, 0.75), scale=st.floats(1e-9, 1e3))
+@settings(max_examples=10, deadline=None, derandomize=True)
+def test_an_autoregression_counts_as_its_correlation_time(share, scale):
+    rng = np.random.default_rng(1)
+    r = rng.standard_normal((20_000, 3))
+    for n in range(1, len(r)):
+        r[n] += share * r[n - 1]
+    assert correlated_samples(scale * r, np.arange(len(r))) == pytest.approx((1 + share) / (1 - share), rel=0.2)
+
+
+def test_samples_beyond_a_gap_of_the_path_are_no_neighbours():
+    r = np.repeat(np.random.default_rng(2).standard_normal((500, 3)), 2, axis=0)
+    together = np.arange(1000)
+    apart = 2 * together
+    assert correlated_samples(r, together) > 1.5
+    assert correlated_samples(r, apart) == 1.0
+
+
+def test_errors_between_passes_hold_the_offset_of_a_lap():
+    turn = np.linspace(0, 8 * np.pi, 1600)
+    x = np.stack([3 * np.cos(turn), 3 * np.sin(turn), 0 * turn], axis=1)
+    b = 1e-6 * np.stack([np.cos(2 * turn), np.sin(turn), 0 * turn], axis=1)
+    lap = (turn // (2 * np.pi)).astype(int) % 2
+    b += 2e-6 * lap[:, None]
+    h = Hyperparameters(1.0, 1e-6, 0.3e-6, 0.5, stiffness=30.0)
+    passes = OtherPasses(x, b, 1.0)
+    assert passes.tell_something
+    # Laps differ by 2 uT a component; a stretch left out is predicted from laps of both kinds.
+    assert 0.7e-6 < passes.error(h) < 2.1e-6
+    assert passes.inflation(h, 1e-9) > passes.inflation(h, 2e-6)
+
+
+def test_a_path_that_never_returns_says_nothing_and_is_fitted_all_the_same():
+    x = np.linspace(0, 1, 45)[:, None] * [1.0, 0.0, 0.0]
+    b = 1e-6 * np.sin(20 * x)
+    h = choose_spline_hyperparameters(x, b)
+    assert all(np.isfinite(v) and v > 0 for v in h.as_dict().values())
