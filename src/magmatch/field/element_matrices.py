@@ -14,18 +14,20 @@ from functools import cache, lru_cache
 from math import factorial
 
 import numpy as np
+import scipy.linalg
 
 from magmatch.field.spline_basis import (
     CUBIC_COEFFICIENTS,
     SPLINES_PER_CELL,
+    derivative_rows,
+    derivative_table,
+    spline_values,
 )
 
 HIGHEST_TERM = 3
 # The prior all but ends where no sensor was: that is where the sources stand, and where the field may change fast.
 # Factor per cell beyond the first ring; with 1 the rim of a room is a quarter less accurate.
 OUTSIDE_DECAY = 0.01
-# Splines carry no waves shorter than two cells, so the spectrum ends there (in radians per cell).
-HIGHEST_WAVENUMBER, N_WAVENUMBERS = np.pi, 512
 
 
 def cell_weights(distance: np.ndarray) -> np.ndarray:
@@ -113,31 +115,61 @@ def ball_offsets(radius: float) -> np.ndarray:
     return np.asarray(offsets[(offsets**2).sum(axis=1) <= radius**2 + 1e-9])
 
 
-@lru_cache(maxsize=256)
-def prior_covariance(relative_lengthscale: float, stiffness: float) -> np.ndarray:
-    """Prior covariance of field and gradient in the middle of a large region, where the precision is that of the cells.
+@lru_cache(maxsize=64)
+def lone_cell_covariance(relative_lengthscale: float, stiffness: float, reach: float) -> np.ndarray:
+    """Prior covariance of field and gradient in a cell with nothing but its reach around it.
 
-    The potential has the spectral density S(k), the inverse of `prior_element`'s symbol. With the moments
-    ``m_n = integral of k^n S(k) over all k / (2 pi)^3``, a component of the field has variance ``m_2 / 3`` and the
-    gradient, being symmetric and isotropic, ``cov(B_ij, B_kl) = m_4 / 15 (d_ij d_kl + d_ik d_jl + d_il d_jk)``.
+    This is what the prior says where a single sample was taken, and so the scale by which `signal_sd` is defined:
+    the precision of all cells is ``v / signal_sd^2 E`` with v the field entry of this matrix.
 
     Parameters
     ----------
     relative_lengthscale, stiffness : float
         As in `prior_element`.
+    reach : float
+        Radius of active cells around an occupied one, in cells.
 
     Returns
     -------
     (9, 9) array
-        Of the 3 field components and the 6 distinct gradient entries times the spacing.
+        Of the 3 field components and the 6 distinct gradient entries times the spacing, averaged over the cell and
+        over the symmetries of the cube.
     """
-    step = HIGHEST_WAVENUMBER / N_WAVENUMBERS
-    k = step * (np.arange(N_WAVENUMBERS) + 0.5)
-    series = sum((relative_lengthscale**2 * k**2 / 2) ** n / factorial(n) for n in range(HIGHEST_TERM + 1))
-    shell = k**2 / (2 * np.pi**2) * step / (series + stiffness * relative_lengthscale**4 * k**4 / 8)
-    out = np.eye(9) * (k**2 @ shell) / 3
+    offsets = ball_offsets(reach)
+    cells = offsets - offsets.min(axis=0)
+    width = cells.max(axis=0) + 4
+    local = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    nodes, flat = np.unique(
+        np.ravel_multi_index(tuple((cells[:, None] + local).reshape(-1, 3).T), tuple(width)), return_inverse=True
+    )
+    flat = flat.reshape(-1, SPLINES_PER_CELL)
+    Q = np.zeros((len(nodes), len(nodes)))
+    E = prior_element(relative_lengthscale, stiffness)
+    distance = np.sqrt((offsets**2).sum(axis=1))
+    for n, weight in zip(flat, cell_weights(distance), strict=True):
+        Q[np.ix_(n, n)] += weight * E
+    own = flat[int(np.argmin(distance))]
+    factor = scipy.linalg.cho_factor(Q, lower=True)
+    block = scipy.linalg.cho_solve(factor, np.eye(len(nodes))[:, own])[own]
+    return _average_over_cell(block)
+
+
+def _average_over_cell(block: np.ndarray) -> np.ndarray:
+    """Covariance of field and gradient from that of a cell's weights, averaged over the cell, made isotropic."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    t, weights = (nodes + 1) / 2, weights / 2
+    tables = np.zeros((4, 4, 4))
+    for i in range(4):
+        spline_values(t[i], tables[i])
+    mean, rows = np.zeros((9, 9)), np.zeros((9, SPLINES_PER_CELL))
+    for i, j, k in np.ndindex(4, 4, 4):
+        derivative_rows(tables[i], tables[j], tables[k], derivative_table(1), 1.0, rows)
+        mean += weights[i] * weights[j] * weights[k] * rows @ block @ rows.T
     same, mixed = np.array([3, 6, 8]), np.array([4, 5, 7])
-    out[3:] = 0.0
-    out[np.ix_(same, same)] = (k**4 @ shell) / 15 * (1 + 2 * np.eye(3))
-    out[mixed, mixed] = (k**4 @ shell) / 15
-    return np.asarray(out)
+    out = np.zeros((9, 9))
+    out[:3, :3] = np.eye(3) * np.trace(mean[:3, :3]) / 3
+    across = (mean[np.ix_(same, same)].sum() - np.trace(mean[np.ix_(same, same)])) / 6
+    out[np.ix_(same, same)] = across
+    out[same, same] = mean[same, same].mean()
+    out[mixed, mixed] = mean[mixed, mixed].mean()
+    return out

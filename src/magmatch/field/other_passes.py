@@ -56,7 +56,7 @@ class OtherPasses:
         """Level of one component's error where other passes are near, T."""
         errors = np.concatenate([posterior.evaluate(x).field - b for posterior, x, b in self._fits(h)])
         size = np.linalg.norm(errors[self._is_near], axis=1)
-        return float((size**POWER).mean() ** (1 / POWER)) / np.sqrt(3)
+        return float((size**POWER).mean() ** (1 / POWER) / np.sqrt(3))
 
     def inflation(self, h: Hyperparameters, noise_sd: float) -> float:
         """Factor on the posterior's standard deviation for which 95 % intervals cover 95 % of what was left out."""

@@ -20,7 +20,7 @@ FEWEST_SAMPLES = 40
 LONELY_LENGTHSCALE = 0.5
 # The search starts here: spacing and lengthscale from the variogram, a smooth field, a stiffness that suits most.
 LENGTHSCALE_IN_SPACINGS = 3.5
-SIGNAL_TO_NOISE, STIFFNESS = 0.3, 300.0
+SIGNAL_TO_NOISE, STIFFNESS = 12.0, 300.0
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
 # Moves tried in turn, each repeated as long as the evidence grows: what is multiplied and by which factor.
@@ -33,9 +33,9 @@ MOVES = (
 )
 # A move must gain so many nats: less is chance, and the start is a good one.
 LEAST_GAIN = 2.0
-ROUNDS, MOST_STEPS = 2, 6
+ROUNDS, MOST_STEPS = 3, 6
 # Bounds of lengthscale over spacing, stiffness, signal over noise.
-RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.03, 3000.0)
+RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
 PART_OPERATIONS, PART_OF_A_PATH = (3e8, 1e5), (5e8, 1.5e5)
@@ -125,7 +125,7 @@ def _part(points: Points, field: Vectors, start: Hyperparameters) -> Mask:
 def _search(search: EvidenceSearch, start: Hyperparameters, whole: Points) -> Hyperparameters:
     """Walk uphill along one number after the other, twice, with neighbours counted as one as residuals deserve.
 
-    Residuals of the smooth start, that is: once a fit follows errors that neighbours share, what it leaves looks white.
+    Residuals of the smooth start, that is: once a fit follows errors that neighbours share, it leaves white noise.
     """
     search.samples_as_one = search.correlated_samples(start)
     best = Trial(start, search.log_evidence(start))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.field.cells import HALF_OFFSET, CellGrid, lay_cells
-from magmatch.field.element_matrices import cell_weights, prior_covariance, prior_element
+from magmatch.field.element_matrices import cell_weights, lone_cell_covariance, prior_element
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
 from magmatch.field.multifrontal import CholeskyFactor, factorise
@@ -117,9 +117,9 @@ class SplineModel:
 
 
 def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrix of the prior and what it says of field and gradient (both up to scale)."""
+    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
     relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
-    return prior_element(relative, h.stiffness), prior_covariance(relative, h.stiffness)
+    return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, h.reach)
 
 
 def cell_precision(h: Hyperparameters) -> np.ndarray:
@@ -174,7 +174,7 @@ class SplinePosterior:
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's outside the active cells.
 
-        There the field has variance `signal_sd` squared beside the constant's; its gradient what follows.
+        There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
         A few points are solved for; many take the selected inverse, which is computed once and kept.
         """
         if order not in (0, 1):
