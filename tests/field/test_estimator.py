@@ -21,7 +21,7 @@ from magmatch.field.map import FieldMap
 from magmatch.field.spline_model import CONSTANT_SD, SplineModel
 
 laws = settings(deadline=None, derandomize=True, max_examples=6)
-H = Hyperparameters(0.5, 1e-5, 5e-7, 0.25, 100.0)
+H = Hyperparameters(0.5, 1e-5, 5e-7, 0.25, 1.0)
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 
 

@@ -39,7 +39,7 @@ RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
 PART_OPERATIONS, PART_OF_A_PATH = (3e8, 1e5), (5e8, 1.5e5)
-FEWEST_OF_A_PART, MOST_CUTS = 300, 4
+FEWEST_OF_A_PART, MOST_SEARCHED, MOST_CUTS = 300, 50_000, 4
 # The posterior is made a little wider than it says of itself: its numbers are themselves estimates.
 LEAST_INFLATION = 1.3
 
@@ -90,29 +90,31 @@ def _with_noise(h: Hyperparameters, noise_sd: float) -> Hyperparameters:
 
 
 def _start(points: Points, field: Vectors, length: float) -> Hyperparameters:
-    """Where the search starts."""
-    reach = REACH_OF_A_PATH if has_path_order(points) else REACH
-    spacing = affordable_spacing(points, length / LENGTHSCALE_IN_SPACINGS, reach)
+    """Where the search starts: the scale at which the field changes, and the spacing the survey can afford."""
     signal = float(np.sqrt(field.var(axis=0).mean()))
-    return Hyperparameters(
-        max(length / 1.5, 2 * spacing), signal, signal / SIGNAL_TO_NOISE, spacing, reach=reach, stiffness=STIFFNESS
+    reach = REACH_OF_A_PATH if has_path_order(points) else REACH
+    start = Hyperparameters(
+        length / 1.5, signal, signal / SIGNAL_TO_NOISE, length / LENGTHSCALE_IN_SPACINGS, STIFFNESS, reach=reach
     )
+    spacing = affordable_spacing(points, start)
+    return replace(start, spacing=spacing, lengthscale=max(start.lengthscale, 2 * spacing))
 
 
 def _without_evidence(points: Points, field: Vectors, length: float, floor: float) -> Hyperparameters:
     """Where nothing can be compared: a broad prior about what was seen."""
-    spacing = affordable_spacing(points, (length or LONELY_LENGTHSCALE) / LENGTHSCALE_IN_SPACINGS, REACH_OF_A_PATH)
+    length = length or LONELY_LENGTHSCALE
     signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
-    return Hyperparameters(
-        LENGTHSCALE_IN_SPACINGS * spacing, signal, signal / 10, spacing, stiffness=STIFFNESS, reach=REACH_OF_A_PATH
-    )
+    h = Hyperparameters(length, signal, signal / 10, length / LENGTHSCALE_IN_SPACINGS, STIFFNESS, reach=REACH_OF_A_PATH)
+    spacing = affordable_spacing(points, h)
+    return replace(h, spacing=spacing, lengthscale=LENGTHSCALE_IN_SPACINGS * spacing)
 
 
 def _part(points: Points, field: Vectors, start: Hyperparameters) -> Mask:
     """A part of the survey that can be searched fast."""
-    n, part = len(points), np.ones(len(points), dtype=bool)
+    n = min(len(points), MOST_SEARCHED)
+    part = np.ones(len(points), dtype=bool) if n == len(points) else choose_part(points, n, 3)
     constant, per_sample = PART_OF_A_PATH if has_path_order(points) else PART_OPERATIONS
-    budget = constant + per_sample * len(points)
+    budget = constant + per_sample * n
     for _ in range(MOST_CUTS):
         operations = EvidenceSearch(points[part], field[part], np.flatnonzero(part)).operations(start)
         if operations <= budget or n <= FEWEST_OF_A_PART:
@@ -143,7 +145,7 @@ def _along(search: EvidenceSearch, best: Trial, name: str, factor: float, whole:
     """Repeat one move as long as it helps."""
     for _ in range(MOST_STEPS):
         h = replace(best.hyperparameters, **{name: getattr(best.hyperparameters, name) * factor})
-        if not _is_allowed(h) or (name == "spacing" and not is_affordable(whole, h.spacing, h.reach)):
+        if not _is_allowed(h) or (name == "spacing" and not is_affordable(whole, h)):
             break
         evidence = search.log_evidence(h)
         if evidence < best.log_evidence + LEAST_GAIN:

@@ -7,7 +7,6 @@ import numpy as np
 
 from magmatch.field.cells import count_active_cells
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline_model import REACH_IN_CELLS
 from magmatch.preparation.blocks import sensor_blocks
 from magmatch.preparation.consistency import MapConsistency
 from magmatch.preparation.least_squares import N_STRETCHES, Solution, System
@@ -22,6 +21,8 @@ N_SAMPLES = 600
 CLEARLY = 3.0
 # The map: as fine as this many cells allow, never finer than a share of the extent; ordinary field and noise.
 MOST_CELLS, FINEST_SHARE = 800, 0.1
+# How far its basis reaches beyond the samples, in cells.
+REACH = 2.0
 LENGTHSCALE_IN_SPACINGS, SIGNAL_SD, NOISE_SD, STIFFNESS = 2.5, 10e-6, 0.5e-6, 3000.0
 
 
@@ -70,11 +71,11 @@ def coarse_settings(points: Points) -> Hyperparameters:
     extent = float(np.ptp(points, axis=0).max())
     spacing = extent / 2
     while spacing > FINEST_SHARE * extent:
-        n_active, _ = count_active_cells(points, spacing / 1.25, REACH_IN_CELLS)
+        n_active, _ = count_active_cells(points, spacing / 1.25, REACH)
         if not 0 <= n_active <= MOST_CELLS:
             break
         spacing /= 1.25
-    return Hyperparameters(LENGTHSCALE_IN_SPACINGS * spacing, SIGNAL_SD, NOISE_SD, spacing, STIFFNESS)
+    return Hyperparameters(LENGTHSCALE_IN_SPACINGS * spacing, SIGNAL_SD, NOISE_SD, spacing, STIFFNESS, reach=REACH)
 
 
 def _solved(part: SensorLog, offset: float, settings: Hyperparameters, sizes: Mapping[str, float]) -> Solution:
