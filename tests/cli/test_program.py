@@ -11,7 +11,19 @@ import pytest
 from magmatch import __version__
 from magmatch.cli import boundary, main
 
-COMMANDS = ("register", "transform", "prepare", "map", "query", "info", "convert", "view", "simulate", "datasets", "demo")
+COMMANDS = (
+    "register",
+    "transform",
+    "prepare",
+    "map",
+    "query",
+    "info",
+    "convert",
+    "view",
+    "simulate",
+    "datasets",
+    "demo",
+)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -104,7 +104,9 @@ def _without_evidence(points: Points, field: Vectors, length: float, floor: floa
     """Where nothing can be compared: a broad prior about what was seen."""
     length = length or LONELY_LENGTHSCALE
     signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
-    h = Hyperparameters(length, signal, signal / 10, length / LENGTHSCALE_IN_SPACINGS, STIFFNESS, reach=REACH_OF_A_PATH)
+    h = Hyperparameters(
+        length, signal, signal / 10, length / LENGTHSCALE_IN_SPACINGS, STIFFNESS, reach=REACH_OF_A_PATH
+    )
     spacing = affordable_spacing(points, h)
     return replace(h, spacing=spacing, lengthscale=LENGTHSCALE_IN_SPACINGS * spacing)
 
