@@ -12,18 +12,8 @@ from magmatch import __version__
 from magmatch.cli import boundary, main
 
 COMMANDS = (
-    "register",
-    "transform",
-    "prepare",
-    "map",
-    "query",
-    "info",
-    "convert",
-    "view",
-    "simulate",
-    "datasets",
-    "demo",
-)
+    "register", "transform", "prepare", "map", "query", "info", "view", "convert", "simulate", "datasets", "demo",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COMMANDS)
