@@ -34,9 +34,9 @@ def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
     Parameters
     ----------
     path : path
-        The file.
+        A table (CSV, Parquet, EuRoC), a ROS 1 bag, ROS 2 bag (folder) or MCAP file, or a phone's export.
     format : SurveyFormat, optional
-        Units and frames, where the file differs from tesla, metre and survey frame.
+        Units and frames where the file differs from tesla, metre and survey frame; topics of a log; `recover`.
 
     Returns
     -------
