@@ -11,9 +11,12 @@ a sensor at 1 m height, dipoles 0.4 to 1.2 m under the floor and in the walls; n
 import argparse
 import logging
 import resource
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -115,11 +118,12 @@ def office(jobs):
 
 def million(jobs):
     field_map = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), jobs, "100 x 100 m")
-    t = [time.perf_counter()]
-    field_map.save("/tmp/bench_tiles.map")
+    path, t = Path(tempfile.mkdtemp()) / "large.map", [time.perf_counter()]
+    field_map.save(path)
     t.append(time.perf_counter())
-    FieldMap.load("/tmp/bench_tiles.map")
+    FieldMap.load(path)
     t.append(time.perf_counter())
+    shutil.rmtree(path.parent)
     print(f"    save {t[1] - t[0]:.1f} s, load {t[2] - t[1]:.1f} s, peak {peak_memory():.2f} GiB")
 
 

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 # Results that may wait for an earlier one.
 MOST_WAITING = 100
 # Workers that one task may take down with it before it is given up.
-MOST_DEATHS = 3
+MOST_DEATHS = 5
 CONNECT_SECONDS = 10
 # How often to look after the workers, and how long to wait for one where there is none.
 LOOK_SECONDS, LONELY_SECONDS = 2, 120
@@ -81,8 +81,8 @@ class DaskRunner:
         try:
             while True:
                 # One task per worker thread: of a worker that dies, only the task it ran is to blame.
-                n_wanted = max(1, sum(client.nthreads().values())) - len(running)
-                for number, task in islice(source, n_wanted if len(done) < MOST_WAITING else 0):
+                n_idle = max(1, sum(client.nthreads().values())) - len(running)
+                for number, task in islice(source, max(0, n_idle) if len(done) < MOST_WAITING else 0):
                     future = client.submit(fit, task, pure=False)
                     running[future] = number, task
                     future.add_done_callback(finished.put)
@@ -97,6 +97,11 @@ class DaskRunner:
         finally:
             for future in running:
                 future.cancel()
+
+    @property
+    def client(self) -> Any:
+        """Dask client, connected once the first task has come."""
+        return self._connect()
 
     def _connect(self) -> Any:
         """Start workers, or find those of the scheduler, when the first task comes."""
@@ -127,7 +132,7 @@ class DaskRunner:
         log.info("starting %d worker processes", self.jobs)
         make_cluster: Any = LocalCluster
         return make_cluster(
-            n_workers=self.jobs, threads_per_worker=1, processes=True, dashboard_address=None,
+            n_workers=self.jobs, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
 
