@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from magmatch.field.estimator import FieldEstimator
     from magmatch.field.map import FieldMap
     from magmatch.grid import RegularGrid
+    from magmatch.preparation.config import PreparationConfig
+    from magmatch.preparation.prepare import prepare
     from magmatch.registration.config import RegistrationConfig
     from magmatch.registration.register import register
     from magmatch.registration.result import RegistrationResult, Status
@@ -30,6 +32,7 @@ _HOMES = {
     "FieldConfig": "field.config",
     "FieldEstimator": "field.estimator",
     "FieldMap": "field.map",
+    "PreparationConfig": "preparation.config",
     "RegistrationConfig": "registration.config",
     "RegistrationResult": "registration.result",
     "RegularGrid": "grid",
@@ -38,6 +41,7 @@ _HOMES = {
     "Trajectory": "data.trajectory",
     "build_map": "field.build",
     "extract_features": "features.extract",
+    "prepare": "preparation.prepare",
     "read_survey": "data.read",
     "register": "registration.register",
     "simulate": "simulation.simulate",
@@ -48,6 +52,7 @@ __all__ = [
     "FieldConfig",
     "FieldEstimator",
     "FieldMap",
+    "PreparationConfig",
     "RegistrationConfig",
     "RegistrationResult",
     "RegularGrid",
@@ -56,6 +61,7 @@ __all__ = [
     "Trajectory",
     "build_map",
     "extract_features",
+    "prepare",
     "read_survey",
     "register",
     "simulate",

@@ -107,3 +107,14 @@ def test_mistakes_are_one_line_and_code_2(more, expected, logs, run, tmp_path, m
 
 def test_the_input_is_never_written_over(logs, run):
     assert run(*words(logs, "--out", logs / "log.csv")).code == 2
+
+
+def test_a_pipe_gets_the_survey_and_no_report_beside_it(logs, run):
+    off = {"calibration": dict.fromkeys(("hard_iron", "soft_iron", "misalignment"), "off")}
+    off |= {"time_offset": {"mode": "off"}, "currents": {"mode": "off"}}
+    off |= {"disturbances": dict.fromkeys(("spikes", "moving_metal"), "off")}
+    (logs / "off.yaml").write_text(json.dumps(off))
+    outcome = run(*words(logs, "--out", "/dev/stdout", "--config", logs / "off.yaml"))
+    assert outcome.code == 0, outcome.err
+    assert outcome.out.startswith("# magmatch.survey/1")
+    assert not Path("/dev/stdout.json").exists()

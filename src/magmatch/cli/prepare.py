@@ -64,7 +64,8 @@ def prepare(
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare as run
 
-    report = report or out.with_suffix(".json")
+    if report is None and (out.is_file() or not out.exists()):  # nothing lies beside a pipe
+        report = out.with_suffix(".json")
     layout = layouts.of()
     inputs = [path for path in (log, config, sensor_from, layout.trajectory) if path is not None]
     check_outputs((out, report), inputs=inputs)
@@ -81,8 +82,10 @@ def prepare(
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
     prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where, sensor=known)
     prepared.save(out)
-    done.save(report)
-    say(f"{done.table()}\nWrote {len(prepared)} of {len(survey)} samples to {out}, the report to {report}")
+    if report is not None:
+        done.save(report)
+    beside = "" if report is None else f", the report to {report}"
+    say(f"{done.table()}\nWrote {len(prepared)} of {len(survey)} samples to {out}{beside}")
 
 
 def parse_place(place: str | None, day: str | None) -> "Place | None":
