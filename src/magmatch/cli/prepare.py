@@ -64,7 +64,7 @@ def prepare(
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare as run
 
-    if report is None and (out.is_file() or not out.exists()):  # nothing lies beside a pipe
+    if report is None and out.parent != Path("/dev"):  # nothing lies beside a pipe
         report = out.with_suffix(".json")
     layout = layouts.of()
     inputs = [path for path in (log, config, sensor_from, layout.trajectory) if path is not None]
