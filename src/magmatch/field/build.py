@@ -3,14 +3,20 @@
 
 import logging
 from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.comparison import choose_prior, resolved_hyperparameters
 from magmatch.field.config import FieldConfig
-from magmatch.field.fit import check_finite, fit_posterior
+from magmatch.field.fit import check_finite, declared_box, fit_posterior
 from magmatch.field.map import FieldMap
+from magmatch.field.outliers import find_outliers
+from magmatch.field.priors import PRIORS
 from magmatch.field.tiled_model import Runner
 from magmatch.threads import single_threaded
+from magmatch.typing import Mask
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +47,31 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     """
     config = config or FieldConfig()
     surveys = (survey,) if isinstance(survey, Survey) else tuple(survey)
+    field_map = _fitted(surveys, config, run)
+    if not config.leave_out_outliers:
+        return field_map
+    is_out = _outliers(field_map)
+    if not is_out.any():
+        return field_map
+    log.warning(
+        "%s: %d of %d samples contradict those around them (a phone that rang, metal that passed?) and are left out",
+        field_map.survey.name, is_out.sum(), len(is_out),
+    )  # fmt: skip
+    ends = np.cumsum([0, *(len(part) for part in surveys)])
+    kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(surveys, pairwise(ends), strict=True)]
+    return _fitted(tuple(part for part in kept if len(part)), config, run)
+
+
+def _outliers(field_map: FieldMap) -> Mask:
+    """Samples of a map that contradict those around them."""
+    samples = field_map.survey.transformed(field_map.T_map_model.inv())
+    box = declared_box(field_map.config, field_map.T_domain_model)
+    model = PRIORS[field_map.config.prior].build(samples.positions, samples.field, field_map.hyperparameters, box)
+    return find_outliers(samples, field_map.posterior, model)
+
+
+def _fitted(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner) -> FieldMap:
+    """Map of all samples of some surveys."""
     merged = surveys[0].merged(*surveys[1:])
     check_finite(merged)
     T_map_model = merged.principal_frame()

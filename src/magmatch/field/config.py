@@ -25,6 +25,8 @@ class FieldConfig(BaseModel):
     noise_sd: float | None = Field(default=None, gt=0)
     # Distance of the basis nodes, m. None: from the lengthscale and the size of the region.
     spacing: float | None = Field(default=None, gt=0)
+    # Leave out the few samples that contradict those around them, and say so.
+    leave_out_outliers: bool = True
     # Box outside which the map says nothing but its prior: (x0, y0, z0, x1, y1, z1), m, frame of the survey the map
     # is made from. None: as far as the samples inform the basis, about one lengthscale beyond them.
     domain: tuple[float, float, float, float, float, float] | None = None

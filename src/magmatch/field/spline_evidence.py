@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magmatch.field.cells import CellGrid, lay_cells
+from magmatch.field.held_out import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
@@ -101,6 +102,13 @@ class EvidenceSearch:
     def correlated_samples(self, h: Hyperparameters) -> float:
         """How many samples count as one by what a fit leaves of them."""
         return correlated_samples(self.residuals(h), self.order)
+
+    def crowded_samples(self, h: Hyperparameters) -> float:
+        """How many samples of a path lie in a quarter of a cell, and so share what the model cannot follow there."""
+        step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)[np.diff(self.order) == 1]
+        if len(step) == 0 or not has_path_order(self.points):
+            return 1.0
+        return float(np.clip(h.spacing / 4 / max(float(np.median(step)), 1e-300), 1.0, MOST_SAMPLES_AS_ONE))
 
     def _basis(self, h: Hyperparameters) -> Basis:
         key = (h.spacing, h.reach)

@@ -131,7 +131,7 @@ def _search(search: EvidenceSearch, start: Hyperparameters, whole: Points) -> Hy
 
     Residuals of the smooth start, that is: once a fit follows errors that neighbours share, it leaves white noise.
     """
-    search.samples_as_one = search.correlated_samples(start)
+    search.samples_as_one = max(search.correlated_samples(start), search.crowded_samples(start))
     best = Trial(start, search.log_evidence(start))
     for _ in range(ROUNDS):
         before = best

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What contradicts its neighbours is left out and said; what is merely steep stays."""
+
+import numpy as np
+import pytest
+
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+
+UT = 1e-6
+SETTINGS = FieldConfig(lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
+SOURCES = np.array([[0.5, 0.4, -0.6], [1.6, 1.2, -0.7], [0.2, 1.9, 1.4]])
+
+
+def field_at(x):
+    out = np.tile([18.0, 3.0, -45.0], (len(x), 1)) * UT
+    for k, p in enumerate(SOURCES):
+        r = x - p
+        d = np.linalg.norm(r, axis=1, keepdims=True)
+        m = 4 * UT * np.eye(3)[k]
+        out += 3 * (r @ m)[:, None] * r / d**5 - m / d**3
+    return out
+
+
+def room(n=1200, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, [2, 2, 0.6], (n, 3))
+    return x, field_at(x) + 0.3 * UT * rng.normal(size=x.shape), rng
+
+
+def rmse(field_map, q):
+    return np.sqrt(((field_map.evaluate(q).field - field_at(q)) ** 2).sum(axis=1).mean())
+
+
+def test_spikes_are_left_out_and_told(caplog):
+    x, b, rng = room()
+    hit = rng.choice(len(x), 12, replace=False)
+    spiked = b.copy()
+    spiked[hit] += 30 * UT * rng.normal(size=(12, 3))
+    q = rng.uniform(0.1, [1.9, 1.9, 0.5], (400, 3))
+    clean = build_map(Survey(x, b), SETTINGS)
+    with caplog.at_level("WARNING"):
+        robust = build_map(Survey(x, spiked, name="office"), SETTINGS)
+    told = build_map(Survey(x, spiked), SETTINGS.model_copy(update={"leave_out_outliers": False}))
+    assert "office" in caplog.text
+    assert "contradict" in caplog.text
+    assert len(told.survey) == 1200
+    left_out = 1200 - len(robust.survey)
+    assert 9 <= left_out <= 14
+    assert rmse(robust, q) < 1.2 * rmse(clean, q)
+    assert rmse(told, q) > 2 * rmse(clean, q)
+
+
+def test_clean_rooms_and_steep_fields_keep_all_but_a_thousandth():
+    x, b, _ = room(seed=1)
+    assert len(build_map(Survey(x, b), SETTINGS).survey) >= 0.999 * len(x)
+    near = np.array([[1.0, 1.0, -0.15]])
+    r = x - near
+    steep = b + 0.05 * UT * r / np.linalg.norm(r, axis=1, keepdims=True) ** 4
+    assert len(build_map(Survey(x, steep), SETTINGS).survey) >= 0.995 * len(x)
+
+
+def test_a_lift_that_passed_on_one_lap_of_four_is_left_out():
+    rng = np.random.default_rng(2)
+    turn = np.linspace(0, 8 * np.pi, 2400)
+    x = np.c_[1 + 0.8 * np.cos(turn), 1 + 0.8 * np.sin(turn), 0.3 + 0.02 * rng.normal(size=2400)]
+    b = field_at(x) + 0.3 * UT * rng.normal(size=x.shape)
+    passing = slice(1000, 1060)
+    b[passing] += np.array([12, -8, 15]) * UT
+    kept = build_map(Survey(x, b, times=np.arange(2400.0)), SETTINGS).survey
+    missing = np.setdiff1d(np.arange(2400.0), kept.times)
+    assert len(missing) >= 50
+    assert np.mean((missing >= 1000) & (missing < 1060)) > 0.95
+
+
+def test_a_survey_that_contradicts_itself_everywhere_is_kept_with_a_word(caplog):
+    x, b, rng = room(seed=3)
+    hit = rng.random(len(x)) < 0.2
+    b[hit] += 30 * UT * rng.normal(size=(hit.sum(), 3))
+    with caplog.at_level("WARNING"):
+        assert len(build_map(Survey(x, b), SETTINGS).survey) == len(x)
+    assert "too many" in caplog.text
+
+
+def test_the_map_without_outliers_is_saved_and_read_back(tmp_path):
+    x, b, _ = room(seed=4)
+    b[7] += 50 * UT
+    built = build_map([Survey(x[:600], b[:600]), Survey(x[600:], b[600:])], SETTINGS)
+    built.save(tmp_path / "room.mag")
+    loaded = type(built).load(tmp_path / "room.mag")
+    assert len(loaded.survey) == len(built.survey) == 1199
+    assert np.array_equal(loaded.evaluate(x[:5]).field, built.evaluate(x[:5]).field)
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_few_samples_are_all_kept(n):
+    x, b, _ = room(n, seed=5)
+    b[0] += 1e-3
+    assert len(build_map(Survey(x, b), SETTINGS).survey) == n
