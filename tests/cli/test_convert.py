@@ -33,6 +33,7 @@ def test_results_become_poses(ending, place, run, tmp_path):
 
 REFUSED = {
     "unknown ending of a survey": (["base.csv", "out.xlsx"], "ends in .csv"),
+    "unknown ending of a map": (["base.map", "out.foo"], "ends in .csv, .parquet, .mcap, .tum, .ply, .vtk, .nc"),
     "unknown ending of a result": (["result.json", "out.csv"], "ends in .tum, .g2o, .yaml"),
     "no ending": (["base.csv", "out"], "ends in .csv"),
     "survey as a pose graph": (["base.csv", "out.g2o"], "ends in .csv"),

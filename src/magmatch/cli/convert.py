@@ -63,16 +63,16 @@ def convert(
 
         load_trajectory(source, layouts.of()).save(out)
     else:
-        _write_survey(source, out, suffix, layouts)
+        _write_survey(source, out, suffix, layouts, () if kind != "map" else MAP_GRIDS)
     say(f"Wrote {out}")
 
 
-def _write_survey(source: Path, out: Path, suffix: str, layouts: Layouts) -> None:
+def _write_survey(source: Path, out: Path, suffix: str, layouts: Layouts, others: tuple[str, ...]) -> None:
     from magmatch.cli.inputs import read_samples
     from magmatch.data.write import SURVEY_WRITERS
 
     if suffix not in SURVEY_WRITERS:
-        raise _unknown_ending(out, SURVEY_WRITERS)
+        raise _unknown_ending(out, dict.fromkeys((*SURVEY_WRITERS, *others)))
     SURVEY_WRITERS[suffix](read_samples(source, layouts), out)
 
 

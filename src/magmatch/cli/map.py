@@ -112,8 +112,9 @@ def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> Non
     old = read_map(path)
     new = old.with_surveys(*surveys, run=counting)
     new.save(out)
+    fitted = f"{n_fitted} tiles" if new.config.prior == "spline" else "the whole map"  # other priors have no tiles
     say(
-        f"Added {len(new.survey) - len(old.survey)} samples to {len(old.survey)}; fitted {n_fitted} tiles again\n"
+        f"Added {len(new.survey) - len(old.survey)} samples to {len(old.survey)}; fitted {fitted} again\n"
         f"Wrote the map to {out}"
     )
 
