@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 TEST_ENV := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 WORKERS ?= 2
 
-.PHONY: setup demo test fuzz check bench docs clean
+.PHONY: setup demo test fuzz check bench docs tutorial clean
 
 setup: $(STAMP)
 
@@ -40,6 +40,11 @@ bench: setup
 
 docs: setup
 	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --clean
+
+# Runs every command of the tutorial and writes what it prints into the page.
+tutorial: setup
+	$(BIN)/python tests/run_tutorial.py
 
 clean:
 	rm -rf $(VENV) build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the pages say exists; that they build without a warning is for ``make docs``."""
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+import typer
+import yaml
+
+from magmatch.cli.main import build_app
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+COMMANDS = typer.main.get_command(build_app())
+
+
+def pages_of(nav):
+    for entry in nav:
+        target = next(iter(entry.values())) if isinstance(entry, dict) else entry
+        yield from [target] if isinstance(target, str) else pages_of(target)
+
+
+def shell_commands(text):
+    """All calls of magmatch in blocks of shell commands, as words."""
+    for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
+        for line in block.splitlines():
+            if line.startswith("magmatch "):
+                yield shlex.split(line, comments=True)
+
+
+def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
+    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+    assert sorted(pages_of(settings["nav"])) == sorted(page.name for page in DOCS.glob("*.md"))
+
+
+def test_no_page_is_built_or_read_with_something_fetched():
+    assert yaml.safe_load((ROOT / "mkdocs.yml").read_text())["theme"]["font"] is False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_on_a_page_parse(page):
+    for _, *words in shell_commands(page.read_text()):
+        if words == ["--version"]:
+            continue
+        assert words[0] in COMMANDS.commands, words
+        command = COMMANDS.commands[words[0]]
+        try:
+            command.make_context(words[0], words[1:])  # parses, runs nothing
+        except click.UsageError as error:
+            pytest.fail(f"{' '.join(words)}: {error.format_message()}")
+
+
+def test_the_tutorial_shows_the_commands_a_newcomer_needs():
+    shown = {words[1] for words in shell_commands((DOCS / "tutorial.md").read_text())}
+    assert shown >= {
+        "demo",
+        "simulate",
+        "info",
+        "register",
+        "transform",
+        "map",
+        "query",
+        "view",
+        "convert",
+        "prepare",
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_python_on_a_page_compiles(page):
+    for block in re.findall(r"```python[^\n]*\n(.*?)```", page.read_text(), re.DOTALL):
+        compile(block, page.name, "exec")
