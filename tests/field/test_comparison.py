@@ -43,7 +43,7 @@ def room(*, inside, n=600, noise_sd=1e-6):
 
 
 def test_without_a_source_in_the_region_the_harmonic_prior_is_taken_and_remembered(tmp_path):
-    built = build_map(Survey(*room(inside=False)), FieldConfig(prior="auto"))
+    built = build_map(Survey(*room(inside=False, noise_sd=0.3e-6)), FieldConfig(prior="auto"))
     assert built.config.prior == "harmonic"
     errors = built.config.comparison
     assert set(errors) == set(PRIORS)

@@ -42,14 +42,14 @@ def test_spikes_are_left_out_and_told(caplog):
     clean = build_map(Survey(x, b), SETTINGS)
     with caplog.at_level("WARNING"):
         robust = build_map(Survey(x, spiked, name="office"), SETTINGS)
-    told = build_map(Survey(x, spiked), SETTINGS.model_copy(update={"leave_out_outliers": False}))
+    trusting = build_map(Survey(x, spiked), SETTINGS.model_copy(update={"leave_out_outliers": False}))
     assert "office" in caplog.text
     assert "contradict" in caplog.text
-    assert len(told.survey) == 1200
+    assert len(trusting.survey) == 1200
     left_out = 1200 - len(robust.survey)
     assert 9 <= left_out <= 14
     assert rmse(robust, q) < 1.2 * rmse(clean, q)
-    assert rmse(told, q) > 2 * rmse(clean, q)
+    assert rmse(trusting, q) > 2 * rmse(clean, q)
 
 
 def test_clean_rooms_and_steep_fields_keep_all_but_a_thousandth():

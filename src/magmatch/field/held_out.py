@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.typing import Indices, Mask, Points, Vectors
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # A squared-exponential potential's field differs from itself one lengthscale away by this share of its variance.
 SHARE_AT_LENGTHSCALE = 0.6
@@ -46,13 +46,18 @@ def typical_length(points: Points, field: Vectors) -> float:
     d, g = distance.ravel()[order], half_square.ravel()[order]
     edges = np.linspace(0, len(d), 25).astype(np.int64)
     bins = [slice(a, b) for a, b in pairwise(edges) if b > a]
-    d, g = np.array([d[k].mean() for k in bins]), np.array([g[k].mean() for k in bins])
-    sill, nugget = float(((field - field.mean(axis=0)) ** 2).sum(axis=1).mean()), float(g[0])
+    d, g = np.array([d[k].mean() for k in bins]), np.array([_clipped_mean(g[k]) for k in bins])
+    sill, nugget = _clipped_mean(((field - np.median(field, axis=0)) ** 2).sum(axis=1)), float(g[0])
     reached = np.flatnonzero(g >= nugget + SHARE_AT_LENGTHSCALE * max(sill - nugget, 0.0))
     # Without structure beyond the nugget, what there is changes slowly.
     has_structure = sill - nugget > SMALLEST_STRUCTURE * sill and len(reached) > 0
     length = d[reached[0]] if has_structure else extent / 4
     return float(np.clip(length, 1e-3 * extent, extent / 2))
+
+
+def _clipped_mean(squares: Scalars) -> float:
+    """Mean of squares of which the largest twentieth counts no more than its least: a few spikes change little."""
+    return float(np.minimum(squares, np.quantile(squares, 0.95)).mean())
 
 
 def has_path_order(points: Points) -> bool:

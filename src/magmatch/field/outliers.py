@@ -23,6 +23,8 @@ THRESHOLD = 6.0
 SOFT, ROUNDS = 3.0, 4
 # The map's own noise may be larger than its residuals say, where it follows them closely; this much of it they are.
 LEAST_SHARE_OF_NOISE = 0.5
+# What is small beside the field itself does no harm, however exact the rest.
+LEAST_SHARE_OF_SIGNAL = 0.01
 # The median length of a standard normal 3-vector.
 MEDIAN_LENGTH = 1.538
 # Neighbours asked, how far they may be (in spacings), and how many have to agree.
@@ -77,7 +79,8 @@ def find_outliers(samples: Survey, posterior: Posterior, model: LinearModel[Any]
 def _noise(residual: Vectors, posterior: Posterior) -> float:
     """Spread of ordinary residuals of one component, T."""
     typical = float(np.median(np.linalg.norm(residual, axis=1))) / MEDIAN_LENGTH
-    return max(typical, LEAST_SHARE_OF_NOISE * posterior.hyperparameters.noise_sd)
+    h = posterior.hyperparameters
+    return max(typical, LEAST_SHARE_OF_NOISE * h.noise_sd, LEAST_SHARE_OF_SIGNAL * h.signal_sd)
 
 
 def _are_denied(points: Points, residual: Vectors, is_large: Mask, reach: float) -> Mask:

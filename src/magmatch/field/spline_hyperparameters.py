@@ -2,6 +2,7 @@
 """Hyperparameters of the spline prior: by tempered evidence on a part of the survey, its noise by other passes."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,13 +24,14 @@ LENGTHSCALE_IN_SPACINGS = 3.5
 SIGNAL_TO_NOISE, STIFFNESS = 12.0, 300.0
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
-# Moves tried in turn, each repeated as long as the evidence grows: what is multiplied and by which factor.
+# Moves tried in turn, each repeated as long as the evidence grows: what is multiplied, and by which factors (the second
+# where the first does not help). Spacings only shrink: coarser splines can but hide what finer ones show.
 MOVES = (
-    ("noise_sd", 3.0),
-    ("stiffness", 10.0),
-    ("lengthscale", 1.8),
-    ("spacing", 0.75),
-    ("noise_sd", 1.7),
+    ("noise_sd", (3.0, 1 / 3.0)),
+    ("stiffness", (10.0, 0.1)),
+    ("lengthscale", (1.8, 1 / 1.8)),
+    ("spacing", (0.75,)),
+    ("noise_sd", (1.7, 1 / 1.7)),
 )
 # A move must gain so many nats: less is chance, and the start is a good one.
 LEAST_GAIN = 2.0
@@ -135,24 +137,27 @@ def _search(search: EvidenceSearch, start: Hyperparameters, whole: Points) -> Hy
     best = Trial(start, search.log_evidence(start))
     for _ in range(ROUNDS):
         before = best
-        for name, factor in MOVES:
-            further = _along(search, best, name, factor, whole)
-            best = further if further != best else _along(search, best, name, 1 / factor, whole)
+        for name, factors in MOVES:
+            best = _along(search, best, name, factors, whole)
         if best == before:
             break
     return best.hyperparameters
 
 
-def _along(search: EvidenceSearch, best: Trial, name: str, factor: float, whole: Points) -> Trial:
-    """Repeat one move as long as it helps."""
-    for _ in range(MOST_STEPS):
-        h = replace(best.hyperparameters, **{name: getattr(best.hyperparameters, name) * factor})
-        if not _is_allowed(h) or (name == "spacing" and not is_affordable(whole, h)):
+def _along(search: EvidenceSearch, start: Trial, name: str, factors: Sequence[float], whole: Points) -> Trial:
+    """Repeat the first of some moves that helps, as long as it does."""
+    best = start
+    for factor in factors:
+        for _ in range(MOST_STEPS):
+            h = replace(best.hyperparameters, **{name: getattr(best.hyperparameters, name) * factor})
+            if not _is_allowed(h) or (name == "spacing" and not is_affordable(whole, h)):
+                break
+            evidence = search.log_evidence(h)
+            if evidence < best.log_evidence + LEAST_GAIN:
+                break
+            best = Trial(h, evidence)
+        if best is not start:
             break
-        evidence = search.log_evidence(h)
-        if evidence < best.log_evidence + LEAST_GAIN:
-            break
-        best = Trial(h, evidence)
     return best
 
 
