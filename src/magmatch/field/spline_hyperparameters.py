@@ -24,8 +24,8 @@ LENGTHSCALE_IN_SPACINGS = 3.5
 SIGNAL_TO_NOISE, STIFFNESS = 12.0, 300.0
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
-# Moves tried in turn, each repeated as long as the evidence grows: what is multiplied, and by which factors (the second
-# where the first does not help). Spacings only shrink: coarser splines can but hide what finer ones show.
+# Moves tried in turn, each repeated as long as the evidence grows: what is multiplied, and by which factors (the
+# second where the first does not help). Spacings only shrink: coarser splines can but hide what finer ones show.
 MOVES = (
     ("noise_sd", (3.0, 1 / 3.0)),
     ("stiffness", (10.0, 0.1)),
