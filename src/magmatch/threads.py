@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One BLAS thread per task: the same bits whatever else runs, and no fight over cores between worker processes."""
+"""Who may use which cores: one BLAS thread per task, and the halves of a task side by side where cores are free.
 
-from collections.abc import Callable
+The same bits come out whatever else runs, and worker processes do not fight over cores.
+"""
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -9,6 +15,9 @@ from threadpoolctl import threadpool_limits
 
 P = ParamSpec("P")
 T = TypeVar("T")
+A = TypeVar("A")
+
+_is_worker: ContextVar[bool] = ContextVar("is_worker", default=False)
 
 
 def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
@@ -30,3 +39,33 @@ def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
             return task(*args, **kwargs)
 
     return limited
+
+
+def on_one_core(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """Run a task whose siblings use the other cores: in worker processes."""
+    token = _is_worker.set(True)
+    try:
+        return task(*args, **kwargs)
+    finally:
+        _is_worker.reset(token)
+
+
+def side_by_side(task: Callable[[A], None], parts: Iterable[A]) -> None:
+    """Run a task on independent parts, at once where there are cores for it.
+
+    Parameters
+    ----------
+    task : callable
+        Releases the interpreter most of the time (BLAS, compiled loops) and writes where no other part does.
+    parts : iterable
+        One argument each.
+    """
+    listed = list(parts)
+    n = min(len(listed), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    if n < 2 or _is_worker.get():
+        for part in listed:
+            task(part)
+        return
+    with ThreadPoolExecutor(n) as pool:
+        # Waits for all, and raises what the first of them raised.
+        list(pool.map(task, listed))

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from magmatch.errors import ConfigurationError, MissingExtraError, TaskError
 from magmatch.field.tile_fit import TileTask
+from magmatch.threads import on_one_core
 from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)
@@ -83,7 +84,7 @@ class DaskRunner:
                 # One task per worker thread: of a worker that dies, only the task it ran is to blame.
                 n_idle = max(1, sum(client.nthreads().values())) - len(running)
                 for number, task in islice(source, max(0, n_idle) if len(done) < MOST_WAITING else 0):
-                    future = client.submit(fit, task, pure=False)
+                    future = client.submit(on_one_core, fit, task, pure=False)
                     running[future] = number, task
                     future.add_done_callback(finished.put)
                 while n_given in done:

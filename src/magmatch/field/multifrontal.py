@@ -10,6 +10,7 @@ from scipy.linalg import blas, lapack
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.nested_dissection import Elimination, Front
 from magmatch.field.stencil_matrix import StencilMatrix
+from magmatch.threads import side_by_side
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,29 +83,40 @@ def factorise(elimination: Elimination, matrix: StencilMatrix) -> CholeskyFactor
     numpy.linalg.LinAlgError
         If the matrix is not positive definite; names the pivot.
     """
-    pivots: list[np.ndarray] = []
-    below: list[np.ndarray] = []
-    updates: dict[int, np.ndarray] = {}
-    row_of = np.full(elimination.n_unknowns, -1, dtype=np.int64)
-    for k, front in enumerate(elimination.fronts):
-        n, n_border = front.stop - front.start, len(front.border)
-        A, X = np.zeros((n, n), order="F"), np.zeros((n_border, n), order="F")
-        S = np.zeros((n_border, n_border), order="F")
-        _assemble(elimination, front, matrix, row_of, A, X)
-        for child, rows in zip(front.children, front.child_rows, strict=True):
-            _extend_add(updates.pop(child), rows, A, X, S)
-        if n:
-            A, info = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
-            if info:
-                msg = f"matrix is not positive definite: pivot {front.start + info} of {elimination.n_unknowns} fails"
-                raise np.linalg.LinAlgError(msg)
-            if n_border:
-                X = blas.dtrsm(1.0, A, X, side=1, lower=1, trans_a=1, overwrite_b=1)
-                S = blas.dsyrk(-1.0, X, beta=1.0, c=S, lower=1, overwrite_c=1)
-        pivots.append(A)
-        below.append(X)
-        updates[k] = S
+    n_fronts = len(elimination.fronts)
+    nothing = np.zeros((0, 0), order="F")
+    pivots, below, updates = ([nothing] * n_fronts for _ in range(3))
+
+    def eliminate(fronts: range) -> None:
+        row_of = np.full(elimination.n_unknowns, -1, dtype=np.int64)
+        for k in fronts:
+            pivots[k], below[k], updates[k] = _eliminate(elimination, elimination.fronts[k], matrix, row_of, updates)
+
+    side_by_side(eliminate, elimination.branches)
+    eliminate(range(n_fronts - 1, n_fronts))
     return CholeskyFactor(elimination, pivots, below)
+
+
+def _eliminate(
+    elimination: Elimination, front: Front, matrix: StencilMatrix, row_of: np.ndarray, updates: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Factor of a front's own unknowns, of its border, and what is left for its parent; uses up its children's."""
+    n, n_border = front.stop - front.start, len(front.border)
+    A, X = np.zeros((n, n), order="F"), np.zeros((n_border, n), order="F")
+    S = np.zeros((n_border, n_border), order="F")
+    _assemble(elimination, front, matrix, row_of, A, X)
+    for child, rows in zip(front.children, front.child_rows, strict=True):
+        _extend_add(updates[child], rows, A, X, S)
+        updates[child] = np.zeros((0, 0), order="F")
+    if n:
+        A, info = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
+        if info:
+            msg = f"matrix is not positive definite: pivot {front.start + info} of {elimination.n_unknowns} fails"
+            raise np.linalg.LinAlgError(msg)
+        if n_border:
+            X = blas.dtrsm(1.0, A, X, side=1, lower=1, trans_a=1, overwrite_b=1)
+            S = blas.dsyrk(-1.0, X, beta=1.0, c=S, lower=1, overwrite_c=1)
+    return A, X, S
 
 
 def _assemble(
@@ -132,7 +144,7 @@ def clear_rows(front: Front, row_of: np.ndarray) -> None:
     row_of[front.border] = -1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _copy_columns(start, unknown, position, flat, shifts, lookup, stencil, border, corner, row_of, A, X):  # type: ignore[no-untyped-def]
     n, m = A.shape[0], stencil.shape[0]
     for j in range(n):
@@ -161,7 +173,7 @@ def _copy_columns(start, unknown, position, flat, shifts, lookup, stencil, borde
                 X[row - n, j] = border[i, c]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _extend_add(update: np.ndarray, rows: np.ndarray, A: np.ndarray, X: np.ndarray, S: np.ndarray) -> None:
     """Add the lower triangle of a child's update; rows ascend, so its order is kept."""
     n = A.shape[0]

@@ -70,6 +70,13 @@ class Elimination:
         return len(self.position)
 
     @property
+    def branches(self) -> tuple[range, ...]:
+        """Fronts below the root, one range for each independent part of the tree, children before parents."""
+        children = sorted(self.fronts[-1].children)
+        starts = [0, *(child + 1 for child in children)]
+        return tuple(range(start, child + 1) for start, child in zip(starts, children, strict=False))
+
+    @property
     def n_operations(self) -> float:
         """Floating-point operations of one factorisation."""
         total = 0.0

@@ -8,6 +8,7 @@ from scipy.linalg import blas, lapack
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.multifrontal import CholeskyFactor, clear_rows, place_rows
 from magmatch.field.stencil_matrix import StencilMatrix
+from magmatch.threads import side_by_side
 
 # Columns of a symmetric product that are computed at once: wide enough for BLAS, little above the diagonal is wasted.
 STRIP = 64
@@ -53,23 +54,28 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     """
     e = factor.elimination
     out = StencilMatrix.zeros(e.n_unknowns - 3)
-    row_of = np.full(e.n_unknowns, -1, dtype=np.int64)
     largest = max(len(f.border) * max(len(f.border), f.stop - f.start) for f in e.fronts)
-    space = Workspace(max(1, largest))
-    inherited: dict[int, np.ndarray] = {len(e.fronts) - 1: space.take(0, 0)}
-    for k in range(len(e.fronts) - 1, -1, -1):
-        front, Z22 = e.fronts[k], inherited.pop(k)
-        Z11, Z21 = _front_inverse(factor.pivots[k], factor.below[k], Z22, space)
-        for child, rows in zip(front.children, front.child_rows, strict=True):
-            inherited[child] = space.take(len(rows), len(rows))
-            _take_block(Z11, Z21, Z22, rows, inherited[child])
-        place_rows(front, row_of)
-        _store(
-            front.start, e.unknown, e.position, e.flat_nodes, e.shifts, e.node_index, row_of, Z11, Z21,
-            out.stencil, out.border, out.corner,
-        )  # fmt: skip
-        clear_rows(front, row_of)
-        space.give_back(Z21, Z22)
+    root = len(e.fronts) - 1
+    inherited: dict[int, np.ndarray] = {root: np.zeros((0, 0), order="F")}
+
+    def descend(fronts: range) -> None:
+        row_of, space = np.full(e.n_unknowns, -1, dtype=np.int64), Workspace(max(1, largest))
+        for k in reversed(fronts):
+            front, Z22 = e.fronts[k], inherited.pop(k)
+            Z11, Z21 = _front_inverse(factor.pivots[k], factor.below[k], Z22, space)
+            for child, rows in zip(front.children, front.child_rows, strict=True):
+                inherited[child] = space.take(len(rows), len(rows))
+                _take_block(Z11, Z21, Z22, rows, inherited[child])
+            place_rows(front, row_of)
+            _store(
+                front.start, e.unknown, e.position, e.flat_nodes, e.shifts, e.node_index, row_of, Z11, Z21,
+                out.stencil, out.border, out.corner,
+            )  # fmt: skip
+            clear_rows(front, row_of)
+            space.give_back(Z21, Z22)
+
+    descend(range(root, root + 1))
+    side_by_side(descend, e.branches)
     return out
 
 
@@ -91,7 +97,7 @@ def _front_inverse(L: np.ndarray, X: np.ndarray, Z22: np.ndarray, space: Workspa
     return Z11, Z21
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _take_block(Z11: np.ndarray, Z21: np.ndarray, Z22: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
     """Copy the lower triangle of some rows and columns of a front's inverse; rows ascend."""
     n, n_own = len(Z11), np.searchsorted(rows, len(Z11))
@@ -106,7 +112,7 @@ def _take_block(Z11: np.ndarray, Z21: np.ndarray, Z22: np.ndarray, rows: np.ndar
                 block[i, j] = Z22[rows[i] - n, rows[j] - n]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _store(start, unknown, position, flat, shifts, lookup, row_of, Z11, Z21, stencil, border, corner):  # type: ignore[no-untyped-def]
     m, n = stencil.shape[0], len(Z11)
     for j in range(n):

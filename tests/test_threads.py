@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Parts run side by side give the same bits, and their faults come through."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.selected_inverse import selected_inverse
+from magmatch.field.spline_model import SplineModel
+from magmatch.threads import on_one_core, side_by_side
+
+
+def test_every_part_is_run_once():
+    seen = []
+    side_by_side(seen.append, range(7))
+    assert sorted(seen) == list(range(7))
+    side_by_side(seen.append, [])
+    assert len(seen) == 7
+
+
+def test_a_fault_in_a_part_is_raised():
+    def fail(part):
+        if part == 1:
+            msg = "pivot 3"
+            raise np.linalg.LinAlgError(msg)
+
+    with pytest.raises(np.linalg.LinAlgError, match="pivot 3"):
+        side_by_side(fail, range(2))
+    with pytest.raises(np.linalg.LinAlgError, match="pivot 3"):
+        on_one_core(side_by_side, fail, range(2))
+
+
+def test_a_worker_stays_on_its_thread():
+    threads = set()
+    on_one_core(side_by_side, lambda _: threads.add(threading.get_ident()), range(4))
+    assert threads == {threading.get_ident()}
+
+
+def test_factor_and_inverse_have_the_same_bits_on_one_core_and_on_several():
+    rng = np.random.default_rng(0)
+    x, b = rng.uniform(0, [3, 2, 1], (800, 3)), 1e-5 * rng.normal(size=(800, 3))
+    model = SplineModel.over(x, Hyperparameters(0.5, 1e-5, 1e-6, 0.25, 100.0))
+    assert len(model.elimination.branches) == 2
+    information = model.observe(x, b)
+    several = model.infer(information)
+    one = on_one_core(model.infer, information)
+    assert np.array_equal(several.weights, one.weights)
+    inverse = on_one_core(selected_inverse, one.factor)
+    assert np.array_equal(selected_inverse(several.factor).stencil, inverse.stencil)
