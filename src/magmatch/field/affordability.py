@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 # Operations of one fit of the whole survey, a constant and a share per sample: at the finest spacing that the search
 # may wish for, and at most; a spacing that would cost more than the last is widened.
-FINE_OPERATIONS, MOST_OPERATIONS = (4e9, 1e6), (1e11, 1.5e6)
+FINE_OPERATIONS, MOST_OPERATIONS = (4e9, 2e5), (1e11, 1.5e6)
 COARSER = 1.25
 
 
