@@ -24,6 +24,10 @@ def pages_of(nav):
         yield from [target] if isinstance(target, str) else pages_of(target)
 
 
+def plugin_names(plugin):
+    return list(plugin) if isinstance(plugin, dict) else [plugin]
+
+
 def shell_commands(text):
     """All calls of magmatch in blocks of shell commands, as words."""
     for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
@@ -38,7 +42,9 @@ def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
 
 
 def test_no_page_is_built_or_read_with_something_fetched():
-    assert yaml.safe_load((ROOT / "mkdocs.yml").read_text())["theme"]["font"] is False
+    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+    assert settings["theme"]["font"] is False
+    assert not {"offline", "privacy"} & {name for plugin in settings["plugins"] for name in plugin_names(plugin)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
