@@ -90,12 +90,14 @@ def recordings(data: Path) -> Iterator[Case]:
     for name, survey in load_recordings("kok", data).items():
         yield left_out(f"kok {name}", survey, 10)
     cea = load_recordings("cea", data)
-    base, other = list(cea.values())[:2]
-    for thin in (8, 1):
-        few = base.subset(np.arange(0, len(base), thin))
-        at = np.arange(0, len(other), 8)
-        tests = {"other walk": (other.positions[at], other.field[at], None)}
-        yield Case("cea" + (f", every {thin}th" if thin > 1 else ""), few, tests, has_truth=False)
+    for direction, first, second in (("1-2", "training", "test"), ("2-1", "test", "training")):
+        base, other = cea[first], cea[second]
+        for thin in (8, 1):
+            few = base.subset(np.arange(0, len(base), thin))
+            at = np.arange(0, len(other), 8)
+            tests = {"other walk": (other.positions[at], other.field[at], None)}
+            label = f"cea {direction}" + (f", 1 in {thin}" if thin > 1 else "")
+            yield Case(label, few, tests, has_truth=False)
 
 
 def left_out(name: str, survey: Survey, n_blocks: int) -> Case:
