@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
+from magmatch.field.held_out import has_path_order
 from magmatch.field.linear_model import LinearModel, Posterior
 from magmatch.typing import Mask, Points, Vectors
 
@@ -28,9 +29,11 @@ LEAST_SHARE_OF_SIGNAL = 0.01
 # The median length of a standard normal 3-vector.
 MEDIAN_LENGTH = 1.538
 # Neighbours asked, how far they may be (in spacings), and how many have to agree.
-N_NEIGHBOURS, FARTHEST, FEWEST_WITNESSES = 16, 1.0, 3
-# Share of the residual that any of them may have in its direction.
-LARGEST_AGREEMENT = 0.25
+N_NEIGHBOURS, FARTHEST, FEWEST_WITNESSES = 64, 1.0, 3
+# Samples along a path count as one pass within so many times that distance.
+SAME_PASS = 5.0
+# A neighbour agrees that shows this share of the residual; of them, so many may, since they may be outliers too.
+LARGEST_AGREEMENT, MOST_AGREEING = 0.25, 0.1
 # A map of which more is in doubt does not fit its survey: then nothing is left out.
 LARGEST_SHARE = 0.05
 
@@ -67,10 +70,10 @@ def find_outliers(samples: Survey, posterior: Posterior, model: LinearModel[Any]
     if is_large.any():
         reach = FARTHEST * posterior.hyperparameters.spacing
         is_out[is_large] = _are_denied(points, residual, is_large, reach)
-    if is_out.mean() > LARGEST_SHARE:
+    if is_out.mean() > LARGEST_SHARE or is_large.mean() > 2 * LARGEST_SHARE:
         log.warning(
             "%d of %d samples contradict those around them: too many to leave out; look for poses that jump or metal "
-            "that moves", is_out.sum(), len(is_out),
+            "that moves", max(is_out.sum(), is_large.sum()), len(is_out),
         )  # fmt: skip
         return np.zeros_like(is_out)
     return is_out
@@ -84,15 +87,20 @@ def _noise(residual: Vectors, posterior: Posterior) -> float:
 
 
 def _are_denied(points: Points, residual: Vectors, is_large: Mask, reach: float) -> Mask:
-    """Whether enough samples of ordinary residuals lie around each large one, and differ from it."""
-    ordinary = ~is_large
-    if ordinary.sum() < N_NEIGHBOURS:
-        return np.zeros(int(is_large.sum()), dtype=bool)
-    distance, number = cKDTree(points[ordinary]).query(points[is_large], k=N_NEIGHBOURS, distance_upper_bound=reach)
-    is_witness = np.isfinite(distance)
-    around = residual[ordinary][np.where(is_witness, number, 0)]
-    size = np.linalg.norm(residual[is_large], axis=1, keepdims=True)
+    """Whether enough samples of other passes lie around each large residual, and none shows a part of it."""
+    large = np.flatnonzero(is_large)
+    k = min(N_NEIGHBOURS + 1, len(points))
+    distance, number = cKDTree(points).query(points[large], k=k, distance_upper_bound=reach)
+    is_witness = np.isfinite(distance) & (number != large[:, None])
+    if has_path_order(points):
+        # A lift that passes is seen by many samples in a row: they may not bear each other out.
+        step = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        same_pass = SAME_PASS * reach / max(step, 1e-300)
+        is_witness &= np.abs(number - large[:, None]) > same_pass
+    around = residual[np.where(is_witness, number, 0)]
+    size = np.linalg.norm(residual[large], axis=1, keepdims=True)
     # Of structure that the map is too coarse for, what lies around shows a part.
-    share = np.einsum("nkc,nc->nk", around, residual[is_large] / size) / size
-    agrees = (is_witness & (share > LARGEST_AGREEMENT)).any(axis=1)
-    return np.asarray((is_witness.sum(axis=1) >= FEWEST_WITNESSES) & ~agrees)
+    share = np.einsum("nkc,nc->nk", around, residual[large] / size) / size
+    n_witnesses = is_witness.sum(axis=1)
+    n_agreeing = (is_witness & (share > LARGEST_AGREEMENT)).sum(axis=1)
+    return np.asarray((n_witnesses >= FEWEST_WITNESSES) & (n_agreeing <= MOST_AGREEING * n_witnesses))
