@@ -34,6 +34,8 @@ N_NEIGHBOURS, FARTHEST, FEWEST_WITNESSES = 64, 1.0, 3
 SAME_PASS = 5.0
 # A neighbour agrees that shows this share of the residual; of them, so many may, since they may be outliers too.
 LARGEST_AGREEMENT, MOST_AGREEING = 0.25, 0.1
+# Of fewer samples nobody can tell which are ordinary.
+FEWEST_SAMPLES = 100
 # A map of which more is in doubt does not fit its survey: then nothing is left out.
 LARGEST_SHARE = 0.05
 
@@ -56,6 +58,8 @@ def find_outliers(samples: Survey, posterior: Posterior, model: LinearModel[Any]
         None where more than 5 % would be out.
     """
     points, field = samples.positions, samples.field
+    if len(samples) < FEWEST_SAMPLES:
+        return np.zeros(len(samples), dtype=bool)
     residual = field - posterior.evaluate(points).field
     noise = _noise(residual, posterior)
     for _ in range(ROUNDS):

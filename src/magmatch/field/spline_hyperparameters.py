@@ -20,7 +20,7 @@ FEWEST_SAMPLES = 40
 # Where all samples lie at one place, m.
 LONELY_LENGTHSCALE = 0.5
 # The search starts here: spacing and lengthscale from the variogram, a smooth field, a stiffness that suits most.
-LENGTHSCALE_IN_SPACINGS = 3.5
+LENGTHSCALE_IN_SPACINGS = 4.0
 SIGNAL_TO_NOISE, STIFFNESS = 12.0, 300.0
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
@@ -40,7 +40,7 @@ ROUNDS, MOST_STEPS = 3, 6
 RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
-PART_OPERATIONS, PART_OF_A_PATH = (3e8, 1e5), (5e8, 1.5e5)
+PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 1.5e5)
 FEWEST_OF_A_PART, MOST_SEARCHED, MOST_CUTS = 300, 50_000, 4
 # The posterior is made a little wider than it says of itself: its numbers are themselves estimates.
 LEAST_INFLATION = 1.3
