@@ -11,13 +11,15 @@ import math
 import re
 import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from io import BytesIO
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
+from pydantic import ValidationError
 
 from magmatch import __version__
 from magmatch.atomic import atomic_write
@@ -287,3 +289,33 @@ def _decode(path: str | Path, name: str, entries: Mapping[str, bytes]) -> np.nda
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+@contextmanager
+def naming_entries(path: str | Path) -> Iterator[None]:
+    """Turn what goes wrong while a record is made of an archive's content into one error that names the entry.
+
+    Parameters
+    ----------
+    path : path
+        The archive.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    DataFormatError
+        An attribute is missing, or has a value that no such record has.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise DataFormatError(path, f"entry '{error.args[0]}' is missing") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(p) for p in first["loc"])
+        raise DataFormatError(path, f"entry 'zarr.json', config.{place}: {first['msg']}") from None
+    except (ValueError, TypeError, OverflowError) as error:
+        raise DataFormatError(path, " ".join(str(error).split())) from None

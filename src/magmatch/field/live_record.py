@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from magmatch.errors import DataFormatError
-from magmatch.field.archive import read_archive, write_archive
+from magmatch.field.archive import naming_entries, read_archive, write_archive
 from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live_cells import COUNT, KEPT_PER_CELL, N_SUMS
@@ -109,7 +107,7 @@ class LiveRecord:
             Not a checkpoint, damaged, or of another version; names the entry.
         """
         attributes, arrays = read_archive(path, SCHEMA)
-        try:
+        with naming_entries(path):
             about = attributes["hyperparameters"]
             record = cls(
                 EstimatorConfig.model_validate(attributes["config"]),
@@ -119,14 +117,6 @@ class LiveRecord:
                 arrays,
             )
             record.check()
-        except KeyError as error:
-            raise DataFormatError(path, f"entry '{error.args[0]}' is missing") from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(p) for p in first["loc"])
-            raise DataFormatError(path, f"entry 'zarr.json', config.{place}: {first['msg']}") from None
-        except (ValueError, TypeError, OverflowError) as error:
-            raise DataFormatError(path, " ".join(str(error).split())) from None
         return record
 
     def check(self) -> None:

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError, MagmatchError
-from magmatch.field.archive import read_archive, write_archive
+from magmatch.field.archive import naming_entries, read_archive, write_archive
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
@@ -189,7 +188,7 @@ class MapRecord:
         for name in ("surveys", "tiles", "T_map_model", "T_domain_model", "config", "hyperparameters"):
             if name not in attributes:
                 raise DataFormatError(path, f"entry 'zarr.json': attribute '{name}' is missing")
-        try:
+        with naming_entries(path):
             return cls(
                 surveys=_surveys(attributes["surveys"], arrays),
                 T_map_model=_transform(attributes, "T_map_model"),
@@ -200,14 +199,6 @@ class MapRecord:
                 T_domain_model=_transform(attributes, "T_domain_model"),
                 tiles=_tiles(attributes["tiles"], arrays),
             )
-        except KeyError as error:
-            raise DataFormatError(path, f"entry '{error.args[0]}' is missing") from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(p) for p in first["loc"])
-            raise DataFormatError(path, f"entry 'zarr.json', config.{place}: {first['msg']}") from None
-        except (ValueError, TypeError, OverflowError) as error:
-            raise DataFormatError(path, " ".join(str(error).split())) from None
 
 
 def _is_same_field(posterior: Posterior, weights: Scalars, samples: Survey) -> bool:
