@@ -14,7 +14,6 @@ from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 
 if TYPE_CHECKING:
     from magmatch.data.format import SurveyFormat
-    from magmatch.data.trajectory import Trajectory
     from magmatch.preparation.earth_field import Place
     from magmatch.preparation.sensor_model import SensorModel
 
@@ -59,6 +58,7 @@ def prepare(
     flagged, and left out only where the configuration says so.
     """
     from magmatch.data.channels import read_channels
+    from magmatch.data.load_trajectory import load_trajectory
     from magmatch.data.read import read_survey
     from magmatch.data.sniff import sniff
     from magmatch.preparation.config import PreparationConfig
@@ -78,7 +78,7 @@ def prepare(
     channels = {}
     if settings.currents.mode != "off" and sniff(log) == "csv":
         channels = read_channels(log).at(survey.times, len(survey))
-    trajectory = None if layout.trajectory is None else read_trajectory(layout.trajectory, layout.length_unit)
+    trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
     prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where, sensor=known)
     prepared.save(out)
@@ -128,14 +128,3 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
         return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]
     except SurveyError as error:
         raise DataFormatError(path, str(error)) from None
-
-
-def read_trajectory(path: Path, length_unit: str) -> "Trajectory":
-    """Read the poses as recorded, in metres."""
-    from dataclasses import replace
-
-    from magmatch.data.trajectory import Trajectory
-    from magmatch.data.units import METRE_PER_UNIT
-
-    trajectory = Trajectory.load(path)
-    return replace(trajectory, positions=trajectory.positions * METRE_PER_UNIT[length_unit])  # type: ignore[index]
