@@ -9,9 +9,10 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.field.values import FieldValues
 from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error, transform_points
 from magmatch.registration.covariance import pose_covariance, to_survey_axes
+from magmatch.registration.cubes import thin
 from magmatch.registration.evidence import unrelated_field, weigh_pose
 from magmatch.registration.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
-from magmatch.registration.prepared import prepare, thin
+from magmatch.registration.prepared import prepare
 from magmatch.registration.raster import rasterize
 from magmatch.registration.refinement import RefinementConfig, look_up, perturbation, refine, residual_jacobian
 from magmatch.registration.sensors import identical_sensors
@@ -180,11 +181,12 @@ def test_nothing_is_known_outside_the_raster(prepared_pair):
     assert not is_known.any()
 
 
-def test_thinned_points_keep_their_distance():
-    points = np.random.default_rng(0).uniform(size=(500, 3))
-    kept = points[thin(points, 0.1, 10_000)]
-    d = np.linalg.norm(kept[:, None] - kept[None], axis=2) + np.eye(len(kept))
-    assert d.min() >= 0.1
+def test_thinned_points_are_one_of_every_occupied_cube():
+    points = np.random.default_rng(0).uniform(-1, 1, size=(500, 3))
+    cubes = {tuple(c) for c in np.floor(points / 0.3).astype(int)}
+    kept = np.floor(points[thin(points, 0.3, 10_000)] / 0.3).astype(int)
+    assert len(kept) == len(cubes)
+    assert {tuple(c) for c in kept} == cubes
     assert len(thin(points, 0.01, 50)) <= 50
 
 

@@ -5,7 +5,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew
-from magmatch.registration.refinement import RefinedPose, sum_by_cell
+from magmatch.registration.cubes import sum_by_cube
+from magmatch.registration.refinement import RefinedPose
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Covariance6, Matrix
 
@@ -36,7 +37,7 @@ def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
     total = np.zeros_like(prior)
     n_used = 0
     for direction in pose.directions:
-        clusters = sum_by_cell(direction.scores, direction.positions, cell_side)
+        clusters = sum_by_cube(direction.scores, direction.positions, cell_side)
         n_cells = len(clusters)
         if n_cells < MIN_CELLS or np.linalg.cond(_balanced(direction.information[:6, :6])) > 1e12:
             continue

@@ -27,6 +27,9 @@ class InvariantSearchConfig(BaseModel):
     n_anchors: int = Field(default=400, ge=10)
     # Base points with the most similar invariants that each anchor is tried on.
     n_neighbours: int = Field(default=30, ge=1)
+    # Samples that every pose is judged by at first, and how many of the best poses go on to all of them.
+    n_first_samples: int = Field(default=40, ge=10)
+    n_second: int = Field(default=2000, ge=1)
     # Samples that judge a pose: half near its anchor, half anywhere.
     n_score_samples: int = Field(default=160, ge=20)
     # Samples that judge the few poses left.
@@ -79,11 +82,14 @@ def invariant_search(
     rows = judging_samples(pt, target, config.n_score_samples, rng)
     lengthscale = min(base.lengthscale, target.lengthscale)
     sd = np.array([config.sd_rotation, config.sd_translation * lengthscale])
-    scores = score_poses(R, pb, anchor_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
+    # Most hypotheses are wrong, and a few samples say so.
+    few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
+    for judges, n_kept in ((few, config.n_second), (rows, config.n_coarse)):
+        scores = score_poses(R, pb, anchor_rows, pt, judges, evidence, base, sd[0], sd[1], config.outlier_share)
+        best = np.argsort(-scores, kind="stable")[:n_kept]
+        R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
 
     log.info("refining the best hypotheses")
-    best = np.argsort(-scores, kind="stable")[: config.n_coarse]
-    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
     schedule = np.outer(COARSE_SCHEDULE, sd)
     R, pb, scores = anneal_poses(
         R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.3

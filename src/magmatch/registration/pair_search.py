@@ -12,8 +12,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.registration.annealing import anneal_poses
 from magmatch.registration.candidate import Candidate, SearchResult
+from magmatch.registration.cubes import thin
 from magmatch.registration.invariant_search import distinct_poses
-from magmatch.registration.prepared import PreparedMap, thin
+from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import Evidence, score_poses
 from magmatch.registration.walk import Walk
 from magmatch.typing import Indices, Points, Scalars, Tensors, Vectors

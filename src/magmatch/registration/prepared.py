@@ -7,14 +7,14 @@ Working in the model frame makes the answer follow every rigid motion of a surve
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.features.invariants import gradient_norm, rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
+from magmatch.registration.cubes import thin
 from magmatch.registration.raster import Raster, rasterize
-from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
+from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
 # Median of a chi-square variable with three degrees of freedom: robust variance from squared norms.
 MEDIAN_CHI2_3 = 2.366
@@ -124,35 +124,6 @@ def field_length(values: FieldValues) -> float:
     deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
     g2 = gradient_norm(_lawful_gradient(values)) ** 2
     return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))
-
-
-def thin(points: Points, distance: float, limit: int) -> Indices:
-    """Indices of points that keep a distance from each other; spread over the whole order when many remain.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    distance : float, m
-        No two kept points are closer than this.
-    limit : int
-        Most points to keep; the distance grows until they fit.
-
-    Returns
-    -------
-    (k,) int array
-        Rows to keep, increasing.
-    """
-    while True:
-        tree = cKDTree(points)
-        is_kept = np.ones(len(points), dtype=bool)
-        for row, neighbours in enumerate(tree.query_ball_point(points, distance)):
-            if is_kept[row]:
-                is_kept[neighbours] = False
-                is_kept[row] = True
-        kept = np.flatnonzero(is_kept)
-        if len(kept) <= limit:
-            return kept.astype(np.int64)
-        distance *= 1.26
 
 
 def _lawful_gradient(values: FieldValues) -> Tensors:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import FieldValues
 from magmatch.geometry import rotate_vectors, skew, transform_points
+from magmatch.registration.cubes import sum_by_cube
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
@@ -23,6 +24,8 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, 
 MIN_SAMPLES = 20
 # Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
+# Steps end when one moves the estimate by less than this many of its standard deviations.
+CONVERGED = 1e-3
 # Longest step: rad, and in lengthscales.
 MAX_TURN, MAX_SHIFT = 0.1, 0.3
 
@@ -136,7 +139,7 @@ def refine(
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
         T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
-        if np.abs(xi[:6]).max() < 1e-9:
+        if float(xi @ A @ xi) < CONVERGED**2:
             break
     return RefinedPose(T, center, sensor, sd, compare(base, target, T, center, sensor, rows))
 
@@ -154,18 +157,10 @@ def normal_equations(directions: tuple[Direction, ...]) -> tuple[Matrix, np.ndar
     return A, v
 
 
-def sum_by_cell(rows: Matrix, positions: Points, side: float) -> Matrix:
-    """Rows added up over the cubic cells their positions fall into, one row per occupied cell."""
-    _, index = np.unique(np.floor(positions / side).astype(np.int64), axis=0, return_inverse=True)
-    sums = np.zeros((int(index.max()) + 1, rows.shape[1]))
-    np.add.at(sums, index.ravel(), rows)
-    return sums
-
-
 def overdispersion(directions: tuple[Direction, ...], side: float) -> float:
     """By how much cell-wise sums of the gradient scatter more than independent samples would (at least 1)."""
     A, _ = normal_equations(directions)
-    clusters = np.concatenate([sum_by_cell(d.scores, d.positions, side) for d in directions])
+    clusters = np.concatenate([sum_by_cube(d.scores, d.positions, side) for d in directions])
     meat = clusters.T @ clusters
     ratio = np.trace(np.linalg.lstsq(A, meat, rcond=1e-10)[0]) / len(A)
     return max(1.0, float(ratio))

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
+from magmatch.registration.cubes import cube_keys
 from magmatch.typing import Matrix, Points, Scalars, Vectors
 
 # More cells than this add cost, not certainty.
@@ -132,10 +133,7 @@ def average_cells(positions: Points, side: float) -> CellMeans:
     -------
     CellMeans
     """
-    _, cell, counts = np.unique(
-        np.floor(positions / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-    )
-    cell = cell.ravel()
+    _, cell, counts = np.unique(cube_keys(positions, side), return_inverse=True, return_counts=True)
     chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_CELLS)).astype(np.int64))
     renamed = np.full(len(counts), -1)
     renamed[chosen] = np.arange(len(chosen))
