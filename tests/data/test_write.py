@@ -77,6 +77,14 @@ def test_mcap_is_read_by_the_mcap_library_and_typed_by_rosbags(walk, tmp_path):
     assert {m.header.frame_id for _, m in found["/magmatch/pose"]} == {"hall"}
 
 
+def test_a_clock_that_begins_at_zero_keeps_its_first_sample(walk, tmp_path, caplog):
+    survey = Survey(walk.positions, walk.field, np.arange(60.0) / 8, walk.orientations, frame="hall")
+    back = read_survey(write(survey, tmp_path / "walk.mcap"))
+    np.testing.assert_array_equal(back.times, survey.times)
+    np.testing.assert_array_equal(back.field, survey.field)
+    assert "stamp" not in caplog.text
+
+
 def test_positions_without_orientations_go_through_mcap(walk, tmp_path):
     bare = Survey(walk.positions, walk.field, walk.times)
     survey = read_survey(write(bare, tmp_path / "bare.mcap"))

@@ -137,7 +137,7 @@ def settle_clock(path: Path, streams: Sequence[Stream]) -> list[Stream]:
     if unstamped:
         logger.warning("%s: the headers of %s have no stamps; log times are used", path, ", ".join(unstamped))
         return [_map(stream, lambda part: replace(part, stamp_ns=part.log_ns)) for stream in streams]
-    kept = [_map(stream, lambda part: _subset(part, part.stamp_ns > 0)) for stream in streams]
+    kept = [_map(stream, lambda part: _subset(part, _has_stamp(part))) for stream in streams]
     for before, after in zip(streams, kept, strict=True):
         n = sum(len(part.number) for part in before.entries.values())
         n -= sum(len(part.number) for part in after.entries.values())
@@ -192,6 +192,11 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
         logger.warning("%s: left out %d messages of %s whose time another one has", path, n_twice, topic)
         entries = _subset(entries, is_new)
     return entries
+
+
+def _has_stamp(part: Entries) -> np.ndarray:
+    """Zero stands for no stamp in ROS, but for a moment where the message was logged at zero too: a clock from zero."""
+    return np.asarray((part.stamp_ns > 0) | ((part.stamp_ns == 0) & (part.log_ns == 0)))
 
 
 def _delay_ns(stream: Stream) -> float:
