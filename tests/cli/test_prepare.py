@@ -2,6 +2,8 @@
 """``magmatch prepare`` reads logs as they come, writes a survey and a report, and refuses in one line."""
 
 import json
+import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +75,54 @@ def test_a_sensor_turned_about_is_a_known_one(logs, run, tmp_path):
     assert run(*words(logs, *more)).code == 0
     sensor = json.loads((tmp_path / "s.json").read_text())["sensor"]
     np.testing.assert_allclose(sensor["shift"], HARD_IRON, rtol=0, atol=1e-9)
+
+
+def write_log(path, survey, amps):
+    """Field and poses of a survey as MCAP, with a topic of a current beside them."""
+    from mcap.writer import Writer
+
+    def head(stamp, frame):
+        raw = b"\0\1\0\0" + struct.pack("<iII", *divmod(stamp, 10**9), len(frame) + 1) + frame + b"\0"
+        return raw + bytes(-(len(raw) - 4) % 8)
+
+    types = {"/mag": "sensor_msgs/msg/MagneticField", "/pose": "geometry_msgs/msg/PoseStamped",
+             "/wheels/amps": "std_msgs/msg/Float64"}  # fmt: skip
+    readings = survey.orientations.apply(survey.field, inverse=True)
+    poses = np.hstack([survey.positions, survey.orientations.as_quat()])
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        ids = {
+            topic: writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
+            for topic, kind in types.items()
+        }
+        for i, t in enumerate(survey.times.tolist()):
+            stamp = 10**15 + round(t * 1e9)
+            for topic, payload in {
+                "/mag": head(stamp, b"mag") + readings[i].tobytes() + bytes(72),
+                "/pose": head(stamp, b"map") + poses[i].tobytes(),
+                "/wheels/amps": b"\0\1\0\0" + struct.pack("<d", amps[i]),
+            }.items():
+                writer.add_message(ids[topic], stamp, payload, stamp)
+        writer.finish()
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 2e-6])
+def test_a_current_of_a_bag_is_flagged_where_the_field_follows_it(amplitude, run, tmp_path):
+    pytest.importorskip("mcap")
+    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
+    clean = simulate("office-hand-held", 3, SimulationConfig(n_samples=600, room_size=(1.5, 1.5, 0.5))).target
+    amps = 5.0 + np.sign(np.sin(1.7 * np.arange(len(clean))))
+    field = clean.field + clean.orientations.apply(np.outer(amps - 5.0, [amplitude, 0.0, 0.0]))
+    write_log(tmp_path / "log.mcap", replace(clean, field=field), amps)
+    quick = {"time_offset": {"mode": "off"}, "disturbances": {"spikes": "off", "moving_metal": "off"}}
+    (tmp_path / "quick.yaml").write_text(json.dumps(quick))
+    outcome = run("prepare", tmp_path / "log.mcap", "--out", tmp_path / "s.csv", "--config", tmp_path / "quick.yaml")
+    assert outcome.code == 0, outcome.err
+    steps = {step["step"]: step for step in json.loads((tmp_path / "s.json").read_text())["steps"]}
+    found = steps["channel /wheels/amps"]
+    assert found["outcome"] == ("flagged" if amplitude else "unchanged")
+    np.testing.assert_allclose(found["figures"]["estimate"], [amplitude, 0, 0], rtol=0, atol=2e-7)
 
 
 @pytest.mark.parametrize(

@@ -57,10 +57,8 @@ def prepare(
     Each step says what it found, before and after. Corrections are made only where the data show them; samples are
     flagged, and left out only where the configuration says so.
     """
-    from magmatch.data.channels import read_channels
     from magmatch.data.load_trajectory import load_trajectory
-    from magmatch.data.read import read_survey
-    from magmatch.data.sniff import sniff
+    from magmatch.data.read import read_survey_and_channels
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare as run
 
@@ -74,10 +72,7 @@ def prepare(
     if config is not None:
         read = read_settings(config)
         settings = merged(settings, read.get("preparation", read), config)
-    survey = read_survey(log, layout)
-    channels = {}
-    if settings.currents.mode != "off" and sniff(log) == "csv":
-        channels = read_channels(log).at(survey.times, len(survey))
+    survey, channels = read_survey_and_channels(log, layout)
     trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
     prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where, sensor=known)

@@ -2,6 +2,8 @@
 """Parquet tables of samples: the columns of the survey CSV, in binary."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,66 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     MissingExtraError
         Reading Parquet needs the extra ``parquet``.
     """
+    with _opened(path) as (file, pa):
+        names = [str(name) for name in file.schema_arrow.names]
+        known = _known(layout)
+        wanted = {name: known[name.lower()] for name in names if name.lower() in known}
+        if len(set(wanted.values())) < len(wanted):
+            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
+        for name in wanted:
+            _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
+        found = _columns(Path(path), file, list(wanted), pa)
+        about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
+    comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
+    n_rows = len(next(iter(found.values()), ()))
+    columns = {wanted[name]: values for name, values in found.items()}
+    return Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+
+
+def read_other_columns(
+    path: str | Path, layout: SurveyFormat, most: int
+) -> tuple[Scalars | None, dict[str, Scalars]]:
+    """Read the number columns of a Parquet file that are none of a survey's.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    layout : SurveyFormat
+        Names of the survey's own columns where they differ.
+    most : int
+        How many columns to read at most.
+
+    Returns
+    -------
+    times : (n,) array, optional
+        In the file's unit, time stamps in seconds.
+    columns : dict of str to (n,) array
+        Columns that hold anything but finite numbers are left out.
+    """
+    known = _known(layout)
+    columns: dict[str, Scalars] = {}
+    with _opened(path) as (file, pa):
+        schema, times = file.schema_arrow, None
+        for name in schema.names:
+            ours = known.get(name.lower())
+            if (ours is None and len(columns) == most) or ours not in (None, "t") or schema.names.count(name) > 1:
+                continue
+            try:
+                _require_numbers(Path(path), name, schema.field(name).type, pa)
+                values = _columns(Path(path), file, [name], pa)[name]
+            except DataFormatError:
+                continue
+            if ours == "t":
+                times = values
+            else:
+                columns[name] = values
+    return times, columns
+
+
+@contextmanager
+def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
+    """The file and pyarrow; whatever is wrong with the file becomes one error."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -54,7 +116,7 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         with pq.ParquetFile(
             path, thrift_string_size_limit=MAX_THRIFT, thrift_container_size_limit=MAX_THRIFT, pre_buffer=False
         ) as file:
-            return _read(Path(path), file, layout, pa)
+            yield file, pa
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
         if isinstance(error, DataFormatError):
             raise
@@ -62,32 +124,29 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
 
 
-def _read(path: Path, file: Any, layout: SurveyFormat, pa: Any) -> Table:
-    schema, n_rows = file.schema_arrow, file.metadata.num_rows
+def _known(layout: SurveyFormat) -> dict[str, str]:
+    """Our names of the columns of a survey by the file's, lower case."""
+    theirs = layout.column_names()
+    return theirs | {name: name for name in COLUMNS if name not in theirs.values()}
+
+
+def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scalars]:
+    """Some columns, read in pieces."""
+    n_rows = file.metadata.num_rows
     if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * path.stat().st_size):
         message = f"declares {n_rows} rows in {path.stat().st_size} bytes, expected at most {MAX_ROWS}"
         raise DataFormatError(path, f"{message} and {MAX_ROWS_PER_BYTE} a byte")
-    theirs = layout.column_names()
-    known = theirs | {name: name for name in COLUMNS if name not in theirs.values()}
-    wanted = {name: known[name.lower()] for name in schema.names if name.lower() in known}
-    if len(set(wanted.values())) < len(wanted):
-        raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
-    for name in wanted:
-        _require_numbers(path, name, schema.field(name).type, pa)
-    blocks: dict[str, list[Scalars]] = {name: [] for name in wanted}
+    blocks: dict[str, list[Scalars]] = {name: [] for name in names}
     n_read = 0
-    for batch in file.iter_batches(batch_size=65_536, columns=list(wanted), use_threads=False):
-        for name in wanted:
+    for batch in file.iter_batches(batch_size=65_536, columns=names, use_threads=False):
+        for name in names:
             blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa))
         n_read += batch.num_rows
         if n_read > n_rows:
             raise DataFormatError(path, f"holds more than the {n_rows} rows it declares")
     if not n_read:
         raise DataFormatError(path, "holds no rows")
-    about = (schema.metadata or {}).get(SCHEMA.encode())
-    comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
-    columns = {ours: np.concatenate(blocks[name]) for name, ours in wanted.items()}
-    return Table(path, tuple(schema.names), columns, np.arange(1, n_read + 1), comments)
+    return {name: np.concatenate(blocks[name]) for name in names}
 
 
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:

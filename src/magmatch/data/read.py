@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from magmatch.data.channels import read_channels
 from magmatch.data.checks import check_survey
 from magmatch.data.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.euroc import read_euroc_field
@@ -17,6 +18,7 @@ from magmatch.data.recording import Recording
 from magmatch.data.sniff import FileKind, sniff
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
+from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
@@ -60,7 +62,42 @@ def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
     >>> len(read_survey(path))
     50
     """
-    survey, layout = read_unchecked(path, format)
+    return _checked(path, *read_unchecked(path, format))
+
+
+def read_survey_and_channels(
+    path: str | Path, format: SurveyFormat | None = None
+) -> tuple[Survey, dict[str, Scalars]]:
+    """Read a survey, and the other numbers of its log at its samples.
+
+    Parameters
+    ----------
+    path, format
+        As in `read_survey`.
+
+    Returns
+    -------
+    survey : Survey
+    channels : dict of str to (n,) array
+        Number columns of a table, number topics of a bag or MCAP file (currents, efforts), in their own units.
+
+    Raises
+    ------
+    DataFormatError, SurveyError
+        As `read_survey`.
+    """
+    layout = format or SurveyFormat()
+    if sniff(path) != "log":
+        survey = read_survey(path, layout)
+        return survey, read_channels(path, layout).at(survey.times, len(survey))
+    recording = read_log(path, layout, with_channels=True)
+    survey, used = _joined(recording, layout)
+    survey = _checked(path, replace(survey, name=Path(path).name), used)
+    return survey, recording.channels.at(survey.times, len(survey))
+
+
+def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
+    """The survey itself; doubts are logged."""
     for warning in check_survey(replace(survey, name=str(path)), layout):
         logger.warning("%s: %s", path, warning)
     return survey

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.channels import NO_CHANNELS, Channels
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
@@ -39,6 +40,8 @@ class Recording:
         Name of the survey frame.
     poses_from : Path, optional
         Another file that the poses came from.
+    channels : Channels
+        Other numbers of the log, where they were asked for.
     """
 
     path: Path
@@ -49,6 +52,7 @@ class Recording:
     has_orientations: bool = True
     frame: str = "survey"
     poses_from: Path | None = None
+    channels: Channels = NO_CHANNELS
 
     def carried(self, T_body_sensor: RigidTransform | None) -> "Recording":
         """Turn poses of the carrying body into poses of the sensor.

@@ -55,7 +55,7 @@ class Cursor:
     def numbers(self, kind: str, n: int) -> np.ndarray:
         """Next numbers, (k, n), of a NumPy type such as ``f8``."""
         size = np.dtype(kind).itemsize
-        if self.encoding == "cdr":
+        if self.encoding == "cdr" and n:  # what is empty is not aligned
             self._at += -(self._at - self._origin) % size
         return np.ascontiguousarray(self._take(n * size)).view(self._order + kind)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.channels import NO_CHANNELS
 from magmatch.data.extrinsic import read_extrinsic
 from magmatch.data.format import SurveyFormat
 from magmatch.data.load_trajectory import load_trajectory
@@ -16,6 +17,7 @@ from magmatch.data.logs.choose import STATIC_TOPICS, TREE_TYPES, Choice, choose_
 from magmatch.data.logs.frames import FrameTree, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import ENCODINGS, Entries, Frames
+from magmatch.data.logs.numbers import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
 from magmatch.data.nanoseconds import seconds_of
@@ -49,7 +51,7 @@ class Poses:
     source: Path | None = None
 
 
-def read_log(path: str | Path, layout: SurveyFormat) -> Recording:
+def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = False) -> Recording:
     """Read field and poses of a ROS 1 bag, ROS 2 bag or MCAP file, each at its own times.
 
     Parameters
@@ -58,6 +60,8 @@ def read_log(path: str | Path, layout: SurveyFormat) -> Recording:
         The file or folder.
     layout : SurveyFormat
         Topics, frames and extrinsic where they are not to be chosen; units.
+    with_channels : bool
+        Read topics of plain numbers too, such as currents.
 
     Returns
     -------
@@ -70,12 +74,12 @@ def read_log(path: str | Path, layout: SurveyFormat) -> Recording:
         Damaged, or without the topics that a survey needs.
     """
     with closing(open_log(path, recover=layout.recover)) as log:
-        recording = _read(log, layout)
+        recording = _read(log, layout, with_channels=with_channels)
         _tell_losses(log)
     return recording
 
 
-def _read(log: Log, layout: SurveyFormat) -> Recording:
+def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     topics = log.topics()
     choice, moving = _choose(log.path, topics, layout)
     wanted = [choice.field, *([choice.pose] if choice.pose else []), *moving]
@@ -101,6 +105,7 @@ def _read(log: Log, layout: SurveyFormat) -> Recording:
         has_orientations=poses.has_orientations,
         frame=poses.fixed or "survey",
         poses_from=poses.source,
+        channels=read_numbers(log, topics, _delay_ns(field)) if with_channels else NO_CHANNELS,
     ).carried(extrinsic)
 
 
@@ -144,6 +149,11 @@ def _extrinsic(path: Path, layout: SurveyFormat, tree: FrameTree, poses: Poses, 
             path, sensor, repr(poses.body) if poses.body else "the body whose poses these are",
         )  # fmt: skip
     return T_body_sensor
+
+
+def _delay_ns(field: Entries) -> float:
+    """How much later messages are logged than their times say."""
+    return float(np.median(field.log_ns - field.stamp_ns)) if len(field.number) else 0.0
 
 
 def _of_one_frame(path: Path, stream: Stream) -> Entries:

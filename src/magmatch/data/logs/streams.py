@@ -195,7 +195,7 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
 
 
 def _has_stamp(part: Entries) -> np.ndarray:
-    """Zero stands for no stamp in ROS, but for a moment where the message was logged at zero too: a clock from zero."""
+    """Zero stands for no stamp, but for a moment where the message was logged at zero too: simulated clocks."""
     return np.asarray((part.stamp_ns > 0) | ((part.stamp_ns == 0) & (part.log_ns == 0)))
 
 
