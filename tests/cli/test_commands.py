@@ -264,3 +264,19 @@ def test_demo_works_without_the_picture(place, run, tmp_path, monkeypatch):
     assert "No picture: " in outcome.err
     assert "magmatch[viz]" in outcome.err
     assert [path.name for path in (tmp_path / "demo").iterdir()] == ["result.json"]
+
+
+def test_evaluate_lists_what_there_is(run):
+    outcome = run("evaluate", "list")
+    assert outcome.code == 0
+    assert all(name in outcome.out for name in ("office-z30", "corridor", "default", "paper"))
+
+
+def test_evaluate_runs_a_small_experiment_and_goes_on_where_it_stood(run, tmp_path):
+    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
+    words = ("evaluate", "quick-office-x30", "--quick", "--methods", "default", "--seeds", 1, "--out", tmp_path / "e")
+    first, again = run(*words), run(*words)
+    assert first.code == again.code == 0
+    assert "| quick-office-x30 | default | 1 of 1 |" in first.out
+    assert first.out == again.out
+    assert "0 of 1 trials" not in again.err

@@ -8,7 +8,20 @@ from typing import Annotated
 import typer
 
 from magmatch import __version__
-from magmatch.cli import convert, datasets, demo, info, map, prepare, query, register, simulate, transform, view
+from magmatch.cli import (
+    convert,
+    datasets,
+    demo,
+    evaluate,
+    info,
+    map,
+    prepare,
+    query,
+    register,
+    simulate,
+    transform,
+    view,
+)
 from magmatch.cli.boundary import guarded
 from magmatch.cli.command import Debug, Verbose
 from magmatch.cli.narration import narrated, put
@@ -28,7 +41,7 @@ Exit codes:
 """
 
 # In the order in which one gets to know the program.
-COMMANDS = (register, transform, prepare, map, query, info, view, convert, simulate, datasets, demo)
+COMMANDS = (register, transform, prepare, map, query, info, view, convert, simulate, datasets, demo, evaluate)
 
 
 def build_app() -> typer.Typer:

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows that outlive a crash: appended line by line, each batch on the disk before the next is counted."""
+
+import csv
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from magmatch.atomic import atomic_write
+from magmatch.errors import DataFormatError
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What came of one trial.
+
+    Attributes
+    ----------
+    experiment, method : str
+    seed : int
+    digest : str
+        Fingerprint of the settings it was made with.
+    status, reason : str
+        Of the result; status ``fault`` where the method broke down.
+    is_accepted : bool
+    is_there : bool
+        Whether there was anything to be found.
+    distance, angle : float, m and rad
+        Error of the best pose, accepted or not; inf where there is none.
+    nees : float
+        Per degree of freedom; NaN where no covariance is stated.
+    n_base, n_target : int
+        Samples.
+    seconds : float, s
+        Of the processor, maps included.
+    peak_bytes : int
+    """
+
+    experiment: str
+    method: str
+    seed: int
+    digest: str
+    status: str
+    reason: str
+    is_accepted: bool
+    is_there: bool
+    distance: float
+    angle: float
+    nees: float
+    n_base: int
+    n_target: int
+    seconds: float
+    peak_bytes: int
+
+    @property
+    def key(self) -> tuple[str, str, int, str]:
+        """What no two rows share."""
+        return self.experiment, self.method, self.seed, self.digest
+
+
+class RowFile:
+    """Rows in a file of JSON lines that only ever grows.
+
+    Parameters
+    ----------
+    path : Path
+        Created with the first row.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def read(self) -> list[Row]:
+        """Read all whole rows; a last line that a crash cut off is left out.
+
+        Returns
+        -------
+        list of Row
+            In the order they were written, the first of equal keys only.
+
+        Raises
+        ------
+        DataFormatError
+            A line is not a row; names it.
+        """
+        if not self.path.exists():
+            return []
+        *lines, _ = self.path.read_bytes().split(b"\n")
+        rows = [_parsed(line, self.path, number) for number, line in enumerate(lines, start=1)]
+        return list({row.key: row for row in reversed(rows)}.values())[::-1]
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Write rows; once this returns they are on the disk."""
+        text = "".join(json.dumps(_plain(row)) + "\n" for row in rows)
+        with self.path.open("ab") as stream:
+            stream.write(text.encode())
+            stream.flush()
+            os.fsync(stream.fileno())
+
+    def mend(self) -> None:
+        """Cut off what a crash left of a line, so that the next row does not continue it."""
+        if not self.path.exists():
+            return
+        content = self.path.read_bytes()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            os.truncate(self.path, whole)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as a table for other programs, in an order that does not depend on when they were made."""
+    buffer = StringIO()
+    writer = csv.DictWriter(buffer, [f.name for f in fields(Row)], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.key))
+    with atomic_write(path) as stream:
+        stream.write(buffer.getvalue().encode())
+
+
+def _plain(row: Row) -> dict[str, Any]:
+    """JSON has no inf and no NaN: both become null, and a distance that is null is inf again."""
+    content = asdict(row)
+    return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in content.items()}
+
+
+def _parsed(line: bytes, path: Path, number: int) -> Row:
+    missing = {"distance": math.inf, "angle": math.inf, "nees": math.nan}
+    try:
+        content: dict[str, Any] = json.loads(line)
+        filled: dict[str, Any] = {name: missing.get(name) if v is None else v for name, v in content.items()}
+        return Row(**filled)
+    except (ValueError, TypeError, AttributeError):
+        raise DataFormatError(path, "is not a row of an evaluation; use another folder", line=number) from None

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: experiments and methods in, rows out, whatever interrupts it on the way."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from magmatch.evaluation.plan import Plan
+from magmatch.evaluation.rows import Row, RowFile, write_csv
+from magmatch.evaluation.trial import Batch, run_batch
+from magmatch.evaluation.workers import run_all
+
+ROWS, TABLE = "rows.jsonl", "rows.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a run is.
+
+    Attributes
+    ----------
+    n_done, n_all : int
+        Trials, those of earlier runs included.
+    seconds_left : float or None
+        By what this run's trials took so far; None before the first.
+    last : Batch or None
+        What was finished last.
+    """
+
+    n_done: int
+    n_all: int
+    seconds_left: float | None = None
+    last: Batch | None = None
+
+
+def evaluate(
+    plan: Plan,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    tell: Callable[[Progress], None] = lambda _: None,
+) -> list[Row]:
+    """Run the trials of a plan that have not been run yet.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : Path
+        Where rows are kept; those of an earlier run with the same settings are taken as they are.
+    jobs : int
+        Processes on this machine.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers do it instead.
+    tell : callable, optional
+        Is told of the progress.
+
+    Returns
+    -------
+    list of Row
+        Of the whole plan, in an order that does not depend on how often it was interrupted.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = RowFile(folder / ROWS)
+    kept.mend()
+    wanted = plan.keys()
+    known = [row for row in kept.read() if row.key in wanted]
+    todo = plan.remaining(known)
+    clock = _Clock(known, len(wanted), todo)
+    tell(clock.progress())
+    for batch, rows in run_all(run_batch, todo, jobs, scheduler):
+        kept.append(rows)
+        tell(clock.after(batch, rows))
+    found = sorted((row for row in kept.read() if row.key in wanted), key=lambda row: row.key)
+    write_csv(folder / TABLE, found)
+    return found
+
+
+class _Clock:
+    """Guesses the time left: what trials of the same kind took, scaled by how fast this run has been."""
+
+    def __init__(self, known: Sequence[Row], n_all: int, todo: Iterable[Batch]) -> None:
+        self._n_done, self._n_all = len(known), n_all
+        self._seconds: dict[str, list[float]] = {}
+        self._todo = {(b.experiment.name, b.seed): b for b in todo}
+        self._note(known)
+        self._start, self._work = time.perf_counter(), 0.0
+
+    def progress(self, last: Batch | None = None) -> Progress:
+        """Say where the run stands."""
+        if not self._work:
+            return Progress(self._n_done, self._n_all, None, last)
+        pace = (time.perf_counter() - self._start) / self._work
+        left = sum(self._expected(b.experiment.name, m.name) for b in self._todo.values() for m in b.methods)
+        return Progress(self._n_done, self._n_all, pace * left, last)
+
+    def after(self, batch: Batch, rows: Sequence[Row]) -> Progress:
+        """Say where the run stands after one more batch."""
+        self._todo.pop((batch.experiment.name, batch.seed))
+        self._n_done += len(rows)
+        self._work += sum(row.seconds for row in rows)
+        self._note(rows)
+        return self.progress(batch)
+
+    def _note(self, rows: Iterable[Row]) -> None:
+        for row in rows:
+            for kind in (f"{row.experiment} {row.method}", row.method, ""):
+                self._seconds.setdefault(kind, []).append(row.seconds)
+
+    def _expected(self, experiment: str, method: str) -> float:
+        """Mean seconds of the most similar trials so far."""
+        alike = next(self._seconds[kind] for kind in (f"{experiment} {method}", method, "") if kind in self._seconds)
+        return sum(alike) / len(alike)
