@@ -193,6 +193,7 @@ def test_bad_usage_is_one_line(case, good, out, run, tmp_path):
     assert good.read_bytes() == content
 
 
+LAUGHS = "a0: &a0 [1, 2]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
 CONFIGS: dict[str, tuple[str, str]] = {
     "not YAML": ("field: [1, 2\n", "line"),
     "tab": ("field:\n\tlengthscale: 1\n", "line 2"),
@@ -206,6 +207,11 @@ CONFIGS: dict[str, tuple[str, str]] = {
     "a number for a group": ("field: 3\n", "column 'field'"),
     "a Python object": ("!!python/object/apply:os.system ['true']\n", "line 1"),
     "empty file": ("", "empty"),
+    "values repeated without end": (LAUGHS, "repeats values by name"),
+    "a value that holds itself": ("field: &a [*a]\n", "repeats values by name"),
+    "nested without end": ("[" * 20_000, "nested too deeply"),
+    "JSON cut off": ('{"schema": "magmatch.registration/1", "config": {', "line 1"),
+    "larger than settings are": ("#" + "x" * (2 << 20), "larger than any settings"),
 }
 
 

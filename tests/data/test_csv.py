@@ -268,3 +268,23 @@ def test_missing_trajectory_is_named(log, tmp_path):
 def test_unknown_settings_are_refused(settings):
     with pytest.raises(ValueError, match="SurveyFormat"):
         SurveyFormat(**settings)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("size", [1, 64, 700])
+def test_a_file_read_in_blocks_is_the_same_survey(end, size, room, tmp_path, monkeypatch):
+    room.save(tmp_path / "whole.csv")
+    text = (tmp_path / "whole.csv").read_text()
+    (tmp_path / "room.csv").write_bytes("\ufeff".encode() + text.replace("\n", end).encode())
+    monkeypatch.setattr("magmatch.data.text.BLOCK", size)
+    survey = read_survey(tmp_path / "room.csv")
+    np.testing.assert_array_equal(survey.field, room.field)
+    np.testing.assert_array_equal(survey.times, room.times)
+
+
+def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.data.text.BLOCK", 1000)
+    monkeypatch.setattr("magmatch.data.text.MAX_LINE", 5000)
+    (tmp_path / "room.csv").write_text("x,y,z,bx,by,bz\n" + "1" * 10_000)
+    with pytest.raises(DataFormatError, match="a line of more than 5000 bytes"):
+        read_survey(tmp_path / "room.csv")

@@ -110,7 +110,8 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     """Known correction of the sensor, from a report or from a recording of it being turned about."""
     from magmatch.data.survey import FIELD_COLUMNS
-    from magmatch.data.table import read_bytes, read_table
+    from magmatch.data.table import read_table
+    from magmatch.data.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
     from magmatch.preparation.ellipsoid import fit_ellipsoid
     from magmatch.preparation.report import PreparationReport

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Configuration from a preset and a YAML file; mistakes name the setting."""
 
+import json
 from collections.abc import Mapping
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from magmatch.registration.config import RegistrationConfig
 
 Config = TypeVar("Config", bound=BaseModel)
+# Bytes of settings, and of a result that is taken for its settings; stated in docs/formats.md.
+MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
 
 
 def registration_config(preset: str, path: Path | None, sensor: str = "auto") -> "RegistrationConfig":
@@ -114,19 +118,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     DataFormatError
         Not readable, no YAML, or no mapping.
     """
-    import yaml
-
-    from magmatch.data.table import read_bytes, text_lines
-
-    try:
-        content = yaml.safe_load("\n".join(text_lines(path, read_bytes(path))))
-    except yaml.MarkedYAMLError as error:
-        line = None if error.problem_mark is None else error.problem_mark.line + 1
-        raise DataFormatError(path, f"is not YAML: {error.problem or error.context}", line=line) from None
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        if isinstance(error, DataFormatError):
-            raise
-        raise DataFormatError(path, f"is not YAML: {error or 'nested too deeply'}") from None
+    content = _parsed(path)
     if isinstance(content, dict) and str(content.get("schema", "")).startswith("magmatch.registration/"):
         content = content.get("config")
     if content is None:
@@ -135,6 +127,30 @@ def read_settings(path: Path) -> dict[str, Any]:
         message = f"expected settings as 'name: value' lines, found {type(content).__name__}"
         raise DataFormatError(path, message)
     return {str(key): value for key, value in content.items()}
+
+
+def _parsed(path: Path) -> Any:
+    """Content of a YAML file, or of a result, which is JSON: for that a YAML parser takes a hundred times longer."""
+    import yaml
+
+    from magmatch.data.text import read_bytes, text_lines
+    from magmatch.data.yaml_text import load_yaml
+
+    raw = read_bytes(path, MAX_RESULT_BYTES + 1)
+    if raw[:1] == b"{":
+        with suppress(ValueError, RecursionError):  # a mapping in braces may be YAML
+            return json.loads(raw)
+    if len(raw) > MAX_BYTES:
+        raise DataFormatError(path, f"is larger than any settings ({MAX_BYTES} bytes)")
+    try:
+        return load_yaml("\n".join(text_lines(path, raw)))
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise DataFormatError(path, f"is not YAML: {error.problem or error.context}", line=line) from None
+    except (yaml.YAMLError, ValueError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, f"is not YAML: {error}") from None
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -149,7 +165,7 @@ def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
 def _explain(model: type[BaseModel], error: Mapping[str, Any]) -> str:
     """What pydantic found, with the nearest known name for an unknown one."""
     if error["type"] != "extra_forbidden":
-        return f"{error['msg']}, found {error['input']!r}"
+        return f"{error['msg']}, found {repr(error['input'])[:60]}"
     names, place = list(model.model_fields), error["loc"]
     for part in place[:-1]:
         inner = model.model_fields[str(part)].annotation

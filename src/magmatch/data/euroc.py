@@ -7,9 +7,11 @@ import numpy as np
 
 from magmatch.data.nanoseconds import seconds_of
 from magmatch.data.quaternions import rotations_of
-from magmatch.data.table import Table, read_bytes, read_table, text_lines
+from magmatch.data.table import Table, read_table
+from magmatch.data.text import text_blocks
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
+from magmatch.typing import Indices
 
 POSE_COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 FIELD_COLUMNS = ("t", "bx", "by", "bz")
@@ -62,23 +64,40 @@ def read_euroc_field(path: str | Path) -> Table:
 
 def _read(path: str | Path, names: tuple[str, ...]) -> Table:
     """Rows with their stamps as seconds, rounded once."""
-    lines = text_lines(path, read_bytes(path))
-    first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    n_columns = len(first.rstrip(", \t").split(","))
+    n_columns = _width(path)
     if n_columns < len(names):
         raise DataFormatError(path, f"expected rows of {', '.join(names)}; found {n_columns} cells")
     rest = tuple(f"column {k + 1}" for k in range(len(names), n_columns))
     table = read_table(path, names, (*names, *rest))
     table.require_increasing("t")
-    numbers = set(table.line_numbers.tolist())
-    stamps = [line.split(",")[0].strip() for i, line in enumerate(lines, 1) if i in numbers]
-    for line, stamp in zip(table.line_numbers.tolist(), stamps, strict=True):
-        if not stamp.isdecimal() or len(stamp) > 19:
-            message = f"expected whole nanoseconds, found {stamp[:40]!r}"
-            raise DataFormatError(path, message, line=line, column="t")
-    times = seconds_of([int(stamp) for stamp in stamps])
+    stamps = _stamps(path, table)
+    times = seconds_of(stamps.tolist())
     wrong = np.flatnonzero(np.diff(times) <= 0)
     if len(wrong):
         message = "time steps are shorter than float64 seconds can tell apart"
         raise DataFormatError(path, message, line=int(table.line_numbers[wrong[0] + 1]), column="t")
     return Table(table.path, table.names, table.columns | {"t": times}, table.line_numbers, table.comments)
+
+
+def _width(path: str | Path) -> int:
+    """Cells of the first row."""
+    for block in text_blocks(path):
+        for line in block.lines:
+            if line.strip() and not line.lstrip().startswith("#"):
+                return len(line.rstrip(", \t").split(","))
+    return 1
+
+
+def _stamps(path: str | Path, table: Table) -> Indices:
+    """First cells of all rows as whole numbers, which float64 cannot hold."""
+    stamps, n = np.empty(len(table), dtype=np.int64), 0
+    for block in text_blocks(path):
+        stop = int(np.searchsorted(table.line_numbers, block.start + len(block.lines), side="right"))
+        for line in table.line_numbers[n:stop].tolist():
+            stamp = block.lines[line - block.start - 1].split(",")[0].strip()
+            if not stamp.isdecimal() or len(stamp) > 19 or int(stamp) >= 2**63:
+                message = f"expected whole nanoseconds, found {stamp[:40]!r}"
+                raise DataFormatError(path, message, line=line, column="t")
+            stamps[n] = int(stamp)
+            n += 1
+    return stamps

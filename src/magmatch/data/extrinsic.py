@@ -9,9 +9,11 @@ import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.quaternions import MAX_NORM_ERROR
-from magmatch.data.table import read_bytes
+from magmatch.data.text import read_bytes
+from magmatch.data.yaml_text import load_yaml
 from magmatch.errors import ConfigurationError, DataFormatError
 
+MAX_BYTES = 64 << 10
 EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
 
 
@@ -52,8 +54,8 @@ def read_extrinsic(text: str) -> RigidTransform:
 
 def _from_yaml(path: Path) -> RigidTransform:
     try:
-        content = yaml.safe_load(read_bytes(path, 1 << 20).decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        content = load_yaml(read_bytes(path, MAX_BYTES).decode("utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(path, "is not YAML, expected the extrinsic of the magnetometer") from None

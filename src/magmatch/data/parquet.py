@@ -13,7 +13,8 @@ from magmatch.atomic import atomic_write
 from magmatch.data.format import SurveyFormat
 from magmatch.data.nanoseconds import seconds_of
 from magmatch.data.survey import COLUMNS, SCHEMA, Survey
-from magmatch.data.table import Table, read_bytes
+from magmatch.data.table import Table
+from magmatch.data.text import read_bytes
 from magmatch.errors import DataFormatError, MissingExtraError
 from magmatch.typing import Scalars
 

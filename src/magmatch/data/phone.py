@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from magmatch.data.sniff import BROKEN_ZIP, PHONE_MEMBERS, is_phone_member
-from magmatch.data.table import Table, is_folder, read_bytes, read_table, text_lines
+from magmatch.data.table import Table, read_table
+from magmatch.data.text import is_folder, read_bytes, text_lines
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ import zlib
 from pathlib import Path
 from typing import Literal
 
-from magmatch.data.table import is_folder, read_bytes, text_lines
+from magmatch.data.text import is_folder, read_bytes, text_lines
 from magmatch.errors import DataFormatError
 
 FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "phone"]
@@ -61,6 +61,7 @@ BROKEN_ZIP = (
 )
 _REGISTRATION_SCHEMA = "magmatch.registration/"
 _TUM_WIDTH = 8
+MAX_JSON = 64 << 20
 _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
 
 
@@ -153,8 +154,13 @@ def _sniff_archive(path: str | Path) -> FileKind:
 def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
     try:
-        content = json.loads(read_bytes(path).decode("utf-8-sig"))
+        raw = read_bytes(path, MAX_JSON + 1)
+        if len(raw) > MAX_JSON:
+            raise DataFormatError(path, f"is JSON of more than {MAX_JSON} bytes, expected a survey (CSV)")
+        content = json.loads(raw.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
+        if isinstance(error, DataFormatError):
+            raise
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
     schema = content.get("schema") if isinstance(content, dict) else None
     if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):

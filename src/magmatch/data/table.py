@@ -2,8 +2,6 @@
 """Text tables of numbers: read by column name, faults found by line and column, written whole or not at all."""
 
 import csv
-import errno
-import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.text import Block, text_blocks
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 
 # Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
 CHUNK_ROWS = 20_000
-
-# Faults of the name that was given; others are faults of the machine.
-BAD_NAME = {errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EINVAL}
+# Comment lines above the first row that are kept.
+MAX_COMMENTS = 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,91 +81,6 @@ class Table:
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
 
 
-def is_folder(path: str | Path) -> bool:
-    """Whether this is a folder; impossible names are none, and are refused where they are read."""
-    try:
-        return Path(path).is_dir()
-    except (OSError, ValueError):
-        return False
-
-
-def read_bytes(path: str | Path, limit: int = -1) -> bytes:
-    """Give a regular file's content; what is not one is refused in words.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    limit : int
-        How many bytes to read at most; all by default.
-
-    Returns
-    -------
-    bytes
-        Its content, from the beginning.
-
-    Raises
-    ------
-    DataFormatError
-        No such file, a folder, a device, or no permission to read.
-    """
-    place = Path(path)
-    if "\0" in str(path):
-        raise DataFormatError(path, "holds a NUL character, expected the name of a file")
-    try:
-        mode = place.stat().st_mode
-        if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
-            raise DataFormatError(path, "is not a regular file (a device, pipe or socket), expected a file")
-        if stat.S_ISDIR(mode):
-            raise DataFormatError(path, "is a folder, expected a file")
-        with place.open("rb") as stream:
-            return stream.read(limit)
-    except FileNotFoundError:
-        raise DataFormatError(path, "no such file") from None
-    except PermissionError:
-        raise DataFormatError(path, "no permission to read it") from None
-    except OSError as error:
-        if error.errno not in BAD_NAME:
-            raise
-        raise DataFormatError(path, f"cannot be opened: {error.strerror}") from None
-
-
-def text_lines(path: str | Path, raw: bytes) -> list[str]:
-    """Give the lines of a text file, whatever its line ends; UTF-8 (or UTF-16 with a byte order mark).
-
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    raw : bytes
-        Its content.
-
-    Returns
-    -------
-    list of str
-        Lines without their ends.
-
-    Raises
-    ------
-    DataFormatError
-        Empty, binary, or in another encoding.
-    """
-    if not raw.strip():
-        raise DataFormatError(path, "the file is empty" if not raw else "the file holds only white space")
-    try:
-        text = raw.decode("utf-16" if raw[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        message = (
-            f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save it as UTF-8, or it is not a text file at all"
-        )
-        raise DataFormatError(path, message, line=line) from None
-    if "\0" in text:
-        line = text.count("\n", 0, text.index("\0")) + 1
-        raise DataFormatError(path, "holds NUL bytes: a binary file, or one cut off while writing", line=line)
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-
-
 def read_table(
     path: str | Path, known: Collection[str], names: Sequence[str] | None = None, raw: bytes | None = None
 ) -> Table:
@@ -197,32 +110,82 @@ def read_table(
     DataFormatError
         With line and column wherever one is at fault.
     """
-    lines = text_lines(path, read_bytes(path) if raw is None else raw)
-    # A row of delimiters alone is what spreadsheets write for a blank line.
-    numbers = [i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")]
-    if not numbers:
-        raise DataFormatError(path, "holds only comments and blank lines, expected rows of numbers")
-    comments = tuple(line.strip().lstrip("#").strip() for line in lines[: numbers[0]] if line.strip())
-    first = lines[numbers[0]]
-    delimiter = _delimiter(path, first, numbers[0] + 1)
-    if names is None:
-        names = _header(path, _split(first, delimiter), numbers.pop(0) + 1, known, comments)
-    if not numbers:
-        raise DataFormatError(path, "has a header row but no samples under it")
-    wanted = {name: k for k, name in enumerate(names) if name in known}
-    if not wanted:
-        raise DataFormatError(path, f"expected columns such as {_listed(tuple(known))}; found {_listed(names)}")
-    blocks: list[Matrix] = []
-    for start in range(0, len(numbers), CHUNK_ROWS):
-        chunk = numbers[start : start + CHUNK_ROWS]
-        rows = [lines[i] for i in chunk]
-        block = _numbers_at_once(rows, delimiter, len(names), wanted)
+    reader = _TableReader(path, known, names)
+    for block in text_blocks(path, raw):
+        reader.take(block)
+    return reader.table()
+
+
+class _TableReader:
+    """Turns a table into numbers block by block."""
+
+    def __init__(self, path: str | Path, known: Collection[str], names: Sequence[str] | None) -> None:
+        self.path, self.known, self.names = path, known, names
+        self.comments: list[str] = []
+        self.has_begun = False
+        self.delimiter: str | None = None
+        self.wanted: dict[str, int] = {}
+        self.columns: list[list[Scalars]] = []
+        self.line_numbers: list[Indices] = []
+
+    def take(self, block: Block) -> None:
+        """Read the rows of a block; its first row may be the header."""
+        lines = block.lines
+        # A row of delimiters alone is what spreadsheets write for a blank line.
+        rows = [
+            i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")
+        ]
+        if not self.has_begun:
+            above = lines[: rows[0]] if rows else lines
+            self.comments += [line.strip().lstrip("#").strip() for line in above if line.strip()][:MAX_COMMENTS]
+        if rows and not self.has_begun:
+            self._begin(lines, rows, block.start)
+        if rows and not self.wanted:
+            self._choose()
+        for start in range(0, len(rows), CHUNK_ROWS):
+            chunk = rows[start : start + CHUNK_ROWS]
+            is_last = block.is_last and chunk[-1] == len(lines) - 1
+            self._take_rows([lines[i] for i in chunk], [block.start + i for i in chunk], is_last=is_last)
+
+    def _begin(self, lines: list[str], rows: list[int], start: int) -> None:
+        """Learn delimiter and names from the first row."""
+        self.has_begun = True
+        first = lines[rows[0]]
+        self.delimiter = _delimiter(self.path, first, start + rows[0] + 1)
+        if self.names is None:
+            cells, line = _split(first, self.delimiter), start + rows.pop(0) + 1
+            self.names = _header(self.path, cells, line, self.known, self.comments)
+
+    def _choose(self) -> None:
+        """Which columns to read, at the first row of numbers."""
+        names = self.names or ()
+        self.wanted = {name: k for k, name in enumerate(names) if name in self.known}
+        if not self.wanted:
+            message = f"expected columns such as {_listed(tuple(self.known))}; found {_listed(names)}"
+            raise DataFormatError(self.path, message)
+        self.columns = [[] for _ in self.wanted]
+
+    def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
+        names = self.names or ()
+        block = _numbers_at_once(rows, self.delimiter, len(names), self.wanted)
         if block is None:
-            cells = _cells(path, rows, chunk, delimiter, names, is_last=chunk[-1] == len(lines) - 1)
-            block = _numbers(path, chunk, cells, wanted)
-        blocks.append(block)
-    columns = {name: np.concatenate([block[:, j] for block in blocks]) for j, name in enumerate(wanted)}
-    return Table(Path(path), tuple(names), columns, np.array(numbers, dtype=np.int64) + 1, comments)
+            cells = _cells(self.path, rows, numbers, self.delimiter, names, is_last=is_last)
+            block = _numbers(self.path, numbers, cells, self.wanted)
+        for parts, values in zip(self.columns, block.T, strict=True):
+            parts.append(values.copy())
+        self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)
+
+    def table(self) -> Table:
+        """All that was read."""
+        if not self.has_begun:
+            raise DataFormatError(self.path, "holds only comments and blank lines, expected rows of numbers")
+        if not self.line_numbers:
+            raise DataFormatError(self.path, "has a header row but no samples under it")
+        columns = {}
+        for name in self.wanted:  # one after the other, so that little is there twice
+            columns[name] = np.concatenate(self.columns.pop(0))
+        numbers = np.concatenate(self.line_numbers)
+        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments))
 
 
 def write_table(path: str | Path, columns: Mapping[str, Scalars], comments: Sequence[str] = ()) -> None:

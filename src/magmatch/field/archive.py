@@ -23,7 +23,7 @@ from pydantic import ValidationError
 
 from magmatch import __version__
 from magmatch.atomic import atomic_write
-from magmatch.data.table import read_bytes
+from magmatch.data.text import read_bytes
 from magmatch.errors import DataFormatError
 
 # A group of its own, so that any Zarr reader can list the file without stumbling over it.

@@ -11,11 +11,12 @@ import numpy as np
 
 from magmatch import __version__
 from magmatch.atomic import atomic_write
-from magmatch.data.table import read_bytes
+from magmatch.data.text import read_bytes
 from magmatch.errors import DataFormatError
 from magmatch.preparation.sensor_model import SensorModel
 
 SCHEMA = "magmatch.preparation/1"
+MAX_BYTES = 16 << 20
 # off: not looked at. unchanged: looked at, nothing to do. applied: the survey was changed. flagged: found, not
 # changed. unknown: the data do not tell.
 Outcome = Literal["off", "unchanged", "applied", "flagged", "unknown"]
@@ -123,7 +124,7 @@ class PreparationReport:
             The file is none.
         """
         try:
-            content = json.loads(read_bytes(path))
+            content = json.loads(read_bytes(path, MAX_BYTES))
             if content["schema"] != SCHEMA:
                 raise DataFormatError(path, f"expected schema {SCHEMA}, found {str(content['schema'])[:60]}")
             return cls(

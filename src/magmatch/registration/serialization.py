@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.atomic import atomic_write
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
-from magmatch.data.table import read_bytes
+from magmatch.data.text import read_bytes
 from magmatch.errors import DataFormatError
 from magmatch.geometry import transform_from_matrix
 from magmatch.registration.parts import Links

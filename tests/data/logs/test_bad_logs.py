@@ -165,6 +165,8 @@ EXTRINSICS = {
     "half a translation": ("translation: [1, 2]\nrotation: [0, 0, 0, 1]", "expected translation"),
     "words": ("translation: [a, b, c]\nrotation: [0, 0, 0, 1]", "expected translation"),
     "no unit": ("translation: [1, 2, 3]\nrotation: [0, 0, 0, 5]", "length 5"),
+    "values repeated without end": ("translation: &a [[*a, *a], *a]\nrotation: *a", "is not YAML"),
+    "a Python object": ("translation: !!python/object/apply:os.abort []\nrotation: 1", "is not YAML"),
 }
 
 
@@ -396,6 +398,10 @@ FOLDERS = {
     "metadata with code": (
         lambda f: (f / "metadata.yaml").write_text("!!python/object/apply:os.abort []"),
         "not YAML",
+    ),
+    "metadata repeated without end": (
+        lambda f: (f / "metadata.yaml").write_text("rosbag2_bagfile_information: &a {x: [*a, *a]}"),
+        "repeats values by name",
     ),
     "metadata of something else": (lambda f: (f / "metadata.yaml").write_text("a: b"), "rosbag2_bagfile_information"),
     "metadata of a list": (lambda f: (f / "metadata.yaml").write_text("- a"), "rosbag2_bagfile_information"),

@@ -9,12 +9,13 @@ import yaml
 
 from magmatch.data.logs.log import Batch, Log, Loss, Topic
 from magmatch.data.logs.source import MAX_CHUNK
-from magmatch.data.table import read_bytes
+from magmatch.data.text import read_bytes
+from magmatch.data.yaml_text import load_yaml
 from magmatch.errors import DataFormatError, MissingExtraError
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap")
-MAX_METADATA = 16 << 20
+MAX_METADATA = 4 << 20
 
 
 class JoinedLog:
@@ -117,8 +118,8 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         return {}
     try:
         # Topic tables of large bags make this long; what is longer is no metadata.
-        content = yaml.safe_load(read_bytes(path, MAX_METADATA).decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        content = load_yaml(read_bytes(path, MAX_METADATA).decode("utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
         if isinstance(error, DataFormatError):
             raise
         words = " ".join(str(error).split())[:120]
@@ -161,7 +162,7 @@ def _unpacker(folder: Path, about: dict[str, Any]) -> Callable[[bytes], bytes] |
         return None
     kind = about.get("compression_format")
     if kind != "zstd":
-        raise DataFormatError(folder / METADATA, f"messages are compressed with {kind!r}, expected zstd")
+        raise DataFormatError(folder / METADATA, f"messages are compressed with {str(kind)[:40]!r}, expected zstd")
     try:
         import zstandard
     except ImportError:

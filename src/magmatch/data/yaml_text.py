@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""YAML from anywhere: plain data only, and no more of it than the text has room for."""
+
+from typing import Any
+
+# Values of a document once all that it repeats by name is written out. Stated in docs/formats.md.
+MAX_VALUES = 1_000_000
+
+
+def load_yaml(text: str) -> Any:
+    """Read a YAML document of plain data.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+
+    Returns
+    -------
+    object
+        Made of mappings, lists, words and numbers; nothing is run, whatever its tags say.
+
+    Raises
+    ------
+    yaml.YAMLError
+        No YAML, nested too deeply, or one that repeats values by name until they fill the memory, or forever.
+    """
+    import yaml
+
+    try:
+        content = yaml.safe_load(text)
+        weight = _weight(content, {})
+    except RecursionError:
+        msg = "nested too deeply"
+        raise yaml.YAMLError(msg) from None
+    if weight > MAX_VALUES:
+        msg = f"repeats values by name to more than {MAX_VALUES}"
+        raise yaml.YAMLError(msg)
+    return content
+
+
+def _weight(value: Any, known: dict[int, float]) -> float:
+    """Values in a document, those that stand at several places counted at each; infinite where one holds itself."""
+    if not isinstance(value, dict | list | set | tuple):
+        return 1.0
+    if id(value) not in known:
+        known[id(value)] = float("inf")  # until all it holds has been counted
+        parts = [part for pair in value.items() for part in pair] if isinstance(value, dict) else list(value)
+        known[id(value)] = 1.0 + sum(_weight(part, known) for part in parts)
+    return known[id(value)]
