@@ -2,13 +2,15 @@
 """Sparse Cholesky factor by dense fronts: factorisation, log-determinant, solves, half solves."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas
 
+from magmatch.field.blas import cholesky, divide_right_transposed, subtract_square
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
-from magmatch.field.nested_dissection import Elimination, Front
+from magmatch.field.nested_dissection import Elimination
 from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side
 
@@ -65,7 +67,60 @@ class CholeskyFactor:
                 z[front.start : front.stop] = blas.dtrsm(1.0, L, own, lower=1, trans_a=1)
 
 
-def factorise(elimination: Elimination, matrix: StencilMatrix) -> CholeskyFactor:
+class Workspace:
+    """Matrices in memory that is used again: fresh pages would cost a fifth of the time.
+
+    Parameters
+    ----------
+    size : int
+        Numbers in the largest matrix.
+    precision : numpy type
+    """
+
+    def __init__(self, size: int, precision: type[np.floating] = np.float64) -> None:
+        self._size, self._precision = max(1, size), precision
+        self._free: list[np.ndarray] = []
+
+    def take(self, n_rows: int, n_columns: int) -> np.ndarray:
+        """Matrix with arbitrary content, column by column."""
+        memory = self._free.pop() if self._free else np.empty(self._size, dtype=self._precision)
+        return memory[: n_rows * n_columns].reshape((n_rows, n_columns), order="F")
+
+    def give_back(self, *matrices: np.ndarray) -> None:
+        """Let others use the memory of matrices that came from `take`."""
+        self._free.extend(m.base for m in matrices if m.base is not None)
+
+
+class FactorMemory:
+    """Where a factor lies, and what is at work while it is made; a next factor made in it overwrites the last.
+
+    Parameters
+    ----------
+    elimination : Elimination
+    precision : numpy type
+    """
+
+    def __init__(self, elimination: Elimination, precision: type[np.floating] = np.float64) -> None:
+        sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
+        memory = np.empty(sum(n * (n + k) for n, k in sizes), dtype=precision)
+        self.pivots: list[np.ndarray] = []
+        self.below: list[np.ndarray] = []
+        self.nothing = np.zeros((0, 0), dtype=precision, order="F")
+        start = 0
+        for n, k in sizes:
+            self.pivots.append(memory[start : start + n * n].reshape((n, n), order="F"))
+            self.below.append(memory[start + n * n : start + n * (n + k)].reshape((k, n), order="F"))
+            start += n * (n + k)
+        largest = max(k * k for _, k in sizes)
+        self._new_space = partial(Workspace, largest, precision)
+        self._spaces: dict[range, Workspace] = {}
+
+    def space(self, fronts: range) -> Workspace:
+        """Memory for the updates of a part of the tree."""
+        return self._spaces.setdefault(fronts, self._new_space())
+
+
+def factorise(elimination: Elimination, matrix: StencilMatrix, memory: FactorMemory | None = None) -> CholeskyFactor:
     """Factorise a positive definite matrix.
 
     Parameters
@@ -73,6 +128,8 @@ def factorise(elimination: Elimination, matrix: StencilMatrix) -> CholeskyFactor
     elimination : Elimination
         Order and fronts for the matrix' cells.
     matrix : StencilMatrix
+    memory : FactorMemory, optional
+        Where the factor is to lie, and in which precision; in fresh memory and double by default.
 
     Returns
     -------
@@ -83,107 +140,108 @@ def factorise(elimination: Elimination, matrix: StencilMatrix) -> CholeskyFactor
     numpy.linalg.LinAlgError
         If the matrix is not positive definite; names the pivot.
     """
-    n_fronts = len(elimination.fronts)
-    nothing = np.zeros((0, 0), order="F")
-    pivots, below, updates = ([nothing] * n_fronts for _ in range(3))
+    memory = memory or FactorMemory(elimination)
+    root = len(elimination.fronts) - 1
+    updates: list[np.ndarray] = [memory.nothing] * len(elimination.fronts)
 
     def eliminate(fronts: range) -> None:
-        row_of = np.full(elimination.n_unknowns, -1, dtype=np.int64)
+        row_of, space = np.full(elimination.n_unknowns, -1, dtype=np.int64), memory.space(fronts)
         for k in fronts:
-            pivots[k], below[k], updates[k] = _eliminate(elimination, elimination.fronts[k], matrix, row_of, updates)
+            updates[k] = _eliminate(elimination, k, matrix, row_of, updates, memory, space)
 
     side_by_side(eliminate, elimination.branches)
-    eliminate(range(n_fronts - 1, n_fronts))
-    return CholeskyFactor(elimination, pivots, below)
+    eliminate(range(root, root + 1))
+    return CholeskyFactor(elimination, memory.pivots, memory.below)
 
 
 def _eliminate(
-    elimination: Elimination, front: Front, matrix: StencilMatrix, row_of: np.ndarray, updates: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Factor of a front's own unknowns, of its border, and what is left for its parent; uses up its children's."""
-    n, n_border = front.stop - front.start, len(front.border)
-    A, X = np.zeros((n, n), order="F"), np.zeros((n_border, n), order="F")
-    S = np.zeros((n_border, n_border), order="F")
-    _assemble(elimination, front, matrix, row_of, A, X)
+    e: Elimination,
+    k: int,
+    matrix: StencilMatrix,
+    row_of: np.ndarray,
+    updates: list[np.ndarray],
+    memory: FactorMemory,
+    space: Workspace,
+) -> np.ndarray:
+    """Write a front's columns of the factor; gives what is left for its parent, uses up what its children left."""
+    front, is_leaf = e.fronts[k], True
+    A, X = memory.pivots[k], memory.below[k]
+    entries = (matrix.stencil, matrix.border, matrix.corner)
+    _assemble(front.unknowns, e.flat_nodes, e.shifts, e.node_index, *entries, row_of, A, X)
+    S = space.take(len(X), len(X))
     for child, rows in zip(front.children, front.child_rows, strict=True):
-        _extend_add(updates[child], rows, A, X, S)
-        updates[child] = np.zeros((0, 0), order="F")
-    if n:
-        A, info = lapack.dpotrf(A, lower=1, clean=1, overwrite_a=1)
-        if info:
-            msg = f"matrix is not positive definite: pivot {front.start + info} of {elimination.n_unknowns} fails"
-            raise np.linalg.LinAlgError(msg)
-        if n_border:
-            X = blas.dtrsm(1.0, A, X, side=1, lower=1, trans_a=1, overwrite_b=1)
-            S = blas.dsyrk(-1.0, X, beta=1.0, c=S, lower=1, overwrite_c=1)
-    return A, X, S
-
-
-def _assemble(
-    e: Elimination, front: Front, matrix: StencilMatrix, row_of: np.ndarray, A: np.ndarray, X: np.ndarray
-) -> None:
-    """Copy the matrix' own entries of a front's columns into its dense blocks."""
-    place_rows(front, row_of)
-    _copy_columns(
-        front.start, e.unknown, e.position, e.flat_nodes, e.shifts, e.node_index,
-        matrix.stencil, matrix.border, matrix.corner, row_of, A, X,
-    )  # fmt: skip
-    clear_rows(front, row_of)
-
-
-def place_rows(front: Front, row_of: np.ndarray) -> None:
-    """Write the row of each of a front's positions into a work array that is -1 elsewhere."""
-    n = front.stop - front.start
-    row_of[front.start : front.stop] = np.arange(n)
-    row_of[front.border] = n + np.arange(len(front.border))
-
-
-def clear_rows(front: Front, row_of: np.ndarray) -> None:
-    """Undo `place_rows`."""
-    row_of[front.start : front.stop] = -1
-    row_of[front.border] = -1
+        _extend_add(updates[child], rows, A, X, S, is_leaf)
+        space.give_back(updates[child])
+        updates[child], is_leaf = memory.nothing, False
+    failed = _factor_front(A, X, S, is_leaf)
+    if failed:
+        msg = f"matrix is not positive definite: pivot {front.start + failed} of {e.n_unknowns} fails"
+        raise np.linalg.LinAlgError(msg)
+    return S
 
 
 @njit(cache=True, nogil=True)
-def _copy_columns(start, unknown, position, flat, shifts, lookup, stencil, border, corner, row_of, A, X):  # type: ignore[no-untyped-def]
+def _assemble(unknowns, flat, shifts, lookup, stencil, border, corner, row_of, A, X):  # type: ignore[no-untyped-def]
+    """Copy the matrix' own entries of a front's columns into its dense blocks, 0 elsewhere."""
     n, m = A.shape[0], stencil.shape[0]
+    A[:], X[:] = 0, 0
+    for row in range(len(unknowns)):
+        row_of[unknowns[row]] = row
     for j in range(n):
-        i = unknown[start + j]
+        i = unknowns[j]
         if i >= m:
             for c in range(i - m, 3):
-                A[row_of[position[m + c]], j] = corner[c, i - m]
+                A[row_of[m + c], j] = corner[c, i - m]
             continue
         for o in range(FULL_STENCIL):
             q = lookup[flat[i] + shifts[o]]
-            if q < 0 or position[q] < start + j:
+            # Unknowns of other fronts have no row; rows before the diagonal were filled from the other side.
+            if q < 0 or row_of[q] < j:
                 continue
-            row = row_of[position[q]]
-            if row < 0:
-                continue
+            row = row_of[q]
             value = stencil[i, o - HALF_STENCIL + 1] if o >= HALF_STENCIL - 1 else stencil[q, HALF_STENCIL - 1 - o]
             if row < n:
                 A[row, j] = value
             else:
                 X[row - n, j] = value
         for c in range(3):
-            row = row_of[position[m + c]]
+            row = row_of[m + c]
             if row < n:
                 A[row, j] = border[i, c]
             else:
                 X[row - n, j] = border[i, c]
+    row_of[unknowns] = -1
 
 
 @njit(cache=True, nogil=True)
-def _extend_add(update: np.ndarray, rows: np.ndarray, A: np.ndarray, X: np.ndarray, S: np.ndarray) -> None:
-    """Add the lower triangle of a child's update; rows ascend, so its order is kept."""
+def _extend_add(update, rows, A, X, S, is_first):  # type: ignore[no-untyped-def]
+    """Add the lower triangle of a child's update, S being 0 before the first; rows ascend, so its order is kept."""
     n = A.shape[0]
-    for j in range(len(rows)):
+    n_own = np.searchsorted(rows, n)
+    if is_first:
+        for j in range(len(S)):
+            S[j:, j] = 0
+    for j in range(n_own):
         q = rows[j]
+        for i in range(j, n_own):
+            A[rows[i], q] += update[i, j]
+        for i in range(n_own, len(rows)):
+            X[rows[i] - n, q] += update[i, j]
+    for j in range(n_own, len(rows)):
+        q = rows[j] - n
         for i in range(j, len(rows)):
-            p = rows[i]
-            if q >= n:
-                S[p - n, q - n] += update[i, j]
-            elif p >= n:
-                X[p - n, q] += update[i, j]
-            else:
-                A[p, q] += update[i, j]
+            S[rows[i] - n, q] += update[i, j]
+
+
+@njit(cache=True, nogil=True)
+def _factor_front(A: np.ndarray, X: np.ndarray, S: np.ndarray, is_leaf: bool) -> int:
+    """Factor a front in place; the pivot that fails, 0 where none does."""
+    if len(A) == 0:
+        if is_leaf:
+            S[:] = 0
+        return 0
+    failed = cholesky(A)
+    if failed == 0 and len(X):
+        divide_right_transposed(A, X)
+        subtract_square(X, S, not is_leaf)
+    return failed

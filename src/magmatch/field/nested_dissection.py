@@ -32,6 +32,8 @@ class Front:
         Fronts whose updates are added here.
     child_rows : tuple of int arrays
         Where each child's border lies in this front's ``start..stop`` followed by ``border``.
+    unknowns : (n,) int array
+        Which unknowns stand at ``start..stop`` followed by ``border``.
     """
 
     start: int
@@ -39,6 +41,7 @@ class Front:
     border: np.ndarray
     children: tuple[int, ...]
     child_rows: tuple[np.ndarray, ...]
+    unknowns: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,7 +112,7 @@ def order_elimination(cells: CellGrid, leaf_size: int = LEAF_SIZE) -> Eliminatio
     return Elimination(
         position,
         unknown,
-        _fronts(cells, position, groups, children),
+        _fronts(cells, position, unknown, groups, children),
         cells.flat_nodes(),
         cells.stencil_shifts(),
         cells.node_index.ravel(),
@@ -156,7 +159,11 @@ def _best_plane(nodes: np.ndarray) -> tuple[int, int] | None:
 
 
 def _fronts(
-    cells: CellGrid, position: np.ndarray, groups: list[np.ndarray], children: list[tuple[int, ...]]
+    cells: CellGrid,
+    position: np.ndarray,
+    unknown: np.ndarray,
+    groups: list[np.ndarray],
+    children: list[tuple[int, ...]],
 ) -> list[Front]:
     """What every part touches: nodes of its cells and its children's borders, as far as eliminated later."""
     starts = np.concatenate([[0], np.cumsum([len(g) for g in groups])])
@@ -175,7 +182,8 @@ def _fronts(
             count = _collect(border[None], np.zeros(1, dtype=np.int64), stop, k, mark, found, count)
         border = np.sort(found[:count])
         rows = tuple(_rows_of(fronts[c].border, start, stop, border) for c in children[k])
-        fronts.append(Front(start, stop, border, children[k], rows))
+        unknowns = np.concatenate([unknown[start:stop], unknown[border]])
+        fronts.append(Front(start, stop, border, children[k], rows, unknowns))
     return fronts
 
 
