@@ -280,3 +280,9 @@ def test_evaluate_runs_a_small_experiment_and_goes_on_where_it_stood(run, tmp_pa
     assert "| quick-office-x30 | default | 1 of 1 |" in first.out
     assert first.out == again.out
     assert "0 of 1 trials" not in again.err
+
+
+def test_query_offers_no_options_of_logs(run):
+    help_text = run("query", "--help").out
+    assert "--length-unit" in help_text
+    assert "topic" not in help_text

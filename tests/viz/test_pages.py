@@ -7,15 +7,19 @@ import json
 import re
 import sys
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
+import yaml
 
 from magmatch.data.survey import Survey
 from magmatch.errors import MissingExtraError
+from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.viz.pages import write_view
 from magmatch.viz.plotting import require_plotly
 from magmatch.viz.report import write_report
+from magmatch.viz.words import MEANING, NEXT_STEPS, percent
 
 LIMIT = 5e6
 
@@ -35,7 +39,7 @@ def figures_in(page):
 
 def test_a_report_needs_no_network(report):
     without_data = re.sub(r"<script type=.*?</script>", "", report, flags=re.DOTALL)
-    assert not re.search(r"(src|href)\s*=|https?://|@import|url\(", without_data)
+    assert not re.search(r"src\s*=|href\s*=\s*.[^#]|https?://|@import|url\(", without_data)
 
 
 def test_the_plotting_script_is_inside_once(report):
@@ -45,15 +49,64 @@ def test_the_plotting_script_is_inside_once(report):
 
 
 def test_a_report_says_the_verdict_in_words(report):
-    said = ["Accepted", "probability of being right 0.997", "10 of 10 cells agree", "90% of the target", "0.573 deg"]
-    said += ["10.0 mm", "100, 0, 0 nT", "Other poses", "&quot;search&quot;: &quot;invariants&quot;", "aa", "seed 0"]
+    said = ["Accepted", "probability of being right 99.7 %", "10 of 10 cells agree", "90% of the target", "0.573 deg"]
+    said += ["10.0 mm", "100, 0, 0 nT", "Other poses", "search: invariants", "aa", "seed 0"]
     for words in said:
         assert words in report
 
 
-def test_a_report_draws_scenes_and_slices(report):
+def test_a_report_draws_all_there_is(report):
     kinds = [figure["data"][0]["type"] for figure in figures_in(report)]
-    assert kinds == ["scatter3d", "scatter3d", "heatmap", "heatmap", "heatmap"]
+    in_space, slices, matches = ["scatter3d"] * 2, ["heatmap"] * 3, ["heatmap"]
+    agreement, sureness, time = ["heatmap", "scatter3d", "bar"], ["scatter3d"] * 2, ["bar"]
+    assert kinds == in_space + slices + matches + agreement + sureness + time
+
+
+def test_every_picture_has_words_that_stand_for_it(report):
+    words = re.findall(r'<div class="plot" tabindex="0" role="img"[^>]* aria-label="([^"]*)"', report)
+    assert len(words) == len(figures_in(report))
+    assert all(len(alt) > 40 for alt in words)
+
+
+def test_settings_in_the_page_are_those_of_the_result(report, pair):
+    settings = re.search(r'<pre id="settings"[^>]*>(.*?)</pre>', report, re.DOTALL).group(1)
+    assert yaml.safe_load(unescape(settings)) == pair.accepted.config
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_says_what_it_means_and_what_to_do(pair, tmp_path, status):
+    pytest.importorskip("plotly")
+    result = pair.accepted if status is Status.ACCEPTED else replace(pair.refused, status=status)
+    write_report(tmp_path / "r.html", None, None, result)
+    page = unescape((tmp_path / "r.html").read_text())
+    assert MEANING[status] in page
+    assert all(step in page for step in NEXT_STEPS[status])
+
+
+def test_a_result_with_nothing_but_a_status_is_reported(pair, tmp_path):
+    pytest.importorskip("plotly")
+    bare = RegistrationResult(Status.UNINFORMATIVE, "no structure", None)
+    write_report(tmp_path / "r.html", pair.base_map, pair.target_map, bare)
+    assert len(figures_in((tmp_path / "r.html").read_text())) == 2
+
+
+def test_other_poses_are_listed_with_their_numbers(pair, tmp_path):
+    pytest.importorskip("plotly")
+    T = pair.accepted.T_base_target
+    others = (Alternative(T, 0.6), *(Alternative(T * T, None) for _ in range(14)))
+    result = replace(pair.refused, status=Status.AMBIGUOUS, alternatives=others)
+    write_report(tmp_path / "r.html", pair.base_map, pair.target_map, result)
+    section = (tmp_path / "r.html").read_text().split('id="other-poses"')[1].split("</section>")[0]
+    assert section.count("<tr>") == 1 + 10
+    assert "60.0 %" in section
+    assert "5 more stand in the result file" in section
+    assert "<th scope='col'>residual</th>" in section
+
+
+def test_a_probability_is_never_rounded_to_certainty():
+    assert [percent(p) for p in (0.99999, 0.00001, 0.5, 1.0, 0.0)] == [
+        "above 99.9 %", "below 0.1 %", "50.0 %", "100.0 %", "0.0 %",
+    ]  # fmt: skip
 
 
 def test_a_report_fits_a_phone(report):
@@ -66,7 +119,7 @@ def test_a_refusal_says_why_and_gives_no_transform(pair, tmp_path):
     page = (tmp_path / "r.html").read_text()
     for words in ("Not accepted: degenerate", "sliding along base x", "No transform is given"):
         assert words in page
-    assert len(figures_in(page)) == 2  # surveys only, since there are no maps
+    assert len(figures_in(page)) == 4  # surveys, what is left free, and time, since there are no maps
 
 
 def test_the_same_result_gives_the_same_page(pair, tmp_path):

@@ -29,6 +29,14 @@ class Layouts:
 
     given: dict[tuple[str, str], Any]
 
+    def words(self) -> list[str]:
+        """The options as they would be typed."""
+        words = []
+        for (of, name), value in self.given.items():
+            flag = _flag(of, name)
+            words += ([flag] if value else []) if isinstance(value, bool) else [flag, str(value)]
+        return words
+
     def of(self, survey: str = "") -> SurveyFormat:
         """Format of one survey: what is said of it alone, else of all, else the default."""
         general = {name: value for (of, name), value in self.given.items() if of == ""}
@@ -122,11 +130,16 @@ def _layout_parameters(surveys: Sequence[str]) -> dict[str, tuple[tuple[str, str
     for survey in surveys:
         prefix = f"{survey}_" if survey else ""
         for name, field in SurveyFormat.model_fields.items():
-            flag = "--" + (prefix + name).replace("_", "-")
+            flag = _flag(survey, name)
             words = field.description if not survey else f"The same for {survey.upper()} alone."
             option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
             parameters[prefix + name] = ((survey, name), Annotated[_optional(field.annotation), option])
     return parameters
+
+
+def _flag(survey: str, setting: str) -> str:
+    """Option of one setting, for one survey or for all."""
+    return "--" + (f"{survey}_{setting}" if survey else setting).replace("_", "-")
 
 
 def _optional(annotation: Any) -> Any:

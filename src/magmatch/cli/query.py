@@ -26,7 +26,7 @@ CHUNK = 20_000
 
 def add_to(app: typer.Typer) -> None:
     """Add the subcommand."""
-    command(app, "query", EXAMPLES, surveys=())(query)
+    command(app, "query", EXAMPLES)(query)
 
 
 def query(
@@ -35,7 +35,7 @@ def query(
         Path, typer.Argument(help="CSV with columns x, y, z in the map's frame.", metavar="POINTS.csv")
     ],
     out: Annotated[Path, typer.Option(help="Write here (CSV).")],
-    layouts: Layouts,
+    length_unit: Annotated[str, typer.Option(help="Unit of the points: m|cm|mm.")] = "m",
     gradient: Annotated[bool, typer.Option("--gradient", help="Add the field's gradient, T/m.")] = False,
 ) -> None:
     """Write the field that MAP has at points.
@@ -47,7 +47,7 @@ def query(
     from magmatch.data.table import write_table
 
     check_outputs((out,), inputs=(field_map, points))
-    p_map = read_points(points, layouts.of())
+    p_map = read_points(points, Layouts({("", "length_unit"): length_unit}).of())
     loaded = read_map(field_map)
     table = evaluate(loaded, p_map, with_gradient=gradient)
     write_table(out, table)

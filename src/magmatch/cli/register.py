@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch register``: the main job."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -64,8 +65,14 @@ def register(
     if report is not None:
         from magmatch.viz.report import write_report
 
-        write_report(report, base_map, target_map, result)
+        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
     if json:
         put(as_json(result.to_dict()))
     say(tell_result(result, out, report))
     return DONE if result.is_accepted else NOT_ACCEPTED
+
+
+def command_again(base: Path, target: Path, layouts: Layouts, seed: int) -> str:
+    """Command line that gives the same result, with the resolved settings in settings.yaml."""
+    words = ["magmatch", "register", str(base), str(target), *layouts.words()]
+    return shlex.join([*words, "--config", "settings.yaml", "--seed", str(seed)])

@@ -7,6 +7,7 @@ import numpy as np
 
 from magmatch.data.checks import check_survey, extent, time_gaps
 from magmatch.data.format import SurveyFormat
+from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 
 
@@ -23,8 +24,8 @@ def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, An
     Returns
     -------
     dict
-        Ready for JSON. Units stand in ``units``; ``time`` is None without times; ``warnings`` are those of
-        `check_survey`.
+        Ready for JSON. Units stand in ``units``; ``time`` is None without times, ``path_length`` and
+        ``median_step`` are None where the rows are in no order; ``warnings`` are those of `check_survey`.
 
     Raises
     ------
@@ -33,6 +34,8 @@ def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, An
     """
     warnings = check_survey(survey, layout)
     magnitude = np.linalg.norm(survey.field, axis=1)
+    # Of rows in no order a path length would be a number without meaning.
+    is_ordered = has_order(survey)
     steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
     return {
         "name": survey.name,
@@ -44,8 +47,9 @@ def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, An
         "low": survey.positions.min(axis=0).tolist(),
         "high": survey.positions.max(axis=0).tolist(),
         "extent": extent(survey).tolist(),
-        "path_length": float(steps.sum()),
-        "median_step": float(np.median(steps)),
+        "ordered": is_ordered,
+        "path_length": float(steps.sum()) if is_ordered else None,
+        "median_step": float(np.median(steps)) if is_ordered else None,
         "field": {
             "median_magnitude": float(np.median(magnitude)),
             "smallest_magnitude": float(magnitude.min()),

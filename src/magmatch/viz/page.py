@@ -7,7 +7,9 @@ browsers since 2023), which keeps a page at about 2 MB and still needs no networ
 
 import base64
 import gzip
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -21,7 +23,28 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-def write_page(path: str | Path, title: str, sections: Sequence[str]) -> None:
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page.
+
+    Attributes
+    ----------
+    title : str
+        Plain text; empty for what stands first and needs none.
+    blocks : sequence of str
+        HTML, in order; see `figure_row`, `table` and `paragraph`.
+    """
+
+    title: str
+    blocks: Sequence[str]
+
+    @property
+    def anchor(self) -> str:
+        """Name to link to."""
+        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+
+def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> None:
     """Write a page, whole or not at all.
 
     Parameters
@@ -30,12 +53,18 @@ def write_page(path: str | Path, title: str, sections: Sequence[str]) -> None:
         Where.
     title : str
         Plain text.
-    sections : sequence of str
-        HTML, in order; see `figure_row`, `table` and `paragraph`.
+    sections : sequence of Section
+        In order. Those with a title are listed at the top.
     """
     require_plotly()
     page = Template(files("magmatch.viz").joinpath("page.html").read_text(encoding="utf-8"))
-    html = page.substitute(title=escape(title), body="\n".join(sections), plotly=_packed_plotly())
+    named = [section for section in sections if section.title]
+    html = page.substitute(
+        title=escape(title),
+        contents=_contents(named) if len(named) > 2 else "",
+        body="\n".join(map(_section, sections)),
+        plotly=_packed_plotly(),
+    )
     with atomic_write(path) as stream:
         stream.write(html.encode())
 
@@ -45,14 +74,30 @@ def figure_row(figures: "Sequence[Figure]") -> str:
     return f'<div class="row">{"".join(map(_figure, figures))}</div>'
 
 
-def heading(text: str) -> str:
-    """Give a section a name."""
-    return f"<h2>{escape(text)}</h2>"
+def columns(*parts: Sequence[str]) -> str:
+    """Blocks in columns, below each other where the screen is narrow."""
+    inner = "".join(f"<div>{''.join(blocks)}</div>" for blocks in parts)
+    return f'<div class="columns">{inner}</div>'
+
+
+def subheading(text: str) -> str:
+    """Give a part of a section a name."""
+    return f"<h3>{escape(text)}</h3>"
 
 
 def paragraph(text: str) -> str:
     """Plain words."""
     return f"<p>{escape(text)}</p>"
+
+
+def note(text: str) -> str:
+    """Plain words in passing."""
+    return f'<p class="note">{escape(text)}</p>'
+
+
+def bullets(items: Sequence[str]) -> str:
+    """Plain words, one thing after the other."""
+    return f"<ul>{''.join(f'<li>{escape(item)}</li>' for item in items)}</ul>"
 
 
 def table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> str:
@@ -69,28 +114,51 @@ def table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> str:
 def verdict(text: str, reason: str, *, is_good: bool) -> str:
     """The answer in words, first thing on the page."""
     mark, kind = ("&#10004;", "good") if is_good else ("&#10008;", "refused")
-    return f'<div class="verdict {kind}"><strong>{mark} {escape(text)}</strong><p>{escape(reason)}</p></div>'
+    words = f"<strong><span aria-hidden='true'>{mark}</span> {escape(text)}</strong>"
+    return f'<div class="verdict {kind}">{words}<p>{escape(reason)}</p></div>'
 
 
-def details(summary: str, text: str) -> str:
-    """Text that is opened on demand."""
-    return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
+def to_copy(name: str, text: str, *, is_wrapped: bool = False) -> str:
+    """Text with a button that copies it; `name` is its own on the page."""
+    button = f'<button type="button" data-copies="{name}">Copy</button>'
+    return f'{button}<pre id="{name}" tabindex="0"{" class=wrapped" if is_wrapped else ""}>{escape(text)}</pre>'
+
+
+def details(summary: str, html: str) -> str:
+    """What is opened on demand."""
+    return f"<details><summary>{escape(summary)}</summary>{html}</details>"
+
+
+def _contents(sections: Sequence[Section]) -> str:
+    links = "".join(f'<li><a href="#{s.anchor}">{escape(s.title)}</a></li>' for s in sections)
+    return f'<nav aria-label="Contents"><ul>{links}</ul></nav>'
+
+
+def _section(section: Section) -> str:
+    body = "\n".join(section.blocks)
+    if not section.title:
+        return f"<section>{body}</section>"
+    name = section.anchor
+    return f'<section aria-labelledby="{name}"><h2 id="{name}">{escape(section.title)}</h2>{body}</section>'
 
 
 def _figure(figure: "Figure") -> str:
     """One figure with its title as caption, which wraps where a title inside the figure would not."""
-    title, _, note = str(figure.layout.title.text or "").partition("<br>")
-    note = note.removeprefix("<sub>").removesuffix("</sub>")
+    from plotly.io.json import to_json_plotly
+
+    title, _, small = str(figure.layout.title.text or "").partition("<br>")
+    small = small.removeprefix("<sub>").removesuffix("</sub>")
     bare = figure.to_dict()
     bare["layout"] = {**bare["layout"], "margin": {"l": 8, "r": 8, "t": 34, "b": 8}}
     bare["layout"].pop("title", None)
-    from plotly.io.json import to_json_plotly
-
+    alt = (bare["layout"].pop("meta", None) or {}).get("alt", title)
+    keys = " Arrow keys turn it, plus and minus zoom, 0 shows it as it was." if "scene" in bare["layout"] else ""
     # '<' would end the script element early where a name holds '</script>'.
     content = to_json_plotly(bare).replace("<", "\\u003c")
-    caption = f"<figcaption>{title} <small>{note}</small></figcaption>"
+    caption = f"<figcaption>{title} <small>{small}</small></figcaption>"
+    place = f'class="plot" tabindex="0" role="img" style="height:{bare["layout"].get("height", 400)}px"'
     data = f'<script type="application/json">{content}</script>'
-    return f"<figure>{caption}<div class='plot'>{data}</div></figure>"
+    return f'<figure>{caption}<div {place} aria-label="{escape(alt + keys)}">{data}</div></figure>'
 
 
 def _packed_plotly() -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.viz.page import figure_row, heading, write_page
+from magmatch.viz.page import Section, figure_row, write_page
 from magmatch.viz.survey_figures import map_figures, profile_figure, survey_figure
 
 
@@ -29,8 +29,6 @@ def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
         survey = item if isinstance(item, Survey) else item.survey
         figures = [survey_figure(survey), profile_figure(survey)] if isinstance(item, Survey) else map_figures(item)
         names.append(survey.name)
-        sections += [
-            heading(("Survey " if isinstance(item, Survey) else "Map of ") + survey.name),
-            figure_row(figures),
-        ]
+        kind = "Survey " if isinstance(item, Survey) else "Map of "
+        sections.append(Section(kind + survey.name, [figure_row(figures)]))
     write_page(path, f"magmatch: {', '.join(names)}", sections)

@@ -13,9 +13,11 @@ from magmatch.typing import Indices, Points, Scalars, Vectors
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-# Okabe and Ito's colours, told apart by every kind of colour vision; marker shapes differ as well.
-BASE_COLOR, TARGET_COLOR, LINK_COLOR = "#0072B2", "#D55E00", "#009E73"
+# Told apart by every kind of colour vision and on a grey printout: lightness differs by a contrast of three, to each
+# other and to the paper. Marker shapes differ as well.
+BASE_COLOR, TARGET_COLOR, LINK_COLOR = "#00365F", "#D55E00", "#57606A"
 BASE_MARKER, TARGET_MARKER = "circle", "diamond"
+# Lightness rises all along these scales.
 FIELD_SCALE, SPREAD_SCALE = "Viridis", "Cividis"
 INK, QUIET = "#1b1f24", "#d4d9df"
 # Most samples drawn of one survey: what a phone turns smoothly, and what keeps a page small.
@@ -80,31 +82,43 @@ def lines3d(starts: Points, ends: Points, **style: Any) -> Any:
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="lines", hoverinfo="skip", **style)
 
 
-def new_scene(title: str, traces: list[Any], frame: str) -> "Figure":
-    """Put traces into a 3-D figure with equal scales in metres."""
+def described(figure: "Figure", words: str) -> "Figure":
+    """Give a figure the words that stand for it where it cannot be seen."""
+    figure.layout.meta = {"alt": words}
+    return figure
+
+
+def colorbar(title: str, **more: Any) -> dict[str, Any]:
+    """Scale of colours, above or below a picture: beside it, it would take a phone's width."""
+    place = {"orientation": "h", "thickness": 12, "len": 0.9, "outlinewidth": 0}
+    return place | {"title": {"text": title, "side": "top"}} | more
+
+
+def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> "Figure":
+    """Put traces into a 3-D figure with equal scales."""
     figure = require_plotly().Figure(traces)
     figure.update_layout(
         **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
-        scene=_box(np.concatenate([np.column_stack([t.x, t.y, t.z]) for t in traces])),
+        scene=_box(np.concatenate([np.column_stack([t.x, t.y, t.z]) for t in traces]), unit),
         height=480,
         legend={"orientation": "h", "y": -0.02, "x": 0, "itemsizing": "constant"},
     )
     return figure
 
 
-def _box(p: Points) -> dict[str, Any]:
+def _box(p: Points, unit: str) -> dict[str, Any]:
     """Axes around points, sized by their longest side.
 
     Plotly's own aspect mode 'data' scales by volume, which blows flat surveys up beyond the picture.
     """
     low, high = np.nanmin(p, axis=0).astype(np.float64), np.nanmax(p, axis=0).astype(np.float64)
-    longest = max(float((high - low).max()), 1e-3)
+    longest = max(float((high - low).max()), 1e-9)
     pad = np.maximum(0.05 * longest, (0.2 * longest - (high - low)) / 2)
     low, high = low - pad, high + pad
     aspect = 1.6 * (high - low) / (high - low).max()
     axes = {
         f"{axis}axis": {
-            "title": {"text": f"{axis} (m)"},
+            "title": {"text": f"{axis} ({unit})"},
             "range": [float(low[k]), float(high[k])],
             "backgroundcolor": "white",
             "gridcolor": QUIET,
@@ -122,7 +136,9 @@ def _box(p: Points) -> dict[str, Any]:
 def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":
     """Put traces into a flat figure."""
     figure = require_plotly().Figure(traces)
-    figure.update_layout(**_layout(title), height=400, legend={"orientation": "h", "y": -0.25, "x": 0})
+    figure.update_layout(
+        **_layout(title), height=400, legend={"orientation": "h", "y": -0.22, "x": 0, "yanchor": "top"}
+    )
     figure.update_xaxes(title_text=x_title, gridcolor=QUIET, zeroline=False, constrain="domain", automargin=True)
     figure.update_yaxes(title_text=y_title, gridcolor=QUIET, zeroline=False, automargin=True)
     if is_equal:

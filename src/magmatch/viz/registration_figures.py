@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a registration: both surveys before and after, and the field of both maps on one cut."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,26 +15,42 @@ from magmatch.typing import Points
 from magmatch.viz.plotting import (
     BASE_COLOR,
     BASE_MARKER,
+    FIELD_SCALE,
+    INK,
     LINK_COLOR,
     SPREAD_SCALE,
     TARGET_COLOR,
     TARGET_MARKER,
     UT_PER_TESLA,
+    colorbar,
+    described,
     for_display,
     label,
     lines3d,
     magnitude_ut,
+    new_plane,
     new_scene,
     points3d,
+    require_plotly,
     thinned,
 )
-from magmatch.viz.slices import common_limits, cut_through, field_on, magnitude_slice, slice_figure
+from magmatch.viz.slices import (
+    Cut,
+    common_limits,
+    cut_through,
+    field_on,
+    heatmap,
+    hollow_marks,
+    magnitude_slice,
+    marks_on,
+    slice_figure,
+)
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 # Few enough that single links can be followed.
-MAX_LINKS = 60
+MAX_LINKS, MAX_LINKS_ACROSS = 60, 25
 MAX_SCENE_SAMPLES = 3000
 
 
@@ -62,15 +79,21 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
     before = new_scene(
         "Before: as recorded",
         _traces(base, target.positions, target, links.base, links.target),
-        "each survey in its own frame, drawn over one another",
+        f"each survey in its own frame, drawn over one another; {drawn_words(base, target)}",
     )
+    both = f"Base {base.name} ({len(base)} samples, circles) and target {target.name} ({len(target)}, diamonds)"
+    described(before, f"{both} in space, each in its own frame, with lines between keypoints that belong together.")
     T_base_target = shown_pose(result)
     if T_base_target is None:
         return [before]
     moved = transform_points(links.target, T_base_target)
     p_base = transform_points(target.positions, T_base_target)
     title = "After: target in the base frame" if result.is_accepted else "Best candidate, NOT accepted"
-    return [before, new_scene(title, _traces(base, p_base, target, links.base, moved), f"frame of {base.name}")]
+    after = new_scene(title, _traces(base, p_base, target, links.base, moved), f"frame of {base.name}")
+    apart = np.linalg.norm(links.base - moved, axis=1)
+    gap = f"; keypoints that belong together are {np.median(apart):.3g} m apart in the median" if len(apart) else ""
+    described(after, f"{both} in the frame of the base{gap}.")
+    return [before, after]
 
 
 def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "list[Figure]":
@@ -102,14 +125,119 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
     both = is_known & is_known_too
     apart = UT_PER_TESLA * np.linalg.norm(field - brought, axis=1)
+    rows = thinned(len(result.links.base), MAX_LINKS)
+    moved = transform_points(result.links.target[rows], T_base_target)
+    marks = [marks_on(cut, result.links.base[rows], "keypoint of base", "square")]
+    moved_marks = [marks_on(cut, moved, "keypoint of target", TARGET_MARKER)]
+    seen = f", seen along {'xyz'[cut.axes[2]]}" if len(rows) else ""
     return [
-        magnitude_slice("|B| of the base map", cut, field, is_known, limits),
-        magnitude_slice("|B| of the target map, in the base frame", cut, brought, is_known_too, limits),
+        magnitude_slice(
+            "|B| of the base map", cut, field, is_known, limits, marks, f"; squares: keypoints{seen}" if seen else ""
+        ),
+        magnitude_slice(
+            "|B| of the target map, in the base frame", cut, brought, is_known_too, limits, moved_marks,
+            f"; diamonds: its keypoints{seen}" if seen else "",
+        ),
         slice_figure(
             "Difference of the field vectors, in magnitude",
             cut, apart, both, (0.0, common_limits(apart[both])[1]), SPREAD_SCALE,
         ),
     ]  # fmt: skip
+
+
+def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "Figure | None":
+    """Both maps side by side, each in its own frame, with lines between keypoints that belong together.
+
+    Parameters
+    ----------
+    base_map, target_map : FieldMap
+    result : RegistrationResult
+
+    Returns
+    -------
+    plotly Figure or None
+        None where there are no links.
+    """
+    n_links = len(result.links.base)
+    if not n_links:
+        return None
+    rows = thinned(n_links, MAX_LINKS_ACROSS)
+    limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
+    cuts = [cut_through(m.survey.positions) for m in (base_map, target_map)]
+    ends = [_on_cut(cut, p[rows]) for cut, p in zip(cuts, (result.links.base, result.links.target), strict=True)]
+    width = max(np.ptp(cuts[0].first), np.ptp(cuts[1].first))
+    shift = np.array(
+        [cuts[0].first[-1] - cuts[1].first[0] + 0.15 * width, cuts[0].second.mean() - cuts[1].second.mean()]
+    )
+    traces = []
+    for cut, field_map, offset in zip(cuts, (base_map, target_map), (np.zeros(2), shift), strict=True):
+        field, is_known = field_on(cut, field_map)
+        moved = replace(cut, first=cut.first + offset[0], second=cut.second + offset[1])
+        traces.append(
+            heatmap(moved, magnitude_ut(field), is_known, limits, FIELD_SCALE,
+                    colorbar=colorbar("|B| (uT)", y=-0.02, yanchor="top"), hovertemplate="%{z:.2f} uT<extra></extra>")
+        )  # fmt: skip
+    ends[1] = ends[1] + shift
+    traces += [
+        _links_on_plane(*ends),
+        hollow_marks(ends[0], "keypoints of base", "square"),
+        hollow_marks(ends[1], "keypoints of target", TARGET_MARKER),
+    ]
+    planes = f"base cut at {cuts[0].words}, target at {cuts[1].words}, each in its own frame"
+    figure = new_plane(
+        f"Keypoints that belong together<br><sub>left: base, right: target; {planes}; "
+        f"{len(rows)} of {n_links} links drawn</sub>",
+        traces, "", "",
+    )  # fmt: skip
+    figure.update_xaxes(visible=False)
+    figure.update_yaxes(visible=False)
+    figure.update_layout(height=430, plot_bgcolor="white", legend={"y": -0.2})
+    return described(
+        figure,
+        f"Slices of the base map (left) and the target map (right), each in its own frame, with {len(rows)} of "
+        f"{n_links} lines from keypoints of the base (squares) to those of the target (diamonds).",
+    )
+
+
+def time_figure(result: RegistrationResult) -> "Figure | None":
+    """Seconds per stage; None where they were not measured."""
+    stages = {name: s for name, s in result.seconds.items() if name != "total"}
+    if not stages:
+        return None
+    total = result.seconds.get("total", sum(stages.values()))
+    names = [label(name) for name in stages]
+    bar = require_plotly().Bar(
+        x=list(stages.values()), y=names, orientation="h", marker={"color": BASE_COLOR}, cliponaxis=False,
+        text=[f"{s:.2f} s" for s in stages.values()], textposition="outside", hoverinfo="skip", showlegend=False,
+    )  # fmt: skip
+    figure = new_plane(f"Time per stage<br><sub>{total:.2f} s in total</sub>", [bar], "time (s)", "", is_equal=False)
+    figure.update_yaxes(autorange="reversed")
+    figure.update_xaxes(range=[0, 1.25 * max(stages.values())])
+    figure.update_layout(height=110 + 34 * len(stages))
+    longest = max(stages, key=lambda name: stages[name])
+    return described(figure, f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s.")
+
+
+def drawn_words(*surveys: Survey) -> str:
+    """How many samples are drawn of each, where that is not all."""
+    words = [
+        f"{MAX_SCENE_SAMPLES} of {len(survey)} samples of {survey.name} drawn"
+        for survey in surveys
+        if len(survey) > MAX_SCENE_SAMPLES
+    ]
+    return ", ".join(words) or "all samples drawn"
+
+
+def _on_cut(cut: Cut, p: Points) -> np.ndarray:
+    """The two coordinates along a cut."""
+    return p[:, list(cut.axes[:2])]
+
+
+def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> Any:
+    gaps = np.full_like(starts, np.nan)
+    x, y = for_display(np.stack([starts, ends, gaps], axis=1).reshape(-1, 2)).T
+    line = {"color": INK, "width": 1, "dash": "dot"}
+    return require_plotly().Scatter(x=x, y=y, name="links", mode="lines", line=line, hoverinfo="skip")
 
 
 def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, link_target: Points) -> list[Any]:
@@ -138,7 +266,7 @@ def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> A
     return points3d(
         p[rows],
         name=label(name),
-        marker={"size": 2 if len(rows) < 1000 else 1.5, "color": color, "symbol": symbol, "opacity": 0.5},
+        marker={"size": 2 if len(rows) < 1000 else 1.5, "color": color, "symbol": symbol, "opacity": 0.75},
         customdata=for_display(magnitude_ut(survey.field[rows])),
         hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT",
     )

@@ -2,7 +2,7 @@
 """Flat cuts through maps."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,7 +10,16 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Mask, Points, Scalars, Vectors
-from magmatch.viz.plotting import UT_PER_TESLA, for_display, magnitude_ut, new_plane, require_plotly
+from magmatch.viz.plotting import (
+    FIELD_SCALE,
+    INK,
+    colorbar,
+    described,
+    for_display,
+    magnitude_ut,
+    new_plane,
+    require_plotly,
+)
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -96,30 +105,64 @@ def field_on(cut: Cut, field_map: FieldMap, T_cut_map: RigidTransform | None = N
     return rotate_vectors(field_map.evaluate(p_map).field, T), field_map.knows(p_map)
 
 
-def slice_figure(
-    title: str, cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, float], scale: str
-) -> "Figure":
+def heatmap(cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, float], scale: str, **style: Any) -> Any:
     """Draw numbers in uT over a cut; blank where they are not known."""
     image = np.where(is_known, values, np.nan).reshape(len(cut.second), len(cut.first))
     names = ["xyz"[axis] for axis in cut.axes]
-    trace = require_plotly().Heatmap(
-        x=for_display(cut.first),
-        y=for_display(cut.second),
-        z=for_display(image),
-        zmin=limits[0],
-        zmax=limits[1],
-        colorscale=scale,
-        colorbar={"title": {"text": "uT"}, "thickness": 12, "outlinewidth": 0},
-        hovertemplate=f"{names[0]} %{{x:.2f}} m, {names[1]} %{{y:.2f}} m<br>%{{z:.2f}} uT<extra></extra>",
+    style = {
+        "zmin": limits[0],
+        "zmax": limits[1],
+        "colorscale": scale,
+        "colorbar": colorbar("uT", y=-0.26, yanchor="top"),
+        "hovertemplate": f"{names[0]} %{{x:.2f}} m, {names[1]} %{{y:.2f}} m<br>%{{z:.2f}} uT<extra></extra>",
+    } | style
+    x, y, z = for_display(cut.first), for_display(cut.second), for_display(image)
+    return require_plotly().Heatmap(x=x, y=y, z=z, **style)
+
+
+def slice_figure(
+    title: str,
+    cut: Cut,
+    values: Scalars,
+    is_known: Mask,
+    limits: tuple[float, float],
+    scale: str,
+    marks: Any = (),
+    note: str = "",
+) -> "Figure":
+    """Draw numbers in uT over a cut, with marks on it that a note explains."""
+    names = ["xyz"[axis] for axis in cut.axes]
+    figure = new_plane(
+        f"{title}<br><sub>{cut.words}{note}</sub>",
+        [heatmap(cut, values, is_known, limits, scale), *marks],
+        f"{names[0]} (m)",
+        f"{names[1]} (m)",
     )
-    return new_plane(f"{title}<br><sub>{cut.words}</sub>", [trace], f"{names[0]} (m)", f"{names[1]} (m)")
+    figure.update_layout(showlegend=False)
+    known = values[is_known]
+    spread = (
+        f"from {known.min():.3g} to {known.max():.3g} uT, median {np.median(known):.3g}" if len(known) else "none"
+    )
+    return described(figure, f"{title}, cut at {cut.words}: {spread}; {is_known.mean():.0%} of the cut is known.")
 
 
-def magnitude_slice(title: str, cut: Cut, field: Vectors, is_known: Mask, limits: tuple[float, float]) -> "Figure":
+def magnitude_slice(
+    title: str, cut: Cut, field: Vectors, is_known: Mask, limits: tuple[float, float], marks: Any = (), note: str = ""
+) -> "Figure":
     """Draw the field's magnitude over a cut."""
-    from magmatch.viz.plotting import FIELD_SCALE
+    return slice_figure(title, cut, magnitude_ut(field), is_known, limits, FIELD_SCALE, marks, note)
 
-    return slice_figure(title, cut, magnitude_ut(field), is_known, limits, FIELD_SCALE)
+
+def marks_on(cut: Cut, p: Points, name: str, symbol: str) -> Any:
+    """Points of the cut's frame, seen along its normal."""
+    return hollow_marks(p[:, list(cut.axes[:2])], name, symbol)
+
+
+def hollow_marks(p: np.ndarray, name: str, symbol: str) -> Any:
+    """Marks at (n, 2) places: white with a dark rim, so that they show on any colour."""
+    marker = {"size": 8, "symbol": symbol, "color": "white", "line": {"color": INK, "width": 1.5}}
+    x, y = for_display(p).T
+    return require_plotly().Scatter(x=x, y=y, name=name, mode="markers", marker=marker, hoverinfo="name+x+y")
 
 
 def common_limits(*parts: Scalars) -> tuple[float, float]:
@@ -128,4 +171,4 @@ def common_limits(*parts: Scalars) -> tuple[float, float]:
     if not len(values):
         return 0.0, 1.0
     low, high = np.percentile(values, [1, 99])
-    return float(low), float(max(high, low + 1e-6 * UT_PER_TESLA * 1e-6))
+    return float(low), float(max(high, low + 1e-6))

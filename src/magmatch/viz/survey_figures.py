@@ -8,10 +8,16 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.viz.plotting import (
+    BASE_COLOR,
     BASE_MARKER,
     FIELD_SCALE,
+    INK,
+    LINK_COLOR,
     SPREAD_SCALE,
+    TARGET_COLOR,
     UT_PER_TESLA,
+    colorbar,
+    described,
     for_display,
     label,
     magnitude_ut,
@@ -48,20 +54,19 @@ def survey_figure(survey: Survey) -> "Figure":
         "colorscale": FIELD_SCALE,
         "cmin": low,
         "cmax": high,
-        "colorbar": {
-            "title": {"text": "|B| (uT)", "side": "top"},
-            "orientation": "h",
-            "thickness": 12,
-            "len": 0.8,
-            "y": -0.02,
-            "yanchor": "top",
-        },
+        "colorbar": colorbar("|B| (uT)", y=-0.02, yanchor="top"),
     }
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
     trace = points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)
     shown = "" if len(rows) == len(survey) else f" ({len(rows)} drawn)"
-    return new_scene(
+    figure = new_scene(
         f"{label(survey.name)}: {len(survey)} samples{shown}", [trace], f"frame '{survey.frame}', metres"
+    )
+    extent = " by ".join(f"{side:.3g}" for side in np.ptp(survey.positions, axis=0))
+    return described(
+        figure,
+        f"{len(survey)} samples of {survey.name} in space, over {extent} m, coloured by field magnitude: most lie "
+        f"between {low:.3g} and {high:.3g} uT.",
     )
 
 
@@ -80,7 +85,7 @@ def profile_figure(survey: Survey) -> "Figure":
     along = rows if survey.times is None else survey.times[rows] - survey.times[0]
     field = UT_PER_TESLA * survey.field[rows]
     drawn = [*zip(("bx", "by", "bz"), field.T, strict=True), ("|B|", np.linalg.norm(field, axis=1))]
-    styles = (("#0072B2", "solid"), ("#D55E00", "dash"), ("#009E73", "dot"), ("#1b1f24", "solid"))
+    styles = ((BASE_COLOR, "solid"), (TARGET_COLOR, "dash"), (LINK_COLOR, "dot"), (INK, "dashdot"))
     traces = [
         require_plotly().Scatter(
             x=for_display(along), y=for_display(values), name=name, mode="lines", line={"color": color, "dash": dash}
@@ -88,9 +93,11 @@ def profile_figure(survey: Survey) -> "Figure":
         for (name, values), (color, dash) in zip(drawn, styles, strict=True)
     ]
     x_title = "sample" if survey.times is None else "time since the first sample (s)"
-    return new_plane(
+    figure = new_plane(
         f"{label(survey.name)}: field along the survey", traces, x_title, "field, survey frame (uT)", is_equal=False
     )
+    spans = ", ".join(f"{name} from {values.min():.3g} to {values.max():.3g}" for name, values in drawn)
+    return described(figure, f"Field of {survey.name} along the survey, uT: {spans}.")
 
 
 def map_figures(field_map: FieldMap) -> "list[Figure]":

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of whether the base map explains the target's samples: overlap, residuals, and the field along the way."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from magmatch.field.map import FieldMap
+from magmatch.typing import Points
+from magmatch.viz.plotting import (
+    BASE_COLOR,
+    INK,
+    LINK_COLOR,
+    SPREAD_SCALE,
+    TARGET_COLOR,
+    TARGET_MARKER,
+    UT_PER_TESLA,
+    colorbar,
+    described,
+    for_display,
+    new_plane,
+    new_scene,
+    points3d,
+    require_plotly,
+)
+from magmatch.viz.residuals import LARGEST_ORDINARY, Comparison
+from magmatch.viz.slices import Cut, cut_through
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+# Top of the colour scale of normalised residuals: beyond, it is wrong whatever the number.
+TOP_RESIDUAL = 4.0
+OUTSIDE_STYLE = {"symbol": "x", "color": LINK_COLOR}
+
+
+def agreement_figures(base_map: FieldMap, compared: Comparison) -> "list[Figure]":
+    """Overlap, residuals in space and their distribution.
+
+    Parameters
+    ----------
+    base_map : FieldMap
+    compared : Comparison
+
+    Returns
+    -------
+    list of plotly Figure
+        The overlap alone where there is none.
+    """
+    figures = [overlap_figure(base_map, compared)]
+    if compared.is_known.any():
+        figures += [residual_figure(compared), histogram_figure(compared)]
+    return figures
+
+
+def overlap_figure(base_map: FieldMap, compared: Comparison) -> "Figure":
+    """Plan of the known part of the base, and which samples of the target fall into it."""
+    cut = cut_through(np.concatenate([base_map.survey.positions, compared.positions]))
+    known = base_map.knows(cut.points).reshape(len(cut.second), len(cut.first))
+    shade = require_plotly().Heatmap(
+        x=for_display(cut.first),
+        y=for_display(cut.second),
+        z=np.where(known, 1, np.nan).astype(np.float32),
+        colorscale=[[0, "#B9C6D3"], [1, "#B9C6D3"]],
+        showscale=False,
+        hoverinfo="skip",
+    )
+    inside = _seen(cut, compared.positions[compared.is_known], "inside", symbol=TARGET_MARKER, color=TARGET_COLOR)
+    outside = _seen(cut, compared.positions[~compared.is_known], "outside", **OUTSIDE_STYLE)
+    a, b, c = ("xyz"[axis] for axis in cut.axes)
+    figure = new_plane(
+        f"Overlap: {compared.overlap:.0%} of the target's samples<br><sub>shaded: where the base map knows the "
+        f"field at {cut.words}; samples seen along {c}</sub>",
+        [shade, inside, outside],
+        f"{a} (m)",
+        f"{b} (m)",
+    )
+    n_inside, n = int(compared.is_known.sum()), len(compared.rows)
+    return described(
+        figure,
+        f"Plan view along {c}: {n_inside} of {n} samples of the target (diamonds) fall where the base map knows the "
+        f"field, {n - n_inside} (crosses) outside.",
+    )
+
+
+def residual_figure(compared: Comparison) -> "Figure":
+    """Samples of the target in space, coloured by normalised residual."""
+    ordinary = compared.is_known & ~compared.is_large
+    scale = {"colorscale": SPREAD_SCALE, "cmin": 0.0, "cmax": TOP_RESIDUAL}
+    bar = colorbar("normalised residual (1 expected on average)", y=1.0, yanchor="bottom")
+    groups = [
+        (f"up to {LARGEST_ORDINARY:.1f}", ordinary, {"symbol": "circle", "size": 2.5, "colorbar": bar}),
+        ("larger", compared.is_large, {"symbol": "square", "size": 6}),
+    ]
+    hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{marker.color:.2f}"
+    traces = [
+        points3d(
+            compared.positions[mask],
+            name=name,
+            marker={"color": for_display(compared.normalised[mask]), **scale, **style},
+            hovertemplate=hover,
+        )
+        for name, mask, style in groups
+    ]
+    outside = {**OUTSIDE_STYLE, "size": 2, "opacity": 0.6}
+    traces.append(points3d(compared.positions[~compared.is_known], name="outside the base", marker=outside))
+    figure = new_scene(
+        "Residual at every sample", traces, "measured minus base map, in standard deviations of both; base frame"
+    )
+    n_large, n = int(compared.is_large.sum()), int(compared.is_known.sum())
+    return described(
+        figure,
+        f"Samples of the target in the base frame, coloured by normalised residual: root mean square "
+        f"{compared.rms:.2f}; {n_large} of {n} in the overlap (squares) are above {LARGEST_ORDINARY:.1f}, which "
+        "chance gives 1 in 1000.",
+    )
+
+
+def histogram_figure(compared: Comparison) -> "Figure":
+    """How residuals are distributed, and how they would be if model and noise explained all."""
+    values = np.minimum(compared.normalised[compared.is_known], TOP_RESIDUAL)
+    edges = np.linspace(0, TOP_RESIDUAL, 33)
+    share = np.histogram(values, edges)[0] / len(values)
+    # The squared norm of three standard normal components is chi-square with three degrees of freedom.
+    expected = np.diff(chi2.cdf(3 * edges**2, 3))
+    middle = (edges[1:] + edges[:-1]) / 2
+    go = require_plotly()
+    bars = go.Bar(
+        x=middle, y=share, name="measured", marker={"color": "#9FB3C6", "line": {"color": INK, "width": 0.5}}
+    )
+    line = go.Scatter(
+        x=middle, y=expected, name="expected", mode="lines", line={"color": INK, "dash": "dash", "width": 2}
+    )
+    figure = new_plane(
+        f"Distribution of the residuals<br><sub>the last bar holds all of {TOP_RESIDUAL:.0f} and more</sub>",
+        [bars, line], "normalised residual", "share of samples", is_equal=False,
+    )  # fmt: skip
+    figure.update_layout(bargap=0.05)
+    return described(
+        figure,
+        f"Histogram of normalised residuals: median {np.median(values):.2f}, where "
+        f"{np.sqrt(chi2.median(3) / 3):.2f} is expected if model and noise explain all.",
+    )
+
+
+def along_figure(compared: Comparison) -> "Figure":
+    """Field components along the target: measured, and what the base map says there."""
+    from plotly.subplots import make_subplots
+
+    go, known = require_plotly(), compared.is_known
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    plane = new_plane(
+        "Field along the target, in the base frame<br><sub>band: two standard deviations of the base map; gaps: "
+        "outside the base</sub>", [], "", "", is_equal=False,
+    )  # fmt: skip
+    figure.update_layout(plane.layout)
+    measured, expected = (UT_PER_TESLA * b for b in (compared.measured, compared.expected))
+    sd = UT_PER_TESLA * compared.expected_sd
+    x = for_display(compared.rows)
+    for k in range(3):
+        said = np.where(known, expected[:, k], np.nan)
+        bounds = (said - 2 * sd[:, k], said + 2 * sd[:, k])
+        styles: list[tuple[Any, dict[str, Any]]] = [
+            (bounds[0], {"line": {"width": 0}, "showlegend": False}),
+            (bounds[1], {"line": {"width": 0}, "showlegend": False, "fill": "tonexty", "fillcolor": "#C9D6E2"}),
+            (said, {"name": "base map", "line": {"color": BASE_COLOR, "dash": "dash", "width": 2.5}}),
+            (measured[:, k], {"name": "measured", "line": {"color": TARGET_COLOR, "width": 1}}),
+        ]
+        for values, style in styles:
+            drawn = {"mode": "lines", "hoverinfo": "skip", "showlegend": k == 0} | style
+            trace = go.Scatter(x=x, y=for_display(values), **drawn)
+            figure.add_trace(trace, row=k + 1, col=1)
+        figure.update_yaxes(title_text=f"b{'xyz'[k]} (uT)", gridcolor="white", zeroline=False, row=k + 1, col=1)
+    figure.update_xaxes(title_text="sample", gridcolor="white", zeroline=False, row=3, col=1)
+    figure.update_layout(height=480, legend={"y": -0.12})
+    rms = float(np.sqrt(((measured - expected)[known] ** 2).sum(axis=1).mean()))
+    return described(
+        figure,
+        f"Three panels, bx, by and bz over the target's samples: measured (line) and from the base map (dashes) "
+        f"differ by {rms:.3g} uT root mean square in the overlap.",
+    )
+
+
+def _seen(cut: Cut, p: Points, name: str, **marker: Any) -> Any:
+    """Points of the base frame on the plan."""
+    x, y = for_display(p[:, list(cut.axes[:2])]).T
+    style = {"size": 5, "opacity": 0.7, **marker}
+    return require_plotly().Scatter(x=x, y=y, name=name, mode="markers", marker=style, hoverinfo="x+y+name")

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of how sure a pose is: where the target may lie, how it may be turned, and what the data leave free."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.geometry import transform_points
+from magmatch.registration.result import DegenerateDirection
+from magmatch.typing import Points
+from magmatch.viz.certainty import LEVEL, Ellipsoid, direction_words, swept
+from magmatch.viz.plotting import (
+    BASE_COLOR,
+    INK,
+    LINK_COLOR,
+    TARGET_COLOR,
+    TARGET_MARKER,
+    described,
+    for_display,
+    label,
+    lines3d,
+    new_scene,
+    points3d,
+    require_plotly,
+    thinned,
+)
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+DASHES = ("solid", "dash", "dot")
+# How far the farthest sample is drawn to go along a free direction, in the target's extent.
+SWEEP = 0.2
+MAX_ARROWS, MAX_SWEPT = 40, 1500
+
+
+def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> "Figure":
+    """Draw an ellipsoid with its axes.
+
+    Parameters
+    ----------
+    ellipsoid : Ellipsoid
+    title : str
+    unit : str
+        Unit to show.
+    scale : float
+        What one of the ellipsoid's own units is in it.
+    note : str
+        Where it is.
+
+    Returns
+    -------
+    plotly Figure
+    """
+    surface = scale * ellipsoid.surface()
+    rings, meridians = [*surface[2:-2:2]], [*surface.swapaxes(0, 1)[:-1:4]]
+    traces: list[Any] = [_curves([*rings, *meridians], name=f"{LEVEL:.0%} of the probability", color=BASE_COLOR)]
+    for k, (half, direction) in enumerate(zip(scale * ellipsoid.half_axes, ellipsoid.directions, strict=True)):
+        end = np.asarray(half * direction)[None]
+        line = {"color": TARGET_COLOR, "width": 6, "dash": DASHES[k]}
+        name = f"{half:.2g} {unit} along {direction_words(direction)}"
+        traces.append(lines3d(-end, end, name=name, line=line))
+    figure = new_scene(title, traces, note, unit=unit)
+    halves = ", ".join(f"{scale * h:.2g}" for h in ellipsoid.half_axes)
+    return described(
+        figure,
+        f"{title}: an ellipsoid that holds the truth with {LEVEL:.0%} probability; half axes {halves} {unit}, "
+        f"the longest along {direction_words(ellipsoid.directions[0])}.",
+    )
+
+
+def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection) -> "Figure":
+    """Draw what the data leave free: the target moved both ways along a free direction.
+
+    Parameters
+    ----------
+    base, target : Survey
+        Each in its own frame.
+    T_base_target : RigidTransform
+        Pose to start from.
+    free : DegenerateDirection
+
+    Returns
+    -------
+    plotly Figure
+    """
+    p_target = target.positions[thinned(len(target), MAX_SWEPT)]
+    reach = SWEEP * float(np.ptp(p_target, axis=0).max())
+    here = transform_points(p_target, T_base_target)
+    ways = [swept(p_target, T_base_target, free, sign * reach) for sign in (-1.0, 1.0)]
+    arrows = thinned(len(p_target), MAX_ARROWS)
+    p_base = base.positions[thinned(len(base), MAX_SWEPT)]
+    traces = [
+        points3d(p_base, name=f"base: {label(base.name)}", marker={"size": 1.5, "color": BASE_COLOR, "opacity": 0.5}),
+        _points(here, "target", TARGET_MARKER, TARGET_COLOR, 2.5),
+        _points(ways[0], "moved one way", "cross", LINK_COLOR, 2),
+        _points(ways[1], "moved the other way", "x", LINK_COLOR, 2),
+        lines3d(ways[0][arrows], ways[1][arrows], name="direction", line={"color": INK, "width": 3}),
+    ]
+    figure = new_scene(f"Free: {label(free.words)}", traces, "the data fit nearly as well all along the lines")
+    return described(
+        figure,
+        f"The target's samples with lines along which they may move without the data objecting: {free.words}.",
+    )
+
+
+def _points(p: Points, name: str, symbol: str, color: str, size: float) -> Any:
+    marker = {"size": size, "color": color, "symbol": symbol, "opacity": 0.7}
+    return points3d(p, name=name, marker=marker, hoverinfo="name")
+
+
+def _curves(curves: list[Points], name: str, color: str) -> Any:
+    """Several curves as one trace."""
+    gap = np.full((1, 3), np.nan)
+    x, y, z = for_display(np.concatenate([part for curve in curves for part in (curve, gap)])).T
+    line = {"color": color, "width": 1.5}
+    return require_plotly().Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line, hoverinfo="skip")

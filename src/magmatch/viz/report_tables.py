@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sections of a report that are mostly numbers: key figures, certainty, other poses, how to run it again."""
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.registration.result import RegistrationResult
+from magmatch.viz.certainty import LEVEL, Ellipsoid, direction_words, ellipsoids_at
+from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure
+from magmatch.viz.page import Section, figure_row, note, paragraph, subheading, table, to_copy
+from magmatch.viz.registration_figures import shown_pose
+from magmatch.viz.residuals import compare
+from magmatch.viz.words import percent
+
+# Other poses that are listed, and samples that give their numbers.
+MAX_LISTED, N_COMPARED = 10, 500
+MM, DEG = 1e3, 180 / np.pi
+
+
+def figures_table(result: RegistrationResult) -> str:
+    """What there is to know in numbers."""
+    rows = [["Overlap", f"{result.overlap:.0%} of the target's samples"]]
+    if result.residual is not None:
+        rows.append(["Normalised residual", f"{result.residual:.2f} (1: model and noise explain all)"])
+    if result.fitness is not None:
+        rows.append(["Fitness", f"{result.fitness:.3g} (cross product of aligned vectors)"])
+    matches = f"{result.n_inliers} inliers of {result.n_correspondences} correspondences"
+    rows.append(["Matches", f"{matches}, {result.n_keypoints} keypoints"])
+    if result.probability is None:
+        rows.append(["Probability", "not computed"])
+    rows += _sensor(result.sensor or {})
+    rows += [["Free direction", d.words] for d in result.degenerate_directions]
+    return table(rows)
+
+
+def transform_table(result: RegistrationResult) -> str:
+    """The motion, or what there is instead of it."""
+    T = result.T_base_target
+    if T is None:
+        return paragraph("No transform is given, since none was accepted.")
+    rows = [["Turned by", turn_words(T)], ["Moved by", ", ".join(f"{t:.4f}" for t in T.translation) + " m"]]
+    matrix = [[name, *(f"{v:.5f}" for v in row)] for name, row in zip("xyz1", T.as_matrix(), strict=True)]
+    words = paragraph("T_base_target, with p_base = T_base_target p_target:")
+    return table(rows) + words + table(matrix, ["", "x", "y", "z", "shift (m)"])
+
+
+def certainty(result: RegistrationResult, target: Survey | None) -> list[Section]:
+    """Ellipsoids of place and turn, in words, pictures and numbers; nothing where there is no covariance."""
+    T = result.T_base_target
+    title = "How sure"
+    if T is None:
+        return []
+    if result.covariance is None:
+        return [Section(title, [note("The result has no covariance: the published method gives none.")])]
+    blocks = []
+    if target is not None:
+        place, turn = ellipsoids_at(result.covariance, T, target.centroid)
+        where = "around the centroid of the target's samples, base axes"
+        blocks = [
+            paragraph(_ellipsoid_words(place, turn)),
+            figure_row(
+                [
+                    ellipsoid_figure(place, "Where the target lies", "mm", MM, where),
+                    ellipsoid_figure(turn, "How it is turned", "deg", DEG, "rotation vector in base axes"),
+                ]
+            ),
+        ]
+    blocks += [
+        subheading("Standard deviations in the target's axes, about its frame's origin"),
+        table(_deviations(result)),
+        note("Roots of the diagonal of the result's covariance; a far origin makes the shifts large."),
+    ]
+    return [Section(title, blocks)]
+
+
+def free_directions(result: RegistrationResult, base: Survey, target: Survey) -> list[Section]:
+    """What the data leave free, drawn."""
+    T = shown_pose(result)
+    if T is None or not result.degenerate_directions:
+        return []
+    figures = [free_figure(base, target, T, free) for free in result.degenerate_directions]
+    words = f"The data do not fix the pose against {_listed([d.words for d in result.degenerate_directions])}."
+    return [Section("Free directions", [paragraph(words), figure_row(figures)])]
+
+
+def other_poses(
+    result: RegistrationResult, base: Survey | FieldMap | None, target: Survey | FieldMap | None
+) -> list[Section]:
+    """Rival poses with their numbers; the best candidate first where nothing was accepted."""
+    if not result.alternatives:
+        return []
+    first = shown_pose(result)
+    center = np.zeros(3)
+    if target is not None:
+        center = target.survey.centroid if isinstance(target, FieldMap) else target.centroid
+    header = [
+        "",
+        "probability",
+        "turned by",
+        "moved by (m)",
+        "from the first" if not result.is_accepted else "from it",
+    ]
+    is_mapped = isinstance(base, FieldMap) and target is not None
+    header += ["overlap", "residual"] if is_mapped else []
+    rows = []
+    for k, other in enumerate(result.alternatives[:MAX_LISTED]):
+        T = other.T_base_target
+        row = [str(k + 1), "-" if other.probability is None else percent(other.probability), turn_words(T)]
+        row += [", ".join(f"{t:.3f}" for t in T.translation), _apart(first, T, center)]
+        if isinstance(base, FieldMap) and target is not None:
+            compared = compare(base, target, T, result, N_COMPARED)
+            row += [f"{compared.overlap:.0%}", "-" if compared.rms is None else f"{compared.rms:.2f}"]
+        rows.append(row)
+    left = len(result.alternatives) - len(rows)
+    words = (
+        "Poses that were considered, best first. " if not result.is_accepted else "Poses that fit nearly as well. "
+    )
+    words += "Distances are those of the target's centroid. " if target is not None else ""
+    words += f"{left} more stand in the result file." if left else ""
+    return [Section("Other poses", [paragraph(words), table(rows, header)])]
+
+
+def again(result: RegistrationResult, command: str | None) -> Section:
+    """All it takes to get the same numbers again."""
+    names = [str(entry.get("name", "?")) for entry in result.inputs]
+    if command is None:
+        names = names if len(names) == 2 else ["BASE", "TARGET"]
+        command = f"magmatch register {shlex.join(names)} --config settings.yaml --seed {result.seed}"
+    inputs = [
+        [name, str(entry.get("sha256", entry.get("SHA-256", "")))]
+        for name, entry in zip(names, result.inputs, strict=False)
+    ]
+    settings = yaml.safe_dump(result.config, sort_keys=False, width=100)
+    return Section(
+        "To run it again",
+        [
+            paragraph(
+                f"magmatch {result.version}, seed {result.seed}. The same input, settings and seed give the same "
+                "transform. Save the settings below as settings.yaml, or give the result file itself to --config."
+            ),
+            to_copy("command", command, is_wrapped=True),
+            table(inputs, ["input", "SHA-256"]) if inputs else "",
+            f"<details><summary>settings.yaml</summary>{to_copy('settings', settings)}</details>",
+        ],
+    )
+
+
+def turn_words(T: RigidTransform) -> str:
+    """A rotation as angle and axis."""
+    vector = T.rotation.as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return "0.00 deg"
+    return f"{np.rad2deg(angle):.2f} deg about ({', '.join(f'{c:.2f}' for c in vector / angle)})"
+
+
+def _ellipsoid_words(place: Ellipsoid, turn: Ellipsoid) -> str:
+    shift, angle = MM * place.half_axes, DEG * turn.half_axes
+    return (
+        f"With {LEVEL:.0%} probability the target's centroid lies within {shift[0]:.2g} mm of where the transform "
+        f"puts it, least sure along {direction_words(place.directions[0])} and within {shift[2]:.2g} mm across; it "
+        f"is turned within {angle[0]:.2g} deg, least sure about {direction_words(turn.directions[0])}."
+    )
+
+
+def _deviations(result: RegistrationResult) -> list[list[str]]:
+    """Roots of the covariance's diagonal in words."""
+    if result.covariance is None:
+        return []
+    sd = np.sqrt(np.diag(result.covariance))
+    axes = ["about x", "about y", "about z", "origin along x", "origin along y", "origin along z"]
+    text = [f"{DEG * s:.3f} deg" for s in sd[:3]] + [f"{MM * s:.1f} mm" for s in sd[3:]]
+    rows = [[axis, words] for axis, words in zip(axes, text, strict=True)]
+    turn, shift = result.standard_deviations or (0.0, 0.0)
+    return [["where the data fix it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
+
+
+def _apart(first: RigidTransform | None, T: RigidTransform, center: np.ndarray) -> str:
+    if first is None or first is T:
+        return "-"
+    angle = np.rad2deg((first.rotation.inv() * T.rotation).magnitude())
+    return f"{np.linalg.norm(first.apply(center) - T.apply(center)):.3g} m, {angle:.1f} deg"
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+
+
+def _sensor(sensor: Mapping[str, Any]) -> list[list[str]]:
+    """What differs between the two magnetometers, where it was estimated."""
+    rows = []
+    if sensor.get("bias") is not None:
+        rows.append(["Sensor bias", ", ".join(f"{1e9 * b:.0f}" for b in sensor["bias"]) + " nT"])
+    if sensor.get("scale") is not None:
+        rows.append(["Sensor scale", f"{sensor['scale']:.4f}"])
+    return rows

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How well the base map explains the target's samples under a pose: what residual and overlap pictures show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.result import RegistrationResult
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+from magmatch.viz.plotting import thinned
+
+# Normalised residual beyond which a sample is marked: of right ones, about 1 in 1000 (chi-square, three degrees).
+LARGEST_ORDINARY = 2.33
+MAX_COMPARED = 3000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Comparison:
+    """Samples of the target against the base map; arrays in the base's frame.
+
+    Attributes
+    ----------
+    rows : (n,) array
+        Which samples of the target these are.
+    positions : (n, 3) array, m
+    measured : (n, 3) array, T
+        The target's vectors, turned, and corrected for the sensor where that was estimated.
+    expected, expected_sd : (n, 3) arrays, T
+        What the base map says there, and how sure it is.
+    normalised : (n,) array
+        Length of the residual in its standard deviations: rms over samples is 1 where model and noise explain all.
+    is_known : (n,) array
+        Where the base map knows the field; nothing is said of the others.
+    """
+
+    rows: Indices
+    positions: Points
+    measured: Vectors
+    expected: Vectors
+    expected_sd: Vectors
+    normalised: Scalars
+    is_known: Mask
+
+    @property
+    def overlap(self) -> float:
+        """Share of the samples in the known part of the base."""
+        return float(self.is_known.mean())
+
+    @property
+    def rms(self) -> float | None:
+        """Root mean square of the normalised residual over the overlap; None where there is none."""
+        values = self.normalised[self.is_known]
+        return float(np.sqrt((values**2).mean())) if len(values) else None
+
+    @property
+    def is_large(self) -> Mask:
+        """Samples in the overlap that differ by more than chance allows."""
+        return np.asarray(self.is_known & (self.normalised > LARGEST_ORDINARY))
+
+
+def compare(
+    base: FieldMap,
+    target: Survey | FieldMap,
+    T_base_target: RigidTransform,
+    result: RegistrationResult,
+    n_compared: int = MAX_COMPARED,
+) -> Comparison:
+    """Put the target's samples into the base map.
+
+    Parameters
+    ----------
+    base : FieldMap
+    target : Survey or FieldMap
+        A survey alone is taken to have the base's noise.
+    T_base_target : RigidTransform
+    result : RegistrationResult
+        Says how the sensors differ.
+    n_compared : int
+        Samples to compare, evenly chosen.
+
+    Returns
+    -------
+    Comparison
+    """
+    survey = target.survey if isinstance(target, FieldMap) else target
+    noise = (base, target) if isinstance(target, FieldMap) else (base, base)
+    variance = sum(m.hyperparameters.noise_sd**2 for m in noise)
+    rows = thinned(len(survey), n_compared)
+    p_base = transform_points(survey.positions[rows], T_base_target)
+    measured = rotate_vectors(corrected(survey.field[rows], result), T_base_target)
+    expected, spread = base.evaluate(p_base).field, base.covariance(p_base)
+    r = measured - expected
+    whitened = np.linalg.solve(spread + variance * np.eye(3), r[..., None])[..., 0]
+    return Comparison(
+        rows=rows,
+        positions=p_base,
+        measured=measured,
+        expected=expected,
+        expected_sd=np.sqrt(np.maximum(np.diagonal(spread, axis1=1, axis2=2), 0)),
+        normalised=np.sqrt(np.maximum((r * whitened).sum(axis=1), 0) / 3),
+        is_known=base.knows(p_base),
+    )
+
+
+def corrected(field: Vectors, result: RegistrationResult) -> Vectors:
+    """Readings of the target as the base's sensor would give them, as far as the result says how they differ."""
+    sensor = result.sensor or {}
+    bias = np.asarray(sensor.get("bias") or np.zeros(3), dtype=np.float64)
+    gain = np.asarray(sensor.get("gain") or (sensor.get("scale") or 1.0) * np.eye(3), dtype=np.float64)
+    return np.asarray(np.linalg.solve(gain, (field - bias).T).T)

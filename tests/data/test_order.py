@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Path lengths are given of paths only."""
+
+import numpy as np
+import pytest
+
+from magmatch.data.describe import describe
+from magmatch.data.order import has_order
+from magmatch.data.survey import Survey
+
+
+def survey(p, **more):
+    return Survey(p, np.full(p.shape, 3e-5) + 1e-6 * np.random.default_rng(0).normal(size=p.shape), **more)
+
+
+@pytest.fixture
+def lanes():
+    """A lawn-mower path of 20 lanes."""
+    x = np.linspace(0, 5, 60)
+    rows = [np.column_stack([x if k % 2 == 0 else x[::-1], np.full(60, 0.25 * k), np.zeros(60)]) for k in range(20)]
+    return np.concatenate(rows)
+
+
+def test_a_path_without_times_has_a_length(lanes):
+    assert has_order(survey(lanes))
+    assert describe(survey(lanes))["path_length"] == pytest.approx(20 * 5 + 19 * 0.25)
+
+
+def test_samples_in_no_order_have_none(lanes):
+    shuffled = survey(np.random.default_rng(1).permutation(lanes))
+    assert not has_order(shuffled)
+    facts = describe(shuffled)
+    assert (facts["ordered"], facts["path_length"], facts["median_step"]) == (False, None, None)
+
+
+def test_times_make_an_order(lanes):
+    p = np.random.default_rng(1).permutation(lanes)
+    assert has_order(survey(p, times=np.arange(float(len(p)))))
+
+
+def test_one_sample_is_no_path():
+    assert not has_order(survey(np.zeros((1, 3))))

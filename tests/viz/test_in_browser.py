@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a page does in a real browser: it draws everything, asks for nothing, and fits a phone."""
+
+from itertools import pairwise
+
+import pytest
+
+from browser import Browser, find_browser
+
+pytest.importorskip("plotly")
+
+from magmatch.viz.report import write_report
+
+PATH = find_browser()
+pytestmark = pytest.mark.skipif(PATH is None, reason="no Chromium installed")
+
+N_DRAWN = "document.querySelectorAll('.plot .main-svg, .plot canvas').length"
+N_PLOTS = "document.querySelectorAll('.plot').length"
+UNDRAWN = "[...document.querySelectorAll('.plot')].filter(p => !p.querySelector('.main-svg, canvas')).length"
+TOO_WIDE = "document.documentElement.scrollWidth - window.innerWidth"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with Browser(PATH) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def report(pair, tmp_path_factory):
+    path = tmp_path_factory.mktemp("pages") / "report.html"
+    write_report(path, pair.base_map, pair.target_map, pair.accepted)
+    return path
+
+
+@pytest.fixture(scope="module")
+def shown(browser, report):
+    """The report on a desk, opened once: scenes are slow without a graphics card."""
+    browser.open(report)
+    browser.wait_for("document.body.dataset.drawn")
+    return browser
+
+
+def test_all_pictures_are_drawn_without_an_error(shown):
+    assert shown.evaluate(N_PLOTS) == 12
+    assert shown.evaluate(UNDRAWN) == 0
+    assert shown.errors() == []
+    assert shown.evaluate("document.getElementById('trouble').hidden")
+
+
+def test_nothing_is_asked_of_the_network(shown, report):
+    assert shown.requests() == [report.resolve().as_uri()]
+
+
+def test_nothing_could_be_asked_of_the_network_if_something_tried(shown):
+    tried = "fetch('https://example.org/').then(() => 'went out', () => 'refused')"
+    assert shown.evaluate(tried) == "refused"
+
+
+def test_no_button_sends_the_data_anywhere(shown):
+    titles = shown.evaluate("[...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
+    assert titles
+    assert not any(word in title.lower() for title in titles for word in ("cloud", "share", "edit", "studio"))
+
+
+def test_arrow_keys_turn_a_scene_and_0_puts_it_back(shown):
+    scene = "[...document.querySelectorAll('.plot')].find(p => p._fullLayout.scene)"
+    eye = f"JSON.stringify({scene}._fullLayout.scene.camera.eye)"
+    shown.evaluate(f"{scene}.focus()")
+    before = shown.evaluate(eye)
+    shown.press("ArrowLeft")
+    shown.wait_for(f"{eye} !== '{before}'")
+    shown.press("0")
+    shown.wait_for(f"{eye} === '{before}'")
+
+
+def test_the_command_can_be_copied(shown):
+    shown.evaluate("document.querySelector('button[data-copies=command]').click()")
+    shown.wait_for("document.querySelector('button[data-copies=command]').textContent !== 'Copy'")
+
+
+def test_every_part_has_a_name_and_levels_of_headings_are_not_skipped(shown):
+    nameless = (
+        "[...document.querySelectorAll('.plot, nav, button')].filter(e => !(e.ariaLabel || e.textContent)).length"
+    )
+    assert shown.evaluate(nameless) == 0
+    levels = shown.evaluate("[...document.querySelectorAll('h1, h2, h3')].map(h => +h.tagName[1])")
+    assert levels[0] == 1
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+    broken = "[...document.querySelectorAll('a')].filter(a => !document.querySelector(a.hash)).length"
+    assert shown.evaluate(broken) == 0
+
+
+def test_a_phone_shows_it_without_scrolling_sideways(browser, report):
+    browser.open(report, width=390, height=844)
+    browser.wait_for("document.body.dataset.drawn")
+    assert browser.evaluate(TOO_WIDE) <= 0
+    assert browser.evaluate(UNDRAWN) == 0
+    assert browser.errors() == []
