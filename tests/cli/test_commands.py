@@ -4,7 +4,9 @@
 import csv
 import json
 import re
+import shlex
 import sys
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -286,3 +288,28 @@ def test_query_offers_no_options_of_logs(run):
     help_text = run("query", "--help").out
     assert "--length-unit" in help_text
     assert "topic" not in help_text
+
+
+def test_map_draws_its_report(place, run, tmp_path):
+    pytest.importorskip("plotly")
+    out, report = tmp_path / "b.map", tmp_path / "b.html"
+    outcome = run("map", place / "base.csv", "--prior", "spline", "--out", out, "--report", report)
+    assert outcome.code == 0
+    assert f"Wrote the picture to {report}" in outcome.err
+    assert f"magmatch map {place / 'base.csv'} --config settings.yaml --out {out}" in report.read_text()
+
+
+def test_what_a_report_says_to_run_gives_the_same_result(place, run, tmp_path, monkeypatch):
+    pytest.importorskip("plotly")
+    report = tmp_path / "r.html"
+    words = ["register", place / "base.map", place / "target.map", "--seed", 7, "--sensor", "none", "--json"]
+    first = json.loads(run(*words, "--report", report).out)
+    page = unescape(report.read_text())
+    command, settings = (
+        re.search(rf'<pre id="{name}"[^>]*>(.*?)</pre>', page, re.DOTALL).group(1) for name in ("command", "settings")
+    )
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "settings.yaml").write_text(settings)
+    again = json.loads(run(*shlex.split(command)[1:], "--json").out)
+    for key in ("T_base_target", "covariance", "config", "seed", "reason"):
+        assert again[key] == first[key]

@@ -11,10 +11,11 @@ from magmatch.registration.result import Links
 
 pytest.importorskip("plotly")
 
+from magmatch.viz.map_figures import field_figures, spread_figure
 from magmatch.viz.plotting import thinned
 from magmatch.viz.registration_figures import scene_figures, slice_figures
 from magmatch.viz.slices import common_limits, cut_through
-from magmatch.viz.survey_figures import map_figures, profile_figure, survey_figure
+from magmatch.viz.survey_figures import profile_figure, survey_figure
 
 
 def xyz(trace):
@@ -102,7 +103,11 @@ def test_thinning_keeps_the_ends_and_repeats_nothing(n):
 
 def test_every_axis_says_its_unit(pair):
     figures = [survey_figure(pair.base), profile_figure(pair.base), profile_figure(pair.target)]
-    figures += [*map_figures(pair.base_map), *scene_figures(pair.base, pair.target, pair.accepted)]
+    figures += [
+        *field_figures(pair.base_map),
+        spread_figure(pair.base_map),
+        *scene_figures(pair.base, pair.target, pair.accepted),
+    ]
     figures += slice_figures(pair.base_map, pair.target_map, pair.accepted)
     for figure in figures:
         layout = figure.to_dict()["layout"]

@@ -9,6 +9,7 @@ from browser import Browser, find_browser
 
 pytest.importorskip("plotly")
 
+from magmatch.viz.map_report import write_map_report
 from magmatch.viz.report import write_report
 
 PATH = find_browser()
@@ -79,6 +80,11 @@ def test_the_command_can_be_copied(shown):
     shown.wait_for("document.querySelector('button[data-copies=command]').textContent !== 'Copy'")
 
 
+def test_a_printed_page_shows_what_is_folded(shown):
+    shown.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert shown.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
+
+
 def test_every_part_has_a_name_and_levels_of_headings_are_not_skipped(shown):
     nameless = (
         "[...document.querySelectorAll('.plot, nav, button')].filter(e => !(e.ariaLabel || e.textContent)).length"
@@ -97,3 +103,22 @@ def test_a_phone_shows_it_without_scrolling_sideways(browser, report):
     assert browser.evaluate(TOO_WIDE) <= 0
     assert browser.evaluate(UNDRAWN) == 0
     assert browser.errors() == []
+
+
+@pytest.fixture(scope="module")
+def others(pair, tmp_path_factory):
+    """Pages of other kinds: a refusal, and a map."""
+    folder = tmp_path_factory.mktemp("others")
+    write_report(folder / "refused.html", pair.base, pair.target, pair.refused)
+    write_map_report(folder / "map.html", pair.base_map, [pair.base])
+    return folder
+
+
+@pytest.mark.parametrize("name", ["refused", "map"])
+def test_other_pages_are_drawn_on_a_phone_too(browser, others, name):
+    browser.open(others / f"{name}.html", width=390, height=844)
+    browser.wait_for("document.body.dataset.drawn")
+    assert browser.evaluate(TOO_WIDE) <= 0
+    assert browser.evaluate(UNDRAWN) == 0
+    assert browser.errors() == []
+    assert len(browser.requests()) == 1

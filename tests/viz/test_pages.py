@@ -96,7 +96,7 @@ def test_other_poses_are_listed_with_their_numbers(pair, tmp_path):
     others = (Alternative(T, 0.6), *(Alternative(T * T, None) for _ in range(14)))
     result = replace(pair.refused, status=Status.AMBIGUOUS, alternatives=others)
     write_report(tmp_path / "r.html", pair.base_map, pair.target_map, result)
-    section = (tmp_path / "r.html").read_text().split('id="other-poses"')[1].split("</section>")[0]
+    section = (tmp_path / "r.html").read_text().split("Other poses</h2>")[1].split("</section>")[0]
     assert section.count("<tr>") == 1 + 10
     assert "60.0 %" in section
     assert "5 more stand in the result file" in section
@@ -153,12 +153,14 @@ def test_a_hundred_thousand_samples_stay_under_five_megabytes(pair, tmp_path):
     assert (tmp_path / "v.html").stat().st_size < LIMIT
 
 
-def test_a_map_is_viewed_with_its_standard_deviation(pair, tmp_path):
+def test_a_map_is_viewed_as_in_its_report_and_names_may_repeat(pair, tmp_path):
     pytest.importorskip("plotly")
-    write_view(tmp_path / "v.html", [pair.base_map, pair.target])
+    write_view(tmp_path / "v.html", [pair.base_map, pair.base, pair.base])
     page = (tmp_path / "v.html").read_text()
-    assert "Standard deviation" in page
-    assert len(figures_in(page)) == 5
+    for words in ("Standard deviation", "Map of base.csv", "Coverage: base.csv", "Survey base.csv"):
+        assert words in page
+    anchors = re.findall(r'<h2 id="([^"]+)"', page)
+    assert len(set(anchors)) == len(anchors) == 7
 
 
 def test_a_missing_extra_is_named(monkeypatch):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch map``: infer the field of a place and save it."""
 
-from collections.abc import Callable, Iterable, Iterator
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +19,7 @@ from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
+    from magmatch.field.map import FieldMap
     from magmatch.field.tile_fit import TileTask
     from magmatch.field.tiled_model import Runner
     from magmatch.typing import Scalars
@@ -26,6 +28,7 @@ EXAMPLES = (
     "magmatch map room.csv --out room.map",
     "magmatch map drive.mcap --out hall.map",
     "magmatch map monday.csv tuesday.csv --field-unit uT --out room.map",
+    "magmatch map room.csv --out room.map --report room.html",
     "magmatch map room.csv --prior divergence_free --domain 0,0,0,5,4,2 --out room.map",
     "magmatch map building.map friday.csv --out building.map",
     "magmatch map building.csv --jobs 4 --out building.map",
@@ -48,6 +51,7 @@ def build(
     ],
     out: Annotated[Path, typer.Option(help="Write the map here.")],
     layouts: Layouts,
+    report: Annotated[Path | None, typer.Option(help="Write a picture of the map here (HTML).")] = None,
     prior: Annotated[
         str | None,
         typer.Option(
@@ -72,10 +76,15 @@ def build(
 
     is_addition = prior is None and domain is None and config is None and _is_map(surveys[0]) and len(surveys) > 1
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
-    check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
+    check_outputs((out, report), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
+    if report is not None:
+        from magmatch.viz.plotting import require_plotly
+
+        require_plotly()
     if is_addition:
         with runner(jobs, scheduler) as run:
-            extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
+            grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
+        draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
         return
     settings = FieldConfig(prior="auto")
     if config is not None:
@@ -97,9 +106,27 @@ def build(
         f"Mapped {len(field_map.survey)} samples: lengthscale {numbers.lengthscale:.3g} m, field varies by "
         f"{field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}\nWrote the map to {out}"
     )
+    draw(report, field_map, samples, command_again(surveys, layouts, out))
 
 
-def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> None:
+def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", command: str) -> None:
+    """Write the map's report, where one was asked for."""
+    if report is None:
+        return
+    from magmatch.viz.map_report import write_map_report
+
+    write_map_report(report, field_map, read, command)
+    say(f"Wrote the picture to {report}")
+
+
+def command_again(surveys: "Sequence[Path]", layouts: Layouts, out: Path, *, with_settings: bool = True) -> str:
+    """Command line that makes the same map, with the resolved settings in settings.yaml."""
+    words = ["magmatch", "map", *map(str, surveys), *layouts.words()]
+    words += ["--config", "settings.yaml"] if with_settings else []
+    return shlex.join([*words, "--out", str(out)])
+
+
+def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> "FieldMap":
     """Add surveys to a saved map."""
     n_fitted = 0
 
@@ -117,6 +144,7 @@ def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> Non
         f"Added {len(new.survey) - len(old.survey)} samples to {len(old.survey)}; fitted {fitted} again\n"
         f"Wrote the map to {out}"
     )
+    return new
 
 
 def _is_map(path: Path) -> bool:

@@ -69,14 +69,14 @@ def overlap_figure(base_map: FieldMap, compared: Comparison) -> "Figure":
     inside = _seen(cut, compared.positions[compared.is_known], "inside", symbol=TARGET_MARKER, color=TARGET_COLOR)
     outside = _seen(cut, compared.positions[~compared.is_known], "outside", **OUTSIDE_STYLE)
     a, b, c = ("xyz"[axis] for axis in cut.axes)
+    n_inside, n = int(compared.is_known.sum()), len(compared.rows)
     figure = new_plane(
-        f"Overlap: {compared.overlap:.0%} of the target's samples<br><sub>shaded: where the base map knows the "
+        f"Overlap: {n_inside} of {n} samples<br><sub>shaded: where the base map knows the "
         f"field at {cut.words}; samples seen along {c}</sub>",
         [shade, inside, outside],
         f"{a} (m)",
         f"{b} (m)",
     )
-    n_inside, n = int(compared.is_known.sum()), len(compared.rows)
     return described(
         figure,
         f"Plan view along {c}: {n_inside} of {n} samples of the target (diamonds) fall where the base map knows the "

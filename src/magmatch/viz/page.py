@@ -38,10 +38,9 @@ class Section:
     title: str
     blocks: Sequence[str]
 
-    @property
-    def anchor(self) -> str:
-        """Name to link to."""
-        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+    def anchor(self, k: int) -> str:
+        """Name to link to, of the k-th section: titles may repeat."""
+        return f"s{k}-" + re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
 
 
 def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> None:
@@ -58,11 +57,10 @@ def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> Non
     """
     require_plotly()
     page = Template(files("magmatch.viz").joinpath("page.html").read_text(encoding="utf-8"))
-    named = [section for section in sections if section.title]
     html = page.substitute(
         title=escape(title),
-        contents=_contents(named) if len(named) > 2 else "",
-        body="\n".join(map(_section, sections)),
+        contents=_contents(sections),
+        body="\n".join(_section(section, k) for k, section in enumerate(sections)),
         plotly=_packed_plotly(),
     )
     with atomic_write(path) as stream:
@@ -130,15 +128,16 @@ def details(summary: str, html: str) -> str:
 
 
 def _contents(sections: Sequence[Section]) -> str:
-    links = "".join(f'<li><a href="#{s.anchor}">{escape(s.title)}</a></li>' for s in sections)
-    return f'<nav aria-label="Contents"><ul>{links}</ul></nav>'
+    """Links to the sections that have a title, where there are enough to need them."""
+    links = [f'<li><a href="#{s.anchor(k)}">{escape(s.title)}</a></li>' for k, s in enumerate(sections) if s.title]
+    return f'<nav aria-label="Contents"><ul>{"".join(links)}</ul></nav>' if len(links) > 2 else ""
 
 
-def _section(section: Section) -> str:
+def _section(section: Section, k: int) -> str:
     body = "\n".join(section.blocks)
     if not section.title:
         return f"<section>{body}</section>"
-    name = section.anchor
+    name = section.anchor(k)
     return f'<section aria-labelledby="{name}"><h2 id="{name}">{escape(section.title)}</h2>{body}</section>'
 
 

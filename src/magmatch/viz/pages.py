@@ -2,12 +2,15 @@
 """Pages of `magmatch view`: surveys and maps."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.viz.map_report import map_sections
 from magmatch.viz.page import Section, figure_row, write_page
-from magmatch.viz.survey_figures import map_figures, profile_figure, survey_figure
+from magmatch.viz.survey_figures import profile_figure, survey_figure
 
 
 def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
@@ -27,8 +30,19 @@ def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
     sections, names = [], []
     for item in drawn:
         survey = item if isinstance(item, Survey) else item.survey
-        figures = [survey_figure(survey), profile_figure(survey)] if isinstance(item, Survey) else map_figures(item)
         names.append(survey.name)
-        kind = "Survey " if isinstance(item, Survey) else "Map of "
-        sections.append(Section(kind + survey.name, [figure_row(figures)]))
+        sections += _of_survey(survey) if isinstance(item, Survey) else _of_map(item)
     write_page(path, f"magmatch: {', '.join(names)}", sections)
+
+
+def _of_survey(survey: Survey) -> list[Section]:
+    figures = [survey_figure(survey)]
+    figures += [profile_figure(survey)] if has_order(survey) else []
+    return [Section(f"Survey {survey.name}", [figure_row(figures)])]
+
+
+def _of_map(field_map: FieldMap) -> list[Section]:
+    """Its report, where several things are drawn each part with the map's name."""
+    name = field_map.survey.name
+    first, *rest = map_sections(field_map)
+    return [replace(first, title=f"Map of {name}"), *(replace(s, title=f"{s.title}: {name}") for s in rest)]

@@ -70,12 +70,28 @@ def cut_through(p: Points) -> Cut:
     -------
     Cut
     """
-    low, high = p.min(axis=0), p.max(axis=0)
-    size = high - low
+    size = np.ptp(p, axis=0)
     flattest = int(np.argmin(size))
-    normal = flattest if size[flattest] < FLATNESS * np.sort(size)[1] else 2
+    return cut_normal_to(p, flattest if size[flattest] < FLATNESS * np.sort(size)[1] else 2)
+
+
+def cut_normal_to(p: Points, normal: int) -> Cut:
+    """Cut the box of points through their median, across one axis.
+
+    Parameters
+    ----------
+    p : (n, 3) array, m
+        Points that the picture shall cover.
+    normal : int
+        Which axis.
+
+    Returns
+    -------
+    Cut
+    """
+    low, high = p.min(axis=0), p.max(axis=0)
     a, b = (axis for axis in range(3) if axis != normal)
-    step = max(float(max(size[a], size[b])) / (N_ALONG - 1), 1e-6)
+    step = max(float(max(high[a] - low[a], high[b] - low[b])) / (N_ALONG - 1), 1e-6)
     margin = 2 * step
     first = np.arange(low[a] - margin, high[a] + margin + step, step)
     second = np.arange(low[b] - margin, high[b] + margin + step, step)

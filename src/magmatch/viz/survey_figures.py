@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of one survey and of one map."""
+"""Pictures of one survey."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.field.map import FieldMap
 from magmatch.viz.plotting import (
     BASE_COLOR,
     BASE_MARKER,
     FIELD_SCALE,
     INK,
     LINK_COLOR,
-    SPREAD_SCALE,
     TARGET_COLOR,
     UT_PER_TESLA,
     colorbar,
@@ -27,18 +25,20 @@ from magmatch.viz.plotting import (
     require_plotly,
     thinned,
 )
-from magmatch.viz.slices import common_limits, cut_through, field_on, magnitude_slice, slice_figure
+from magmatch.viz.slices import common_limits
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-def survey_figure(survey: Survey) -> "Figure":
+def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
     """Samples in space, coloured by field magnitude.
 
     Parameters
     ----------
     survey : Survey
+    left_out : Survey, optional
+        Samples that were not used, drawn as crosses.
 
     Returns
     -------
@@ -57,10 +57,13 @@ def survey_figure(survey: Survey) -> "Figure":
         "colorbar": colorbar("|B| (uT)", y=-0.02, yanchor="top"),
     }
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
-    trace = points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)
+    traces = [points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)]
+    if left_out is not None and len(left_out):
+        cross = {"symbol": "x", "size": 4, "color": TARGET_COLOR}
+        traces.append(points3d(left_out.positions, name="left out", marker=cross, showlegend=True))
     shown = "" if len(rows) == len(survey) else f" ({len(rows)} drawn)"
     figure = new_scene(
-        f"{label(survey.name)}: {len(survey)} samples{shown}", [trace], f"frame '{survey.frame}', metres"
+        f"{label(survey.name)}: {len(survey)} samples{shown}", traces, f"frame '{survey.frame}', metres"
     )
     extent = " by ".join(f"{side:.3g}" for side in np.ptp(survey.positions, axis=0))
     return described(
@@ -98,29 +101,3 @@ def profile_figure(survey: Survey) -> "Figure":
     )
     spans = ", ".join(f"{name} from {values.min():.3g} to {values.max():.3g}" for name, values in drawn)
     return described(figure, f"Field of {survey.name} along the survey, uT: {spans}.")
-
-
-def map_figures(field_map: FieldMap) -> "list[Figure]":
-    """A map: its samples, the field's magnitude and its standard deviation on a cut.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-
-    Returns
-    -------
-    list of plotly Figure
-    """
-    survey = field_map.survey
-    cut = cut_through(survey.positions)
-    field, is_known = field_on(cut, field_map)
-    variance = np.trace(field_map.covariance(cut.points), axis1=1, axis2=2) / 3
-    sd = UT_PER_TESLA * np.sqrt(np.maximum(variance, 0))
-    limits = common_limits(magnitude_ut(survey.field))
-    return [
-        survey_figure(survey),
-        magnitude_slice(f"{label(survey.name)}: |B|, posterior mean", cut, field, is_known, limits),
-        slice_figure(
-            "Standard deviation of a component", cut, sd, is_known, common_limits(sd[is_known]), SPREAD_SCALE
-        ),
-    ]

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How much of the box around its samples a map knows, and how well."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.typing import Mask, Scalars
+
+# Points of the box that are asked.
+N_ASKED = 6000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Coverage:
+    """A map asked at points all over the box around its samples.
+
+    Attributes
+    ----------
+    known_share : float
+        Share of the box that the map knows.
+    volume : float, m^3
+        Of the box.
+    sd : (n,) array, T
+        Standard deviation of one component of the field at the known points, increasing.
+    variation : float, T
+        Standard deviation of one component over the samples: what a map without structure would miss by.
+    """
+
+    known_share: float
+    volume: float
+    sd: Scalars
+    variation: float
+
+    def share_below(self, sd: float) -> float:
+        """Share of the known part that is at least this sure."""
+        return float((self.sd <= sd).mean()) if len(self.sd) else 0.0
+
+    def quantile(self, share: float) -> float | None:
+        """Standard deviation that this share of the known part stays below; None where nothing is known."""
+        return float(np.quantile(self.sd, share)) if len(self.sd) else None
+
+
+def cover(field_map: FieldMap) -> Coverage:
+    """Ask a map all over the box around its samples.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+
+    Returns
+    -------
+    Coverage
+    """
+    size = np.ptp(field_map.survey.transformed(field_map.T_map_model.inv()).positions, axis=0)
+    sides = np.maximum(size, 0.02 * size.max())  # of a flat survey the thickness hardly matters
+    grid = field_map.grid_over(float((sides.prod() / N_ASKED) ** (1 / 3)) or 1.0)
+    gridded = field_map.on_grid(grid, order=0)
+    variance = gridded.variance[gridded.is_known]
+    return Coverage(
+        known_share=float(gridded.is_known.mean()),
+        volume=float(size.prod()),
+        sd=np.sort(np.sqrt(np.maximum(variance, 0))),
+        variation=float(np.sqrt(field_map.survey.field.var(axis=0).mean())),
+    )
+
+
+def left_out(field_map: FieldMap, read: Survey) -> Mask:
+    """Samples of a survey that the map was not made from.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    read : Survey
+        As it was given to `build_map`, map frame.
+
+    Returns
+    -------
+    (n,) bool array
+        Rows whose very numbers are not among the map's samples.
+    """
+    kept = {row.tobytes() for part in field_map.surveys for row in _rows(part)}
+    return np.array([row.tobytes() not in kept for row in _rows(read)], dtype=bool)
+
+
+def _rows(survey: Survey) -> np.ndarray:
+    return np.ascontiguousarray(np.hstack([survey.positions, survey.field]))

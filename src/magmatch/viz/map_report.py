@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The report of a map: what it was made from, the field, how sure it is, and how it came to be."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from magmatch import __version__
+from magmatch.data.order import has_order
+from magmatch.data.survey import Survey
+from magmatch.data.units import field_text
+from magmatch.field.map import FieldMap
+from magmatch.viz.coverage import Coverage, cover, left_out
+from magmatch.viz.map_figures import comparison_figure, coverage_figure, field_figures, spread_figure
+from magmatch.viz.page import Section, columns, figure_row, note, paragraph, subheading, table, to_copy, write_page
+from magmatch.viz.survey_figures import profile_figure, survey_figure
+
+# Most left-out samples listed one by one.
+MAX_LISTED = 12
+# What the numbers of a prior mean to a reader.
+MEANINGS = {
+    "lengthscale": "distance over which the field changes",
+    "signal_sd": "how much a component of the field varies, by the prior",
+    "noise_sd": "sensor noise and what the model cannot follow",
+    "spacing": "distance of the basis nodes",
+    "stiffness": "weight of the law div B = 0; 0: none, or exact",
+    "looseness": "width of the prior against signal_sd",
+    "inflation": "factor on standard deviations that left-out parts asked for",
+    "reach": "how far the map reaches beyond samples, in spacings",
+}
+
+
+def write_map_report(
+    path: str | Path, field_map: FieldMap, read: Sequence[Survey] = (), command: str | None = None
+) -> None:
+    """Write one HTML page about a map; it works offline and on a phone.
+
+    Parameters
+    ----------
+    path : path
+        Where; an existing file is replaced once the new one is complete.
+    field_map : FieldMap
+    read : sequence of Survey, optional
+        The surveys as they were read, map frame; shows which samples were left out.
+    command : str, optional
+        Command line that makes the map again, with the settings in ``settings.yaml``.
+
+    Raises
+    ------
+    MissingExtraError
+        Plotly is not installed.
+    """
+    again = _again(field_map, command)
+    write_page(path, f"magmatch: map of {field_map.survey.name}", [*map_sections(field_map, read), again])
+
+
+def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Section]:
+    """All there is to say and show of a map, but how to make it again.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    read : sequence of Survey, optional
+        As in `write_map_report`.
+
+    Returns
+    -------
+    list of Section
+    """
+    coverage = cover(field_map)
+    out = [survey.subset(left_out(field_map, survey)) for survey in read]
+    main, *others = field_figures(field_map)
+    sections = [
+        Section("", [columns([table(_facts(field_map))], [table(_coverage_rows(coverage))])]),
+        Section("The field", [figure_row([main, spread_figure(field_map)]), figure_row(others)]),
+        _samples(field_map, out),
+    ]
+    if len(coverage.sd):
+        sections.append(
+            Section("Coverage", [paragraph(_coverage_words(coverage)), figure_row([coverage_figure(coverage)])])
+        )
+    sections.append(_prior(field_map))
+    return sections
+
+
+def _facts(field_map: FieldMap) -> list[list[str]]:
+    survey = field_map.survey
+    extent = " by ".join(f"{side:.3g}" for side in np.ptp(survey.positions, axis=0))
+    rows = [["Samples", str(len(survey))], ["Extent", f"{extent} m, frame '{survey.frame}'"]]
+    if len(field_map.surveys) > 1:
+        rows.append(["Surveys", ", ".join(f"{part.name} ({len(part)})" for part in field_map.surveys)])
+    rows += [["Prior", field_map.config.prior]]
+    if field_map.config.domain is not None:
+        rows.append(["Declared box", ", ".join(f"{v:g}" for v in field_map.config.domain) + " m"])
+    return rows
+
+
+def _coverage_rows(coverage: Coverage) -> list[list[str]]:
+    rows = [
+        ["Known", f"{coverage.known_share:.0%} of the box around the samples"],
+        ["Field varies by", f"{field_text(coverage.variation)} (a component, over the samples)"],
+    ]
+    median, most = coverage.quantile(0.5), coverage.quantile(0.9)
+    if median is not None and most is not None:
+        rows.append(
+            ["Standard deviation", f"{field_text(median)} in the median, {field_text(most)} for 90 % (known part)"]
+        )
+    return rows
+
+
+def _coverage_words(coverage: Coverage) -> str:
+    share = coverage.share_below(0.25 * coverage.variation)
+    words = (
+        f"The map knows {coverage.known_share:.0%} of the box around its samples. In {share:.0%} of that its "
+        "standard deviation is below a quarter of how much the field varies: there it tells places apart."
+    )
+    return words + (" Survey the rest more densely." if share < 0.7 else "")
+
+
+def _samples(field_map: FieldMap, out: Sequence[Survey]) -> Section:
+    """Samples in space and along the way, and those that were left out."""
+    n_out = sum(map(len, out))
+    merged = out[0].merged(*out[1:]) if n_out else None
+    figures = [survey_figure(field_map.survey, merged)]
+    figures += [profile_figure(part) for part in field_map.surveys[:3] if has_order(part)]
+    blocks = [figure_row(figures)]
+    if out:
+        blocks.append(subheading("Left out"))
+        blocks.append(paragraph(_left_out_words(n_out)))
+    if merged is not None:
+        said = field_map.evaluate(merged.positions).field
+        apart = np.linalg.norm(merged.field - said, axis=1)
+        worst = np.argsort(-apart, kind="stable")[:MAX_LISTED]
+        rows = [
+            [", ".join(f"{v:.3f}" for v in merged.positions[k]), field_text(float(np.linalg.norm(merged.field[k]))),
+             field_text(float(np.linalg.norm(said[k]))), field_text(float(apart[k]))]
+            for k in worst
+        ]  # fmt: skip
+        blocks.append(table(rows, ["position (m)", "|B| measured", "|B| of the map", "difference"]))
+        if n_out > len(rows):
+            blocks.append(note(f"The {len(rows)} of {n_out} that differ most."))
+    return Section("Samples", blocks)
+
+
+def _left_out_words(n_out: int) -> str:
+    if not n_out:
+        return "No sample contradicts those around it; all were used."
+    return (
+        f"{n_out} samples contradict those around them (a phone that rang, metal that passed?) and were not used; "
+        "crosses in the picture. The setting leave_out_outliers: false keeps them."
+    )
+
+
+def _prior(field_map: FieldMap) -> Section:
+    """Numbers of the prior, and how the priors compared where that was asked for."""
+    numbers = field_map.hyperparameters.as_dict()
+    rows = [[name, _number(name, value), MEANINGS.get(name, "")] for name, value in numbers.items()]
+    blocks = [table(rows, ["", "value", "meaning"])]
+    errors = field_map.config.comparison
+    if errors:
+        best = min(errors.values())
+        compared = [
+            [
+                name,
+                field_text(error),
+                f"{100 * (error / best - 1):+.0f} %",
+                "yes" if name == field_map.config.prior else "",
+            ]
+            for name, error in sorted(errors.items(), key=lambda pair: pair[1])
+        ]
+        blocks += [
+            subheading("Priors compared on left-out parts"),
+            columns(
+                [table(compared, ["prior", "typical error", "against the best", "taken"])],
+                [figure_row([comparison_figure(errors, field_map.config.prior)])],
+            ),
+            note("The spline is preferred unless another is better by a clear margin: left-out errors are noisy."),
+        ]
+    else:
+        blocks.append(note("Priors were not compared; 'magmatch map --prior auto' does."))
+    return Section("The prior and its numbers", blocks)
+
+
+def _number(name: str, value: float) -> str:
+    if name.endswith("_sd"):
+        return field_text(value)
+    return f"{value:.3g}" + (" m" if name in ("lengthscale", "spacing") else "")
+
+
+def _again(field_map: FieldMap, command: str | None) -> Section:
+    names = [part.name for part in field_map.surveys]
+    command = command or f"magmatch map {shlex.join(names)} --config settings.yaml --out MAP"
+    settings = field_map.config.model_dump(mode="json", exclude={"comparison"})
+    text = yaml.safe_dump({"field": settings}, sort_keys=False)
+    words = (
+        f"magmatch {__version__}. The same surveys and settings give the same map. Settings: save as settings.yaml."
+    )
+    return Section(
+        "To make it again",
+        [
+            paragraph(words),
+            to_copy("command", command, is_wrapped=True),
+            f"<details><summary>settings.yaml</summary>{to_copy('settings', text)}</details>",
+        ],
+    )
