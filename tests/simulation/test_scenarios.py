@@ -244,3 +244,20 @@ def test_first_pose_without_a_path_is_refused():
 def test_negative_seed_is_refused():
     with pytest.raises(ConfigurationError, match="must not be negative, got -1"):
         simulate("office", -1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, np.pi])
+def test_target_is_turned_by_the_angle_asked_for(angle, exact):
+    axes = []
+    for seed in range(2):
+        T = simulate("office-random", seed, exact.model_copy(update={"target_turn": angle})).T_base_target
+        assert T.rotation.magnitude() == pytest.approx(angle, abs=1e-9)
+        axes.append(T.rotation.as_rotvec())
+    assert angle == 0 or not np.allclose(np.cross(*axes), 0)
+
+
+def test_planes_are_as_far_apart_as_asked_for(exact):
+    gap = exact.model_copy(update={"plane_gap": 0.4, "target_turn": 0.0})
+    pair = simulate("planar", 0, gap)
+    p_base = pair.T_base_target.apply(pair.target.positions)
+    assert p_base[:, 2].mean() - pair.base.positions[:, 2].mean() == pytest.approx(0.4, abs=0.005)

@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The named experiments: the published ones as equivalents, refusals, harder conditions, public recordings."""
 
+from typing import Any
+
+import numpy as np
+
 from magmatch.evaluation.experiment import Experiment, Tolerance
+from magmatch.evaluation.recorded import CeaArea, CeaElsewhere, Halves, Interleaved, TwoRecordings
 from magmatch.evaluation.simulated import Simulated
 from magmatch.simulation.config import SimulationConfig
 
-ALL_METHODS = ("default", "paper")
-N_PUBLISHED, N_REFUSALS = 20, 20
+ALL_METHODS = ("default", "paper", "sift", "sift-best", "kiss", "gicp", "refine-rough", "refine-identity")
+MAIN_METHODS = ("default", "paper", "sift")
+REAL_METHODS = ("default", "paper", "sift", "gicp")
+N_PUBLISHED, N_REFUSALS, N_HARDER, N_RECORDED = 20, 20, 8, 8
 WALK = Tolerance(0.25, 5.0)
 
 
@@ -28,19 +35,90 @@ def _published() -> list[Experiment]:
 
 def _refusals() -> list[Experiment]:
     """Pairs that nothing must be accepted for."""
+    places = CeaElsewhere()
     return [
-        Experiment(name, title, "refusals", Simulated(name), N_REFUSALS, ALL_METHODS)
-        for name, title in (("nowhere", "two different rooms"), ("uniform", "Earth's field and noise alone"))
+        Experiment("nowhere", "two different rooms", "refusals", Simulated("nowhere"), N_REFUSALS, ALL_METHODS),
+        Experiment(
+            "uniform", "Earth's field and noise alone", "refusals", Simulated("uniform"), N_REFUSALS, MAIN_METHODS
+        ),
+        Experiment(
+            "elsewhere", "two places of a building (CEA)", "refusals", places, N_REFUSALS, MAIN_METHODS, dataset="cea"
+        ),
     ]
 
 
-EXPERIMENTS: dict[str, Experiment] = {e.name: e for e in (*_published(), *_refusals())}
+# The harder table: what is varied, its unit, the scenario, and the settings by value.
+Sweep = tuple[str, str, str, dict[float, dict[str, Any]]]
+SWEEPS: tuple[Sweep, ...] = (
+    ("rotation", "deg, about a random axis", "office-random",
+     {deg: {"target_turn": float(np.radians(deg))} for deg in (0, 30, 90, 180)}),
+    ("overlap", "share of the target's region", "office-overlap",
+     {share: {"overlap": share} for share in (1.0, 0.7, 0.5, 0.3, 0.2)}),
+    ("noise", "uT", "office-random", {ut: {"noise_sd": 1e-6 * ut} for ut in (0.1, 1.0, 3.0, 10.0)}),
+    ("samples", "in each survey", "office-random", {n: {"n_samples": int(n)} for n in (100, 200, 400, 1000)}),
+    ("height", "m between two planes", "planar", {gap: {"plane_gap": gap} for gap in (0.0, 0.1, 0.2, 0.4)}),
+    ("drift", "m per sqrt(m) walked", "corridor", {rate: {"pose_drift": rate} for rate in (0.0, 0.02, 0.05, 0.1)}),
+    ("bias", "uT of the target's sensor on each axis, 3 % of scale", "office-random",
+     {ut: {"bias": (1e-6 * ut, -1e-6 * ut, 1e-6 * ut), "scale": 0.03} for ut in (0.5, 2.0, 5.0)}),
+    ("moved", "share of the sources moved between the surveys", "office-random",
+     {share: {"moved_sources": share} for share in (0.1, 0.2, 0.4)}),
+)  # fmt: skip
 
+
+def _harder() -> list[Experiment]:
+    """One condition varied at a time."""
+    return [
+        Experiment(
+            f"{what}-{value:g}", f"{scenario}: {what} {value:g} {unit}", what,
+            Simulated(scenario, SimulationConfig.model_validate(settings)), N_HARDER, MAIN_METHODS,
+            WALK if scenario == "corridor" else Tolerance(), value,
+        )
+        for what, unit, scenario, values in SWEEPS for value, settings in values.items()
+    ]  # fmt: skip
+
+
+def _recorded() -> list[Experiment]:
+    """Public recordings; what the data themselves can tell stands beside each."""
+
+    def one(
+        name: str, title: str, make: Any, n_seeds: int, max_m: float, floor: str, max_deg: float = 3.0
+    ) -> Experiment:
+        dataset, tolerance = name.split("-", maxsplit=1)[0], Tolerance(max_m, max_deg)
+        return Experiment(
+            name, title, "recordings", make, n_seeds, REAL_METHODS, tolerance, dataset=dataset, floor=floor
+        )
+
+    cea, aalto = "17-52 mm, 0.15-0.30 deg", "9-34 mm, 0-1.2 deg"
+    runs = {
+        "aalto-same": ("invensense-1", "invensense-2"), "aalto-other-sensor": ("trivisio-1", "invensense-2"),
+        "aalto-run4": ("invensense-1", "invensense-4"),
+    }  # fmt: skip
+    return [
+        one("cea-floor1", "areas of 10-20 m, walk one / walk two", CeaArea(1), N_RECORDED, 0.25, cea),
+        one("cea-floor2", "areas of 10-20 m, walk one / walk two", CeaArea(2), N_RECORDED, 0.25, cea),
+        *(one(name, f"{b} / {t}", TwoRecordings("aalto", b, t), 1, 0.10, aalto) for name, (b, t) in runs.items()),
+        one("jidling-halves", "first / second half", Halves("jidling", "volume"), 1, 0.06, "13-25 mm, 0.9-2.0 deg"),
+        *(
+            one(f"kok-{name}", "first / second half", Halves("kok", name), 1, 0.4, "poses drift 100-200 mm")
+            for name in ("eight", "square", "library")
+        ),
+        one(
+            "kaist-interleaved", "areas of 20 m of one pass, every second sample / the others",
+            Interleaved("kaist", "floor", 20.0), 4, 0.6, "grid of 0.6 m", 5.0,
+        ),
+    ]  # fmt: skip
+
+
+EXPERIMENTS: dict[str, Experiment] = {
+    experiment.name: experiment for experiment in (*_published(), *_refusals(), *_harder(), *_recorded())
+}
 # Under two minutes on one core: smaller surveys, few seeds.
 QUICK: dict[str, Experiment] = {
-    f"quick-{scenario}": Experiment(
-        f"quick-{scenario}", f"{EXPERIMENTS[scenario].title}; 600 samples", EXPERIMENTS[scenario].group,
-        Simulated(scenario, SimulationConfig(n_samples=600)), 2, ALL_METHODS,
+    f"quick-{name}": Experiment(
+        f"quick-{name}", f"{EXPERIMENTS[name].title}; {n_samples} samples", EXPERIMENTS[name].group,
+        Simulated(name, SimulationConfig(n_samples=n_samples)), 2, methods,
     )
-    for scenario in ("office-x30", "nowhere")
+    for name, n_samples, methods in (
+        ("office-x30", 600, ("default", "paper", "sift", "gicp")), ("nowhere", 400, ("default", "paper")),
+    )
 }  # fmt: skip

@@ -3,7 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from pydantic import BaseModel
 from scipy.spatial.transform import RigidTransform
@@ -101,10 +101,39 @@ class Baseline:
     title: str
     field: FieldConfig
     settings: BaseModel
-    solve: Callable[[FieldMap, FieldMap, BaseModel, int], RegistrationResult]
+    solve: Callable[[FieldMap, FieldMap, Any, int], RegistrationResult]
     module: str | None = None
 
     def __call__(self, task: Task) -> RegistrationResult:
         """Register the pair."""
         maps = (task.build(task.base, self.field), task.build(task.target, self.field))
         return self.solve(*maps, self.settings, task.seed)
+
+
+@dataclass(frozen=True, slots=True)
+class Refiner:
+    """A method that needs a start: the rough one, or the identity as if both frames were the same.
+
+    Attributes
+    ----------
+    name, title, module, field, settings
+        See `Baseline`.
+    solve : callable
+        ``solve(base_map, target_map, start, settings, seed)``.
+    is_rough : bool
+        Whether it is given the rough start.
+    """
+
+    name: str
+    title: str
+    field: FieldConfig
+    settings: BaseModel
+    solve: Callable[[FieldMap, FieldMap, RigidTransform, Any, int], RegistrationResult]
+    is_rough: bool
+    module: str | None = None
+
+    def __call__(self, task: Task) -> RegistrationResult:
+        """Register the pair."""
+        start = task.rough_start if self.is_rough else RigidTransform.identity()
+        maps = (task.build(task.base, self.field), task.build(task.target, self.field))
+        return self.solve(*maps, start, self.settings, task.seed)

@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 
 # How rough the start of methods that only refine is: what a floor plan and a compass give.
 ROUGH_ANGLE_DEG, ROUGH_DISTANCE = 10.0, 0.3
+ROUGH_WORDS = f"started {ROUGH_ANGLE_DEG:.0f} deg and {ROUGH_DISTANCE} m off the truth"
 FAULT = "fault"
 
 

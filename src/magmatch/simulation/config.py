@@ -30,6 +30,10 @@ class SimulationConfig(BaseModel):
     # The target's frame: the scenario's own choice, turned about the vertical, any SE(3), or its first sensor pose
     # (which needs a path).
     target_frame: Literal["scenario", "yaw", "any", "first_pose"] = "scenario"
+    # Angle by which the target's axes are turned, about an axis drawn at random, rad. None: as the frame above says.
+    target_turn: float | None = Field(default=None, ge=0, le=3.141592653589793)
+    # Distance of the two surveys' planes, m; `planar` only.
+    plane_gap: float = Field(default=0.1, ge=0)
     # Sides of the surveyed box of the rooms, m (the published office: a room).
     room_size: tuple[float, float, float] = (3.0, 3.0, 1.0)
     # Least distance of a sample to a structure of a room, m: what furniture lets a hand-held sensor do.

@@ -163,7 +163,7 @@ def _repeated(config: SimulationConfig, streams: Streams) -> Scene:
 
 
 def _planar(config: SimulationConfig, streams: Streams) -> Scene:
-    """Two planes 0.1 m apart, held to a centimetre."""
+    """Two planes, one above the other, held to a centimetre."""
     scene = _room(config, streams, "any")
 
     def flattened(path: SensorPath, height: float, rng: np.random.Generator) -> SensorPath:
@@ -172,8 +172,8 @@ def _planar(config: SimulationConfig, streams: Streams) -> Scene:
 
     return replace(
         scene,
-        base_path=flattened(scene.base_path, -0.05, streams.base),
-        target_path=flattened(scene.target_path, 0.05, streams.target),
+        base_path=flattened(scene.base_path, -config.plane_gap / 2, streams.base),
+        target_path=flattened(scene.target_path, config.plane_gap / 2, streams.target),
     )
 
 
@@ -262,6 +262,8 @@ def _scene(
     """Put a scene together: the base's frame is the world, the target's the scenario's choice or the config's."""
     if config.target_frame != "scenario":
         frame = config.target_frame
+    if config.target_turn is not None:
+        frame = _turned_by(config.target_turn, streams.frames)
     T_target_world = _frame(frame, target, streams.frames) if isinstance(frame, str) else frame
     everything = tuple(sources)
     T_base_world = RigidTransform.identity()
@@ -280,6 +282,13 @@ def _frame(kind: str, path: SensorPath, rng: np.random.Generator) -> RigidTransf
         msg = "target_frame 'first_pose' needs a scenario whose target is a path: table, table-robot or corridor"
         raise ConfigurationError(msg)
     return RigidTransform.from_components(path.positions[0], path.orientations[0]).inv()
+
+
+def _turned_by(angle: float, rng: np.random.Generator) -> RigidTransform:
+    """Draw a survey frame that is turned by a given angle: takes world coordinates to it."""
+    axis = rng.standard_normal(3)
+    turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+    return RigidTransform.from_components(rng.uniform(-5, 5, 3), turn)
 
 
 def _samples(low: Vector3, high: Vector3, furniture: list[Source], n: int, rng: np.random.Generator) -> Points:

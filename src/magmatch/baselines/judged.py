@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What all baselines share: an answer is accepted by the published check, so that none is better off for its own."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.field.map import FieldMap
+from magmatch.registration.answer import by_fitness
+from magmatch.registration.candidate import Candidate, SearchResult
+from magmatch.registration.decision import DecisionConfig
+from magmatch.registration.fitness import alignment_fitness
+from magmatch.registration.result import RegistrationResult
+
+
+def judged(
+    base_map: FieldMap,
+    target_map: FieldMap,
+    found: RigidTransform | None,
+    *,
+    n_correspondences: int = 0,
+    n_inliers: int = 0,
+) -> RegistrationResult:
+    """State the answer of a baseline: its pose, judged by the mean misalignment of vectors.
+
+    Parameters
+    ----------
+    base_map, target_map : FieldMap
+    found : RigidTransform or None
+        ``T_base_target``; None where the method gave up.
+    n_correspondences, n_inliers : int
+
+    Returns
+    -------
+    RegistrationResult
+    """
+    if found is None or not np.isfinite(found.as_matrix()).all():
+        return by_fitness(SearchResult(n_correspondences=n_correspondences), None, DecisionConfig(rule="fitness"))
+    search = SearchResult((Candidate(found, 0.0),), n_correspondences=n_correspondences, n_inliers=n_inliers)
+    fitness = alignment_fitness(base_map, target_map.survey, found)
+    return by_fitness(search, fitness, DecisionConfig(rule="fitness"))
