@@ -14,6 +14,7 @@ from magmatch.registration.annealing import anneal_poses
 from magmatch.registration.candidate import Candidate, SearchResult
 from magmatch.registration.cubes import thin
 from magmatch.registration.invariant_search import distinct_poses
+from magmatch.registration.neighbours import NeighbourTree
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import Evidence, score_poses
 from magmatch.registration.walk import Walk
@@ -78,7 +79,7 @@ class PairTable:
     field: Vectors
     first: Indices
     second: Indices
-    tree: cKDTree
+    tree: NeighbourTree
     length: float
     sd_position: float
     sd_field: float
@@ -112,7 +113,7 @@ def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: Pa
     x, b = x[rows], b[rows]
     i, j = pairs[:, 0], pairs[:, 1]
     invariants = whiten_pairs(pair_invariants(x[i], x[j], b[i], b[j]), sd_position, sd_field, field_norm)
-    return PairTable(x, b, i, j, cKDTree(invariants), length, sd_position, sd_field, field_norm, gradient_rms)
+    return PairTable(x, b, i, j, NeighbourTree.of(invariants), length, sd_position, sd_field, field_norm, gradient_rms)
 
 
 def pair_search(
@@ -199,7 +200,7 @@ def hypotheses(
     invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
     k = min(config.n_neighbours, len(table.first))
     whitened = whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm)
-    found = np.asarray(table.tree.query(whitened, k=k)[1], dtype=np.int64).reshape(-1)
+    found = table.tree.query(whitened, k).ravel()
     a, b = table.first[found], table.second[found]
     rows = np.repeat(np.arange(len(i)), k)
     i, j = i[rows], j[rows]

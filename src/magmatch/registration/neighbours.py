@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Nearest neighbours among many points, by a balanced k-d tree that is nothing but arrays.
+
+Arrays can be kept in a file and mapped into memory, so that a table of a hundred thousand pairs is ready at once,
+and a query reads only the leaves that it visits.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from magmatch.typing import Indices
+
+# Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
+LEAF = 24
+MAX_DEPTH = 40
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class NeighbourTree:
+    """Points in the order of the tree's leaves, and the planes that divide them.
+
+    Attributes
+    ----------
+    points : (n, d) float32 array
+        Leaf by leaf.
+    rows : (n,) int32 array
+        Where each of them stood among the points given.
+    axes : (m,) int32 array
+        Axis that each inner node divides; node k has children 2 k + 1 and 2 k + 2.
+    values : (m,) float32 array
+        Where it divides it.
+    """
+
+    points: np.ndarray
+    rows: np.ndarray
+    axes: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray) -> "NeighbourTree":
+        """Divide points at their medians until leaves are small.
+
+        Parameters
+        ----------
+        points : (n, d) array
+
+        Returns
+        -------
+        NeighbourTree
+        """
+        points = np.asarray(points, dtype=np.float32)
+        n, depth = len(points), 0
+        while n >> depth > LEAF:
+            depth += 1
+        order = np.arange(n, dtype=np.int32)
+        axes, values = np.zeros((1 << depth) - 1, dtype=np.int32), np.zeros((1 << depth) - 1, dtype=np.float32)
+        bounds = [(0, n)]
+        for node in range(len(axes)):
+            low, high = bounds[node]
+            middle = (low + high) // 2
+            part = points[order[low:high]]
+            axis = int(np.argmax(np.ptp(part, axis=0)))
+            order[low:high] = order[low:high][np.argpartition(part[:, axis], middle - low)]
+            axes[node], values[node] = axis, points[order[middle], axis]
+            bounds += [(low, middle), (middle, high)]
+        return cls(points[order], order, axes, values)
+
+    def query(self, targets: np.ndarray, k: int) -> Indices:
+        """Rows of the k nearest points of each target, nearest first.
+
+        Parameters
+        ----------
+        targets : (t, d) array
+        k : int
+            At most the number of points.
+
+        Returns
+        -------
+        (t, k) int array
+        """
+        targets = np.ascontiguousarray(targets, dtype=np.float32)
+        if k > len(self.points):
+            msg = f"expected at most as many neighbours as points ({len(self.points)}), got {k}"
+            raise ValueError(msg)
+        found = np.zeros((len(targets), k), dtype=np.int64)
+        _query(self.points, self.axes, self.values, targets, found)
+        return np.asarray(self.rows[found], dtype=np.int64)
+
+
+@njit(cache=True)
+def _query(points, axes, values, targets, found):  # type: ignore[no-untyped-def]
+    n, d = points.shape
+    k, n_inner = found.shape[1], len(axes)
+    nodes, lows, highs = np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64)
+    # Distance from the target to each waiting node's box, axis by axis.
+    gaps, near = np.zeros((MAX_DEPTH, d)), np.zeros(k)
+    gap = np.zeros(d)
+    for t in range(len(targets)):
+        near[:] = np.inf
+        nodes[0], lows[0], highs[0], n_waiting = 0, 0, n, 1
+        gaps[0] = 0.0
+        while n_waiting:
+            n_waiting -= 1
+            node, low, high = nodes[n_waiting], lows[n_waiting], highs[n_waiting]
+            gap[:] = gaps[n_waiting]
+            if (gap**2).sum() >= near[k - 1]:
+                continue
+            while node < n_inner:
+                axis, middle = axes[node], (low + high) // 2
+                beyond = np.float64(targets[t, axis]) - values[node]
+                nodes[n_waiting], gaps[n_waiting] = 2 * node + 1 + (beyond < 0), gap
+                lows[n_waiting], highs[n_waiting] = (middle, high) if beyond < 0 else (low, middle)
+                gaps[n_waiting, axis] = max(abs(beyond), gap[axis])
+                n_waiting += 1
+                node = 2 * node + 1 + (beyond >= 0)
+                low, high = (low, middle) if beyond < 0 else (middle, high)
+            for p in range(low, high):
+                d2 = 0.0
+                for c in range(d):
+                    d2 += (np.float64(points[p, c]) - targets[t, c]) ** 2
+                if d2 < near[k - 1]:
+                    at = k - 1
+                    while at > 0 and near[at - 1] > d2:
+                        near[at], found[t, at] = near[at - 1], found[t, at - 1]
+                        at -= 1
+                    near[at], found[t, at] = d2, p
