@@ -12,6 +12,7 @@ from magmatch.geometry import exp_se3, log_se3, random_transform, transform_erro
 from magmatch.registration.line_evidence import weigh_walk
 from magmatch.registration.pair_search import pair_search
 from magmatch.registration.path_noise import PathNoise, Stretch, most_likely
+from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import prepare
 from magmatch.registration.register_walk import WalkConfig, index_walks, register_walk
 from magmatch.registration.result import Status
@@ -60,7 +61,7 @@ def test_the_truth_is_among_the_first_poses_of_the_search(rooms, index):
     rng = np.random.default_rng(7)
     T = random_transform(rng)
     walk = walk_of(walk_in(rooms[0], rng).transformed(T.inv()), index.length)
-    found = pair_search(index.base, index.table, walk, WalkConfig().search, rng)
+    found = pair_search(index.base, index.table, walk, PosePrior(1.0), WalkConfig().search, rng)
     T_true = index.base.T_map_model.inv() * T * walk.T_survey_walk
     errors = [transform_error(c.T_base_target, T_true, walk.positions.mean(axis=0)) for c in found.candidates[:3]]
     assert min(d for d, _ in errors) < 0.15
@@ -109,7 +110,7 @@ def test_the_stated_covariance_matches_the_errors(rooms, index):
     nees = []
     for _ in range(40):
         walk = replace(clean, field=values.field + (L @ rng.standard_normal(len(C))).reshape(-1, 3))
-        best = weigh_walk(index.base, walk, [truth], noise, index.length, WalkConfig().evidence)[0]
+        best = weigh_walk(index.base, walk, [truth], noise, index.length, PosePrior(1.0), WalkConfig().evidence)[0]
         # Perturbation about the centre: turn, then shift of the centre.
         difference = best.T_base_walk.inv() * truth
         shift = difference.apply(best.center) - best.center
@@ -122,7 +123,7 @@ def test_refinement_ends_at_the_truth_from_nearby(rooms, index):
     walk = walk_of(walk_in(rooms[0], np.random.default_rng(0)), index.length)
     truth = index.base.T_map_model.inv() * walk.T_survey_walk
     start = truth * exp_se3(np.array([0.04, -0.03, 0.05, 0.05, 0.04, -0.03]))
-    best = weigh_walk(index.base, walk, [start], index.noise, index.length, WalkConfig().evidence)[0]
+    best = weigh_walk(index.base, walk, [start], index.noise, index.length, PosePrior(1.0), WalkConfig().evidence)[0]
     assert np.abs(log_se3(truth.inv() * best.T_base_walk)).max() < 0.02
 
 

@@ -152,6 +152,40 @@ def read_archive(path: str | Path, schema: str) -> tuple[dict[str, Any], dict[st
     return attributes, arrays
 
 
+def fingerprint_archive(path: str | Path) -> str:
+    """SHA-256 that stands for all of an archive's content, read from its manifest alone.
+
+    The manifest lists the hash of every entry, so what is made of an archive can be told from what is made of
+    another without reading either. Damage of an entry is found by `read_archive`.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Raises
+    ------
+    DataFormatError
+        No such file, or no archive of ours.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            info = archive.getinfo(MANIFEST)
+            _check_entry(path, info)
+            return hashlib.sha256(archive.read(info)).hexdigest()
+    except OSError as error:
+        raise DataFormatError(path, f"cannot be read: {error.strerror or error}") from None
+    except ZIP_ERRORS as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, f"is not a saved map: {_one_line(error)}") from None
+
+
 def _check_outside(path: str | Path, content: bytes) -> None:
     """Size and both ends of the file, before anything in it is believed."""
     if len(content) > MAX_BYTES:

@@ -27,6 +27,7 @@ def by_evidence(
     found: SearchResult,
     ranked: list[PoseEvidence],
     config: DecisionConfig,
+    elsewhere: float = -np.inf,
 ) -> RegistrationResult:
     """Judge refined poses by their cells and state the answer in survey frames.
 
@@ -38,6 +39,8 @@ def by_evidence(
     ranked : list of PoseEvidence
         Best first.
     config : DecisionConfig
+    elsewhere : float, nats
+        Log evidence of the best pose in any other map.
 
     Returns
     -------
@@ -49,7 +52,7 @@ def by_evidence(
     best = ranked[0]
     lengthscale = min(base.lengthscale, target.lengthscale)
     rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * lengthscale)]
-    lead = best.log_evidence - max((e.log_evidence for e in rivals), default=-np.inf)
+    lead = best.log_evidence - max([e.log_evidence for e in rivals] + [elsewhere])
     poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
     frame, center = target.T_map_model, best.pose.center
     free = (

@@ -9,6 +9,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.registration.decision import DecisionConfig
 from magmatch.registration.invariant_search import InvariantSearchConfig
 from magmatch.registration.keypoint_search import KeypointSearchConfig
+from magmatch.registration.pose_prior import PosePriorConfig
 from magmatch.registration.refinement import RefinementConfig
 from magmatch.registration.register_walk import WalkConfig
 
@@ -25,6 +26,8 @@ class RegistrationConfig(BaseModel):
     # 'keypoints': the published detector, HOV and MSAC.
     search: Literal["auto", "invariants", "pairs", "keypoints"] = "auto"
     invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
+    # What is known of the pose beforehand.
+    prior: PosePriorConfig = Field(default_factory=PosePriorConfig)
     walks: WalkConfig = Field(default_factory=WalkConfig)
     keypoints: KeypointSearchConfig = Field(default_factory=KeypointSearchConfig)
     refinement: RefinementConfig = Field(default_factory=RefinementConfig)

@@ -2,6 +2,7 @@
 """How far the refined pose may be off: a sandwich over independent cells, and the directions left free."""
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew
@@ -33,18 +34,19 @@ def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
         Rotation first (rad, m), target's model axes, about ``pose.center``; None where the data leave a
         direction entirely free.
     """
-    prior = np.diag(np.concatenate([np.zeros(6), pose.sensor_sd**-2]))
+    prior = block_diag(pose.prior_information, np.diag(pose.sensor_sd**-2))
     total = np.zeros_like(prior)
     n_used = 0
     for direction in pose.directions:
         clusters = sum_by_cube(direction.scores, direction.positions, cell_side)
         n_cells = len(clusters)
-        if n_cells < MIN_CELLS or np.linalg.cond(_balanced(direction.information[:6, :6])) > 1e12:
+        information = direction.information + prior
+        if n_cells < MIN_CELLS or np.linalg.cond(_balanced(information[:6, :6])) > 1e12:
             continue
         clusters = clusters - clusters.mean(axis=0)
         # Six fitted parameters use up part of the clusters' spread.
         meat = clusters.T @ clusters * n_cells / max(n_cells - 3.0, 1.0)
-        bread = np.linalg.inv(_regular(direction.information + prior))
+        bread = np.linalg.inv(_regular(information))
         total += bread @ (meat + prior) @ bread
         n_used += 1
     if n_used == 0:

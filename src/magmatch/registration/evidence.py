@@ -7,6 +7,7 @@ import numpy as np
 
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.covariance import pose_covariance
+from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refinement import RefinedPose
 from magmatch.registration.unrelated import UnrelatedField, average_cells, fit_unrelated_field
@@ -31,8 +32,8 @@ class PoseEvidence:
         Cells in the overlap whose field stands out from the target's mean field, and of these the ones that
         agree and disagree with the base.
     log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C - ln(volume 8 pi^2)``: the odds of this pose
-        after paying for the search over all poses.
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the odds of this pose after
+        paying for the search over all poses.
     unexplained : float
         Share of the field's variance that the base leaves unexplained, at its most likely value.
     residual : float
@@ -63,7 +64,9 @@ def unrelated_field(base: PreparedMap, target: PreparedMap) -> UnrelatedField:
     return fit_unrelated_field(cells, cells.mean(target.sample_field), noise, target.lengthscale)
 
 
-def weigh_pose(base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrelated: UnrelatedField) -> PoseEvidence:
+def weigh_pose(
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrelated: UnrelatedField, prior: PosePrior
+) -> PoseEvidence:
     """Count the cells for and against a pose.
 
     Parameters
@@ -72,6 +75,7 @@ def weigh_pose(base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrela
     pose : RefinedPose
     unrelated : UnrelatedField
         Null hypothesis of this pair.
+    prior : PosePrior
 
     Returns
     -------
@@ -102,15 +106,15 @@ def weigh_pose(base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrela
         int(is_informative.sum()),
         int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
         int((is_informative & (r2 > np.maximum(24 * V, 0.25 * n2))).sum()),
-        log_ratio + _search_price(covariance, base.raster.volume),
+        log_ratio + _search_price(covariance, prior.log_density(T, pose.center)),
         unexplained,
         float(np.sqrt(np.median(sample_r2) / MEDIAN_CHI2_3)),
     )
 
 
-def _search_price(covariance: Matrix | None, volume: float) -> float:
-    """Log of the share of all poses (positions in the map, all rotations) that this one's uncertainty fills."""
+def _search_price(covariance: Matrix | None, log_prior: float) -> float:
+    """Log of the share of all poses (as far as the prior allows them) that this one's uncertainty fills."""
     if covariance is None:
         return -np.inf
     _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
-    return float(0.5 * log_det - np.log(max(volume, np.finfo(float).tiny) * 8 * np.pi**2))
+    return float(0.5 * log_det + log_prior)

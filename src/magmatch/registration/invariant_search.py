@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.features.invariants import gradient_norm, point_frames
 from magmatch.registration.annealing import anneal_poses
 from magmatch.registration.candidate import Candidate, SearchResult
+from magmatch.registration.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
@@ -56,13 +57,18 @@ FINE_SCHEDULE = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
 
 
 def invariant_search(
-    base: PreparedMap, target: PreparedMap, config: InvariantSearchConfig, rng: np.random.Generator
+    base: PreparedMap,
+    target: PreparedMap,
+    prior: PosePrior,
+    config: InvariantSearchConfig,
+    rng: np.random.Generator,
 ) -> SearchResult:
     """Find the poses under which the base's field explains the target's samples best.
 
     Parameters
     ----------
     base, target : PreparedMap
+    prior : PosePrior
     config : InvariantSearchConfig
     rng : numpy Generator
         Draws anchors and the samples that judge poses.
@@ -73,7 +79,8 @@ def invariant_search(
         Distinct poses in model frames (``T_basemodel_targetmodel``), best first.
     """
     anchors = choose_anchors(target, config.n_anchors, rng)
-    neighbours = similar_points(base, target, anchors, config)
+    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
     log.info("scoring %d hypotheses", neighbours.size)
     anchor_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
     R = _align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
@@ -82,6 +89,10 @@ def invariant_search(
     rows = judging_samples(pt, target, config.n_score_samples, rng)
     lengthscale = min(base.lengthscale, target.lengthscale)
     sd = np.array([config.sd_rotation, config.sd_translation * lengthscale])
+    center, slack = target.samples.mean(axis=0), (config.sd_rotation, config.sd_translation * lengthscale)
+    R, pb, anchor_rows = prior.narrow((R, pb, anchor_rows), pt, center, slack, rng)
+    if not len(R):
+        return SearchResult()
     # Most hypotheses are wrong, and a few samples say so.
     few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
     for judges, n_kept in ((few, config.n_second), (rows, config.n_coarse)):
@@ -94,8 +105,7 @@ def invariant_search(
     R, pb, scores = anneal_poses(
         R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.3
     )
-    center, reach = target.samples.mean(axis=0), 0.6 * lengthscale
-    keep = distinct_poses(R, _carry(center, R, pb, pt[anchor_rows]), scores, 0.07, reach, config.n_fine)
+    keep = distinct_poses(R, _carry(center, R, pb, pt[anchor_rows]), scores, 0.07, 0.6 * lengthscale, config.n_fine)
     R, pb, anchor_rows = R[keep], pb[keep], anchor_rows[keep]
     common = rng.permutation(len(target.samples))[: config.n_fine_samples]
     rows = np.tile(common, (len(pt), 1))
@@ -104,7 +114,9 @@ def invariant_search(
         R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.05
     )
     moved = _carry(center, R, pb, pt[anchor_rows])
+    scores[~prior.admits(R, moved, center, slack)] = -np.inf
     keep = distinct_poses(R, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
+    keep = keep[np.isfinite(scores[keep])]
     candidates = tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep)
     return SearchResult(
         candidates,
@@ -129,7 +141,7 @@ def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator
 
 
 def similar_points(
-    base: PreparedMap, target: PreparedMap, anchors: Indices, config: InvariantSearchConfig
+    base: PreparedMap, target: PreparedMap, anchors: Indices, n_neighbours: int, whitening_floor: float
 ) -> Indices:
     """Base points whose invariants are nearest to those of each anchor, whitened by their uncertainty.
 
@@ -143,10 +155,10 @@ def similar_points(
     scale = np.sqrt(
         np.median(base.invariant_sd, axis=0) ** 2
         + np.median(target.invariant_sd, axis=0) ** 2
-        + (config.whitening_floor * spread) ** 2
+        + (whitening_floor * spread) ** 2
         + np.finfo(float).tiny
     )
-    k = min(config.n_neighbours, len(base.points))
+    k = min(n_neighbours, len(base.points))
     _, rows = cKDTree(base.invariants / scale).query(target.invariants[anchors] / scale, k=k)
     return np.asarray(rows, dtype=np.int64).reshape(len(anchors), k)
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import skew
 from magmatch.registration.path_noise import PathNoise
+from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.walk import Walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
@@ -70,8 +71,8 @@ class LineEvidence:
     coverage : float
         Share of the bins inside the base map.
     log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C - ln(volume 8 pi^2)``, less the price of the
-        path outside the map.
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, less the price of the path
+        outside the map.
     residual : float
         Normalised rms residual (1 when the covariance explains everything).
     is_covered : (n,) bool array
@@ -88,7 +89,13 @@ class LineEvidence:
 
 
 def weigh_walk(
-    base: PreparedMap, walk: Walk, starts: list[RigidTransform], noise: PathNoise, length: float, config: LineConfig
+    base: PreparedMap,
+    walk: Walk,
+    starts: list[RigidTransform],
+    noise: PathNoise,
+    length: float,
+    prior: PosePrior,
+    config: LineConfig,
 ) -> list[LineEvidence]:
     """Refine poses of a walk and order them by their evidence.
 
@@ -101,6 +108,7 @@ def weigh_walk(
     noise : PathNoise
     length : float, m
         The base's field length.
+    prior : PosePrior
     config : LineConfig
 
     Returns
@@ -111,7 +119,7 @@ def weigh_walk(
     if not starts or len(walk) < config.min_bins:
         return []
     distance = cdist(walk.positions, walk.positions)
-    squares = _LeastSquares(base, walk, distance, noise, length, walk.positions.mean(axis=0))
+    squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0))
     null = UnrelatedWalk.most_likely(walk, distance, noise, length)
     R = np.stack([T.rotation.as_matrix() for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
@@ -193,6 +201,7 @@ class _LeastSquares:
     distance: Matrix
     noise: PathNoise
     length: float
+    prior: PosePrior
     center: Vector3
 
     def run(self, R: Tensors, p: Points, strain: Matrix, n_steps: int, *, is_full: bool) -> _Fits:
@@ -232,7 +241,16 @@ class _LeastSquares:
         free = np.repeat([FREE_TURN, FREE_SHIFT * self.length], 3)
         information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
         v = np.einsum("hki,hk->hi", JW, z)
+        if not self.prior.is_flat:
+            for k in range(n_poses):
+                known_before, slope, _ = self.prior.rows(self.pose(R[k], p[k]), self.center)
+                information[k] += known_before
+                v[k] += slope
         return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
+
+    def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
+        """Transform that turns by R and puts the walk's centre somewhere."""
+        return RigidTransform.from_components(moved_center - R @ self.center, Rotation.from_matrix(R))
 
     def _alike_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
         """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""
@@ -257,10 +275,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
         # A walk that fits better than expected may still share its frame's errors.
         covariance = max(inflation, 1.0) * np.linalg.inv(fits.information[k])
         _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
-        volume = max(squares.base.raster.volume, np.finfo(float).tiny)
-        T = RigidTransform.from_components(
-            fits.centers[k] - fits.rotations[k] @ squares.center, Rotation.from_matrix(fits.rotations[k])
-        )
+        T = squares.pose(fits.rotations[k], fits.centers[k])
         found.append(
             LineEvidence(
                 T_base_walk=T,
@@ -272,7 +287,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
                     - fits.half_log_det[k]
                     - null.log_likelihood(known)
                     + 0.5 * log_det
-                    - np.log(volume * 8 * np.pi**2)
+                    + squares.prior.log_density(T, squares.center)
                     - price_per_bin * (~known).sum()
                     - config.price_piece / config.piece_bins * (fits.strain[k] > 1).sum()
                 ),

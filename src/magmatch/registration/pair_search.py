@@ -15,6 +15,7 @@ from magmatch.registration.candidate import Candidate, SearchResult
 from magmatch.registration.cubes import thin
 from magmatch.registration.invariant_search import distinct_poses
 from magmatch.registration.neighbours import NeighbourTree
+from magmatch.registration.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import Evidence, score_poses
 from magmatch.registration.walk import Walk
@@ -117,7 +118,12 @@ def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: Pa
 
 
 def pair_search(
-    base: PreparedMap, table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.random.Generator
+    base: PreparedMap,
+    table: PairTable,
+    walk: Walk,
+    prior: PosePrior,
+    config: PairSearchConfig,
+    rng: np.random.Generator,
 ) -> SearchResult:
     """Find the poses under which the base's field explains a walk best.
 
@@ -127,6 +133,7 @@ def pair_search(
     table : PairTable
         Of the base.
     walk : Walk
+    prior : PosePrior
     config : PairSearchConfig
     rng : numpy Generator
         Draws the walk's pairs.
@@ -139,26 +146,31 @@ def pair_search(
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return SearchResult()
-    R, pb, pair_rows = hypotheses(table, walk, i, j, config)
-    pt = (walk.positions[i] + walk.positions[j]) / 2
+    center, pt = walk.positions.mean(axis=0), (walk.positions[i] + walk.positions[j]) / 2
+    sd = np.array([config.sd_rotation, config.sd_translation * table.length])
+    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    found = hypotheses(table, walk, i, j, n_neighbours)
+    R, pb, pair_rows = prior.narrow(found, pt, center, (sd[0], sd[1]), rng)
+    if not len(R):
+        return SearchResult()
     evidence = _evidence(base, table, walk)
     some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
     rows = np.tile(some, (len(pt), 1))
-    sd = np.array([config.sd_rotation, config.sd_translation * table.length])
     log.info("scoring %d hypotheses", len(R))
     scores = score_poses(R, pb, pair_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
-    center = walk.positions.mean(axis=0)
     best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.length, config)
     R, pb, pair_rows = R[best], pb[best], pair_rows[best]
     R, pb, scores = anneal_poses(
         R, pb, pair_rows, pt, rows, evidence, base, np.outer(SCHEDULE, sd), config.outlier_share, damping=0.3
     )
     moved = _carry(center, R, pb, pt[pair_rows])
+    scores[~prior.admits(R, moved, center, (sd[0], sd[1]))] = -np.inf
     keep = distinct_poses(R, moved, scores, 0.1, 0.3 * table.length, config.n_candidates)
+    keep = keep[np.isfinite(scores[keep])]
     return SearchResult(
         tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k])) for k in keep),
         n_keypoints=len(table.positions) + len(walk),
-        n_correspondences=len(i) * config.n_neighbours,
+        n_correspondences=len(found[0]),
     )
 
 
@@ -185,7 +197,7 @@ def choose_pairs(
 
 
 def hypotheses(
-    table: PairTable, walk: Walk, i: Indices, j: Indices, config: PairSearchConfig
+    table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int
 ) -> tuple[Tensors, Points, Indices]:
     """Poses that put each of the walk's pairs onto its most similar base pairs.
 
@@ -198,7 +210,7 @@ def hypotheses(
         Which pair each pose comes from.
     """
     invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
-    k = min(config.n_neighbours, len(table.first))
+    k = min(n_neighbours, len(table.first))
     whitened = whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm)
     found = table.tree.query(whitened, k).ravel()
     a, b = table.first[found], table.second[found]

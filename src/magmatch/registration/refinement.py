@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.field.values import FieldValues
 from magmatch.geometry import rotate_vectors, skew, transform_points
 from magmatch.registration.cubes import sum_by_cube
+from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
@@ -83,6 +84,8 @@ class RefinedPose:
         Bias and gain of the target's magnetometer against the base's, target's model axes.
     sensor_sd : (k,) array
         Prior standard deviations that the sensor's parameters were given.
+    prior_information : (6, 6) array
+        What was known of the pose beforehand, about the centre.
     directions : tuple of Direction
         What each direction of comparison says; empty where the maps hardly overlap.
     """
@@ -91,6 +94,7 @@ class RefinedPose:
     center: Vector3
     sensor: SensorModel
     sensor_sd: np.ndarray
+    prior_information: Matrix
     directions: tuple[Direction, ...]
 
 
@@ -98,6 +102,7 @@ def refine(
     base: PreparedMap,
     target: PreparedMap,
     T_base_target: RigidTransform,
+    prior: PosePrior,
     config: RefinementConfig,
     rng: np.random.Generator,
     level: int = 0,
@@ -109,6 +114,7 @@ def refine(
     base, target : PreparedMap
     T_base_target : RigidTransform
         Start, model frame to model frame.
+    prior : PosePrior
     config : RefinementConfig
     rng : numpy Generator
         Picks the samples where there are more than needed.
@@ -135,13 +141,17 @@ def refine(
         # Neighbouring residuals are not independent; unscaled they would override any prior.
         excess = overdispersion(directions, 2 * lengthscale)
         A, v = A / excess, v / excess
+        known, slope, _ = prior.rows(T, center)
+        A[:6, :6] += known
+        v[:6] -= slope
         A[6:, 6:] += np.diag(sd**-2)
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
         T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
         if float(xi @ A @ xi) < CONVERGED**2:
             break
-    return RefinedPose(T, center, sensor, sd, compare(base, target, T, center, sensor, rows))
+    known = prior.rows(T, center)[0]
+    return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows))
 
 
 def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:

@@ -7,12 +7,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.data.survey import Survey
-from magmatch.registration.line_evidence import LineConfig, weigh_walk
+from magmatch.registration.candidate import SearchResult
+from magmatch.registration.line_evidence import LineConfig, LineEvidence, weigh_walk
 from magmatch.registration.pair_search import PairSearchConfig, PairTable, pair_search, tabulate_pairs
 from magmatch.registration.path_noise import PathNoise, learn_path_noise
+from magmatch.registration.pose_prior import PosePriorConfig, pose_prior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.walk import field_length, walk_of
+from magmatch.registration.walk import Walk, field_length, walk_of
 from magmatch.registration.walk_answer import WalkDecisionConfig, by_line_evidence
 
 
@@ -65,8 +67,37 @@ def index_walks(base: PreparedMap, config: WalkConfig, rng: np.random.Generator)
     return WalkIndex(base, length, noise, tabulate_pairs(base, length, noise.total_sd, config.search))
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class WeighedWalk:
+    """A walk's poses in one base map, weighed but not judged.
+
+    Attributes
+    ----------
+    index : WalkIndex
+    walk : Walk
+    found : SearchResult
+        Counts of the search.
+    ranked : list of LineEvidence
+        Best first.
+    """
+
+    index: WalkIndex
+    walk: Walk
+    found: SearchResult
+    ranked: list[LineEvidence]
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the best pose; -inf where there is none."""
+        return self.ranked[0].log_evidence if self.ranked else -np.inf
+
+
 def register_walk(
-    index: WalkIndex, target: Survey, config: WalkConfig, rng: np.random.Generator
+    index: WalkIndex,
+    target: Survey,
+    config: WalkConfig,
+    rng: np.random.Generator,
+    prior: PosePriorConfig | None = None,
 ) -> RegistrationResult:
     """Search by pairs of points, refine and weigh by generalised least squares, decide.
 
@@ -78,13 +109,61 @@ def register_walk(
     config : WalkConfig
     rng : numpy Generator
         Draws the walk's pairs.
+    prior : PosePriorConfig, optional
+        What is known of the pose beforehand.
 
     Returns
     -------
     RegistrationResult
     """
+    weighed = search_walk(index, target, config, rng, prior or PosePriorConfig(), index.base.raster.volume)
+    return judge_walk(weighed, config)
+
+
+def search_walk(
+    index: WalkIndex,
+    target: Survey,
+    config: WalkConfig,
+    rng: np.random.Generator,
+    prior: PosePriorConfig,
+    volume: float,
+) -> WeighedWalk:
+    """Search by pairs of points, refine and weigh by generalised least squares.
+
+    Parameters
+    ----------
+    index, target, config, rng, prior
+        As of `register_walk`.
+    volume : float, m^3
+        Of the regions in which the walk is looked for, this base's or those of many.
+
+    Returns
+    -------
+    WeighedWalk
+    """
     walk = walk_of(target, index.length)
-    found = pair_search(index.base, index.table, walk, config.search, rng)
+    known = pose_prior(prior, index.base.T_map_model, walk.T_survey_walk, volume)
+    found = pair_search(index.base, index.table, walk, known, config.search, rng)
     starts = [c.T_base_target for c in found.candidates]
-    ranked = weigh_walk(index.base, walk, starts, index.noise, index.length, config.evidence)
-    return by_line_evidence(index.base, walk, found, ranked, index.length, config.decision)
+    ranked = weigh_walk(index.base, walk, starts, index.noise, index.length, known, config.evidence)
+    return WeighedWalk(index, walk, found, ranked)
+
+
+def judge_walk(weighed: WeighedWalk, config: WalkConfig, elsewhere: float = -np.inf) -> RegistrationResult:
+    """Accept or refuse the best pose.
+
+    Parameters
+    ----------
+    weighed : WeighedWalk
+    config : WalkConfig
+    elsewhere : float, nats
+        Log evidence of the best pose in any other map.
+
+    Returns
+    -------
+    RegistrationResult
+    """
+    index = weighed.index
+    return by_line_evidence(
+        index.base, weighed.walk, weighed.found, weighed.ranked, index.length, config.decision, elsewhere
+    )

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The noun of this room: an atlas, a folder of maps, each in its own frame, with their indexes beside them."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from magmatch.data.sniff import sniff
+from magmatch.errors import DataFormatError
+from magmatch.field.map import FieldMap
+from magmatch.registration.config import PRESETS, RegistrationConfig
+from magmatch.registration.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
+from magmatch.registration.pair_search import PairTable
+from magmatch.threads import single_threaded
+
+log = logging.getLogger(__name__)
+
+# Maps that are kept in memory once they were needed.
+MAX_LOADED = 20
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sheet:
+    """One map of an atlas.
+
+    Attributes
+    ----------
+    path : Path
+        The saved map.
+    index : IndexFile
+    table : PairTable
+        Its pairs of points, mapped into memory.
+    """
+
+    path: Path
+    index: IndexFile
+    table: PairTable
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Atlas:
+    """Many maps, ready to be searched; those that were needed stay in memory.
+
+    Attributes
+    ----------
+    folder : Path
+    sheets : tuple of Sheet
+        In the order of their names.
+    config : RegistrationConfig
+        What the indexes were made with.
+    """
+
+    folder: Path
+    sheets: tuple[Sheet, ...]
+    config: RegistrationConfig
+    _loaded: dict[Path, MapIndex] = field(default_factory=dict)
+
+    @property
+    def volume(self) -> float:
+        """Volume of all regions together, m^3."""
+        return sum(sheet.index.volume for sheet in self.sheets)
+
+    def load(self, sheet: Sheet) -> MapIndex:
+        """Give a map with its index, from memory where it is there.
+
+        Parameters
+        ----------
+        sheet : Sheet
+
+        Returns
+        -------
+        MapIndex
+        """
+        index = self._loaded.pop(sheet.path, None)
+        if index is None:
+            field_map = FieldMap.load(sheet.path)
+            try:
+                index = sheet.index.load(field_map)
+            except DataFormatError as error:
+                log.info("%s; indexing it again", error)
+                index = make_index(sheet.path, self.config, field_map)
+        self._loaded[sheet.path] = index
+        while len(self._loaded) > MAX_LOADED:
+            self._loaded.pop(next(iter(self._loaded)))
+        return index
+
+
+@single_threaded
+def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> Atlas:
+    """Open a folder of saved maps; maps whose index is missing or stale are indexed, which takes seconds each.
+
+    Parameters
+    ----------
+    folder : path
+        Every saved map in it counts, whatever its name; other files are passed over.
+    config : RegistrationConfig, optional
+        Preset ``default`` unless given.
+
+    Returns
+    -------
+    Atlas
+
+    Raises
+    ------
+    DataFormatError
+        No such folder, or no map in it, or one that is damaged.
+    """
+    config, folder = config or PRESETS["default"], Path(folder)
+    paths = list(maps_in(folder))
+    if not paths:
+        message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
+        raise DataFormatError(folder, message)
+    opened = {path: open_index(path, config) for path in paths}
+    stale = [path for path, index in opened.items() if index is None]
+    sheets = []
+    for path, index in opened.items():
+        if index is None:
+            log.info("indexing %s (%d of %d)", path.name, stale.index(path) + 1, len(stale))
+            index = _kept(path, config)
+        sheets.append(Sheet(path, index, index.table()))
+    return Atlas(folder, tuple(sheets), config)
+
+
+def maps_in(folder: Path) -> Iterator[Path]:
+    """Saved maps of a folder, in the order of their names.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Yields
+    ------
+    Path
+
+    Raises
+    ------
+    DataFormatError
+        No such folder.
+    """
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.is_file())
+    except OSError as error:
+        raise DataFormatError(folder, f"cannot be read: {error.strerror or error}") from None
+    for path in paths:
+        if path.name.startswith(".") or path.suffix == SUFFIX:
+            continue
+        with path.open("rb") as stream:
+            is_archive = stream.read(4) == b"PK\x03\x04"
+        if is_archive and sniff(path) == "map":
+            yield path
+
+
+def _kept(path: Path, config: RegistrationConfig) -> IndexFile:
+    """Index a map and open what was kept."""
+    make_index(path, config)
+    index = open_index(path, config)
+    if index is None:
+        raise DataFormatError(path, "its index cannot be kept beside it; make the folder writable")
+    return index

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which maps may hold a walk: pairs of points propose poses, and those that agree with each other are votes.
+
+In the right map many pairs of the walk propose one and the same pose; in any other map each proposes its own. Votes
+need the maps' pair tables only, so a hundred maps are asked without reading their fields.
+"""
+
+import numpy as np
+from numba import njit
+
+from magmatch.data.survey import Survey
+from magmatch.registration.pair_search import PairSearchConfig, PairTable, choose_pairs, hypotheses
+from magmatch.registration.walk import Walk, walk_of
+from magmatch.typing import Scalars
+
+# Pairs of the walk that vote, and base pairs that each is tried on.
+N_PAIRS, N_NEIGHBOURS = 40, 6
+# Poses nearer than this are one: rad, and in the base's field lengths at the walk's centre.
+SAME_ROTATION, SAME_PLACE = 0.25, 0.8
+# Maps whose field lengths differ by less than this factor share one binning of the walk.
+SHARED_LENGTH = 1.15
+
+
+def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:
+    """Share of a walk's pairs that agree on one pose, in each of many maps.
+
+    Parameters
+    ----------
+    tables : list of PairTable
+        One per map.
+    target : Survey
+        A line of samples in the order they were taken.
+    config : PairSearchConfig
+    seed : int
+        Draws the pairs.
+
+    Returns
+    -------
+    (n,) array
+        Between 0 and 1.
+    """
+    few = config.model_copy(update={"n_pairs": N_PAIRS, "n_neighbours": N_NEIGHBOURS})
+    walks: dict[int, Walk] = {}
+    votes = np.zeros(len(tables))
+    for k, table in enumerate(tables):
+        step = round(float(np.log(table.length) / np.log(SHARED_LENGTH)))
+        if step not in walks:
+            walks[step] = walk_of(target, SHARED_LENGTH**step)
+        votes[k] = votes_for(table, walks[step], few, np.random.default_rng(seed))
+    return votes
+
+
+def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.random.Generator) -> float:
+    """Share of the walk's pairs that agree on the pose most of them agree on.
+
+    Parameters
+    ----------
+    table : PairTable
+    walk : Walk
+    config : PairSearchConfig
+        Counts.
+    rng : numpy Generator
+
+    Returns
+    -------
+    float
+        0 where the walk is too short for any pair.
+    """
+    i, j = choose_pairs(walk, table, config, rng)
+    if not len(i) or not len(table.first):
+        return 0.0
+    R, anchors, pair_rows = hypotheses(table, walk, i, j, config.n_neighbours)
+    middle = (walk.positions[i] + walk.positions[j])[pair_rows] / 2
+    centers = anchors + np.einsum("nij,nj->ni", R, walk.positions.mean(axis=0) - middle)
+    largest = _largest_agreement(R, centers, pair_rows, len(i), SAME_ROTATION, SAME_PLACE * table.length)
+    return float(largest / config.n_pairs)
+
+
+@njit(cache=True)
+def _largest_agreement(R, centers, pair_rows, n_pairs, angle, distance):  # type: ignore[no-untyped-def]
+    """Most pairs, each counted once, whose poses lie around one of the poses."""
+    least_trace, best = 1.0 + 2.0 * np.cos(angle), 0
+    seen = np.full(n_pairs, -1)
+    for h in range(len(R)):
+        found = 0
+        for g in range(len(R)):
+            if seen[pair_rows[g]] == h:
+                continue
+            d2, trace = 0.0, 0.0
+            for c in range(3):
+                d2 += (centers[h, c] - centers[g, c]) ** 2
+            if d2 > distance * distance:
+                continue
+            for a in range(3):
+                for b in range(3):
+                    trace += R[h, a, b] * R[g, a, b]
+            if trace > least_trace:
+                seen[pair_rows[g]] = h
+                found += 1
+        best = max(best, found)
+    return best

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is known of the pose before the field is looked at: nothing but the region, the vertical, or a rough pose.
+
+A prior enters three times: poses that it rules out are not searched, its rows stand beside the residuals' in every
+refinement (and so in the covariance), and its density is what the evidence pays for the search: over all poses
+``1 / (volume 8 pi^2)``, over the turns about the vertical ``1 / (volume 2 pi)``, near a rough pose a Gaussian.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.geometry import skew
+from magmatch.typing import Indices, Mask, Matrix, Points, Tensors, Vector3
+
+# Standard deviations within which a pose must lie to be searched.
+REACH = 3.5
+# Poses drawn about a rough one, and how many more neighbours are tried where a prior will leave most of them out.
+N_DRAWN = 300
+MORE_NEIGHBOURS = 4
+UP = np.array([0.0, 0.0, 1.0])
+
+Hypotheses = tuple[Tensors, Points, Indices]
+
+
+class PosePriorConfig(BaseModel):
+    """What is known of the pose beforehand; by default nothing."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Rough T_base_target: x, y, z (m), then the quaternion qx, qy, qz, qw.
+    pose: tuple[float, float, float, float, float, float, float] | None = None
+    # Standard deviations of the rough pose: of the place where it puts the middle of the target, per axis (m), and
+    # of its rotation about any axis (rad).
+    sd_translation: float = Field(default=1.0, gt=0)
+    sd_rotation: float = Field(default=0.17, gt=0)
+    # Whether z points up in both surveys, so that only heading and place are unknown.
+    is_gravity_aligned: bool = False
+    # How well it does, per axis (rad): a good accelerometer at rest, or a robot's floor.
+    gravity_sd: float = Field(default=0.01, gt=0)
+
+    @field_validator("pose")
+    @classmethod
+    def _has_a_rotation(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is not None and (not np.isfinite(value).all() or abs(np.linalg.norm(value[3:]) - 1) > 1e-2):
+            msg = "expected x, y, z and a unit quaternion qx, qy, qz, qw"
+            raise ValueError(msg)
+        return value
+
+    def transform(self) -> RigidTransform | None:
+        """The rough ``T_base_target``."""
+        if self.pose is None:
+            return None
+        return RigidTransform.from_components(np.array(self.pose[:3]), Rotation.from_quat(self.pose[3:]))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PosePrior:
+    """A prior of the pose between two model frames.
+
+    Attributes
+    ----------
+    volume : float, m^3
+        Of the region in which the target may lie.
+    T_base_target : RigidTransform or None
+        Rough pose.
+    sd : (6,) array
+        Of the rough pose, rotation first (rad, m), about the middle of the target.
+    up_base, up_target : (3,) arrays or None
+        The vertical in either model frame.
+    gravity_sd : float, rad
+    """
+
+    volume: float
+    T_base_target: RigidTransform | None = None
+    sd: np.ndarray | None = None
+    up_base: Vector3 | None = None
+    up_target: Vector3 | None = None
+    gravity_sd: float = 0.01
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether any pose in the region is as likely as any other."""
+        return self.T_base_target is None and self.up_base is None
+
+    def log_density(self, T: RigidTransform, center: Vector3) -> float:
+        """Natural logarithm of the prior at a pose, per m^3 and rad^3.
+
+        Parameters
+        ----------
+        T : RigidTransform
+            Model frame to model frame.
+        center : (3,) array, m
+            Middle of the target.
+
+        Returns
+        -------
+        float
+        """
+        volume = max(self.volume, np.finfo(float).tiny)
+        if self.is_flat:
+            return float(-np.log(volume * 8 * np.pi**2))
+        A, _, chi2 = self.rows(T, center)
+        if self.T_base_target is not None:
+            return float(0.5 * np.linalg.slogdet(A / (2 * np.pi))[1] - 0.5 * chi2)
+        return float(-np.log(volume * 2 * np.pi) - np.log(2 * np.pi * self.gravity_sd**2) - 0.5 * chi2)
+
+    def rows(self, T: RigidTransform, center: Vector3) -> tuple[Matrix, np.ndarray, float]:
+        """Information of the prior on the perturbation ``T Exp(xi)`` about a centre.
+
+        Parameters
+        ----------
+        T : RigidTransform
+            Model frame to model frame.
+        center : (3,) array, m
+            Middle of the target, about which the perturbation is taken.
+
+        Returns
+        -------
+        information : (6, 6) array
+        gradient : (6,) array
+            Of half the squared residual, with respect to xi.
+        chi2 : float
+            Squared residual over its variance.
+        """
+        A, v, chi2 = np.zeros((6, 6)), np.zeros(6), 0.0
+        if self.up_base is not None and self.up_target is not None:
+            seen = T.rotation.inv().apply(self.up_base)
+            r = self.up_target - seen
+            J = -skew(seen[None])[0] / self.gravity_sd
+            A[:3, :3] += J.T @ J
+            v[:3] += J.T @ r / self.gravity_sd
+            chi2 += float(r @ r) / self.gravity_sd**2
+        if self.T_base_target is not None and self.sd is not None:
+            difference = self.T_base_target.inv() * T
+            turn = difference.rotation.as_rotvec()
+            shift = difference.apply(center) - center
+            J = np.zeros((6, 6))
+            # Of log(R Exp(theta)) to first order in the angle already there.
+            J[:3, :3] = np.eye(3) + 0.5 * skew(turn[None])[0]
+            J[3:, 3:] = difference.rotation.as_matrix()
+            r = np.concatenate([turn, shift]) / self.sd
+            J /= self.sd[:, None]
+            A += J.T @ J
+            v += J.T @ r
+            chi2 += float(r @ r)
+        return A, v, chi2
+
+    def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:
+        """Whether poses are worth a look.
+
+        Parameters
+        ----------
+        R : (h, 3, 3) array
+        moved : (h, 3) array, m
+            Where each pose puts the middle of the target.
+        center : (3,) array, m
+            Middle of the target.
+        slack : (float, float), rad and m
+            By how much the poses themselves may be off (one standard deviation).
+
+        Returns
+        -------
+        (h,) bool array
+        """
+        is_admitted = np.ones(len(R), dtype=bool)
+        if self.up_base is not None:
+            tilt = np.arccos(np.clip((R @ self.up_target) @ self.up_base, -1.0, 1.0))
+            is_admitted &= tilt < REACH * np.hypot(self.gravity_sd, slack[0])
+        if self.T_base_target is not None and self.sd is not None:
+            turn = self.T_base_target.rotation.inv() * Rotation.from_matrix(R)
+            apart = np.abs(moved - self.T_base_target.apply(center)).max(axis=1)
+            is_admitted &= turn.magnitude() < REACH * np.hypot(self.sd[0], slack[0])
+            is_admitted &= apart < REACH * np.hypot(self.sd[3], slack[1])
+        return is_admitted
+
+    def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:
+        """Poses about the rough one, which itself comes first.
+
+        Parameters
+        ----------
+        n : int
+        center : (3,) array, m
+            Middle of the target.
+        rng : numpy Generator
+
+        Returns
+        -------
+        R : (n, 3, 3) array
+        moved : (n, 3) array, m
+            Where each puts the middle of the target; nothing where there is no rough pose.
+        """
+        if self.T_base_target is None or self.sd is None:
+            return np.zeros((0, 3, 3)), np.zeros((0, 3))
+        xi = rng.standard_normal((n, 6)) * self.sd
+        xi[:1] = 0.0
+        R = (self.T_base_target.rotation * Rotation.from_rotvec(xi[:, :3])).as_matrix()
+        return R, self.T_base_target.apply(center + xi[:, 3:])
+
+    def narrow(
+        self, poses: Hypotheses, anchors_target: Points, center: Vector3, slack: tuple[float, float],
+        rng: np.random.Generator,
+    ) -> Hypotheses:  # fmt: skip
+        """Leave out hypotheses that the prior rules out, and add poses about a rough one.
+
+        Parameters
+        ----------
+        poses : triple of arrays
+            Rotations (h, 3, 3), where each pose puts its anchor (h, 3), and which anchor that is (h,).
+        anchors_target : (a, 3) array, m
+            Points of the target about which poses turn.
+        center : (3,) array, m
+            Middle of the target.
+        slack : (float, float), rad and m
+            By how much the poses themselves may be off.
+        rng : numpy Generator
+            Draws poses about the rough one.
+
+        Returns
+        -------
+        triple of arrays
+            As given.
+        """
+        if self.is_flat:
+            return poses
+        R, anchors_base, rows = poses
+        moved = anchors_base + np.einsum("nij,nj->ni", R, center - anchors_target[rows])
+        kept = self.admits(R, moved, center, slack)
+        drawn, moved = self.draw(N_DRAWN, center, rng)
+        drawn_rows = np.arange(len(drawn), dtype=np.int64) % len(anchors_target)
+        anchors_drawn = moved + np.einsum("nij,nj->ni", drawn, anchors_target[drawn_rows] - center)
+        return (
+            np.concatenate([R[kept], drawn]),
+            np.concatenate([anchors_base[kept], anchors_drawn]),
+            np.concatenate([rows[kept], drawn_rows]),
+        )
+
+
+def pose_prior(
+    config: PosePriorConfig, T_base_model: RigidTransform, T_target_model: RigidTransform, volume: float
+) -> PosePrior:
+    """State a prior between the model frames of two surveys.
+
+    Parameters
+    ----------
+    config : PosePriorConfig
+        In survey frames.
+    T_base_model, T_target_model : RigidTransform
+        Take model coordinates to those of either survey.
+    volume : float, m^3
+        Of the region in which the target may lie.
+
+    Returns
+    -------
+    PosePrior
+    """
+    T, is_aligned = config.transform(), config.is_gravity_aligned
+    return PosePrior(
+        volume=volume,
+        T_base_target=None if T is None else T_base_model.inv() * T * T_target_model,
+        sd=None if T is None else np.repeat([config.sd_rotation, config.sd_translation], 3),
+        up_base=T_base_model.rotation.inv().apply(UP) if is_aligned else None,
+        up_target=T_target_model.rotation.inv().apply(UP) if is_aligned else None,
+        gravity_sd=config.gravity_sd,
+    )

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb for maps: search, refine and weigh poses of one map in another; judging them comes last."""
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.registration.answer import by_evidence
+from magmatch.registration.candidate import SearchResult
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.evidence import PoseEvidence, unrelated_field, weigh_pose
+from magmatch.registration.invariant_search import invariant_search
+from magmatch.registration.keypoint_search import keypoint_search
+from magmatch.registration.pose_prior import PosePrior, pose_prior
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.refinement import refine
+from magmatch.registration.result import RegistrationResult
+from magmatch.registration.sensors import levels_to_try
+from magmatch.registration.stopwatch import Stopwatch
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WeighedMap:
+    """A target's poses in one base map, weighed but not judged.
+
+    Attributes
+    ----------
+    base, target : PreparedMap
+    found : SearchResult
+        Counts of the search.
+    ranked : list of PoseEvidence
+        Best first.
+    """
+
+    base: PreparedMap
+    target: PreparedMap
+    found: SearchResult
+    ranked: list[PoseEvidence]
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the best pose; -inf where there is none."""
+        return self.ranked[0].log_evidence if self.ranked else -np.inf
+
+
+def search_map(
+    base: PreparedMap,
+    target: PreparedMap,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Stopwatch,
+    volume: float,
+) -> WeighedMap:
+    """Search, refine against the field, weigh.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    config : RegistrationConfig
+    seed : int
+    clock : Stopwatch
+    volume : float, m^3
+        Of the regions in which the target is looked for, this base's or those of many.
+
+    Returns
+    -------
+    WeighedMap
+    """
+    prior = pose_prior(config.prior, base.T_map_model, target.T_map_model, volume)
+    found = clock.time("search", _search, base, target, prior, config, np.random.default_rng(seed))
+    log.info("refining the best poses")
+    ranked = clock.time("refine", _refine_and_rank, base, target, found, prior, config, seed)
+    return WeighedMap(base, target, found, ranked)
+
+
+def judge_map(weighed: WeighedMap, config: RegistrationConfig, elsewhere: float = -np.inf) -> RegistrationResult:
+    """Accept or refuse the best pose.
+
+    Parameters
+    ----------
+    weighed : WeighedMap
+    config : RegistrationConfig
+    elsewhere : float, nats
+        Log evidence of the best pose in any other map.
+
+    Returns
+    -------
+    RegistrationResult
+    """
+    return by_evidence(
+        weighed.base, weighed.target, weighed.found, weighed.ranked, config.decision, elsewhere
+    )
+
+
+def _search(
+    base: PreparedMap, target: PreparedMap, prior: PosePrior, config: RegistrationConfig, rng: np.random.Generator
+) -> SearchResult:
+    """Poses in model frames, whichever search is configured."""
+    if config.search != "keypoints":
+        return invariant_search(base, target, prior, config.invariants, rng)
+    found = keypoint_search(base.field_map, target.field_map, config.keypoints, rng)
+    to_model = base.T_map_model.inv()
+    candidates = tuple(
+        replace(c, T_base_target=to_model * c.T_base_target * target.T_map_model) for c in found.candidates
+    )
+    return replace(found, candidates=candidates)
+
+
+def _refine_and_rank(
+    base: PreparedMap,
+    target: PreparedMap,
+    found: SearchResult,
+    prior: PosePrior,
+    config: RegistrationConfig,
+    seed: int,
+) -> list[PoseEvidence]:
+    """Refine the best candidates and order them by their evidence."""
+    starts: list[RigidTransform] = [c.T_base_target for c in found.candidates[: config.refinement.n_candidates]]
+    unrelated = unrelated_field(base, target)
+    tightest, *wider = levels_to_try(config.refinement.sensor)
+
+    def weigh(start: RigidTransform, level: int) -> PoseEvidence:
+        pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)
+        return weigh_pose(base, target, pose, unrelated, prior)
+
+    ranked = sorted((weigh(start, tightest) for start in starts), key=lambda e: -e.log_evidence)
+    for level in wider if ranked else ():
+        best = weigh(ranked[0].pose.T_base_target, level)
+        if best.log_evidence > ranked[0].log_evidence + config.refinement.sensor.min_gain:
+            ranked[0] = best
+    return ranked
