@@ -8,6 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from magmatch.atlas.atlas import Atlas, open_atlas
+    from magmatch.atlas.localize import localize
     from magmatch.data.read import read_survey
     from magmatch.data.survey import Survey
     from magmatch.data.trajectory import Trajectory
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Atlas": "atlas.atlas",
     "Features": "features.features",
     "FieldConfig": "field.config",
     "FieldEstimator": "field.estimator",
@@ -41,6 +44,8 @@ _HOMES = {
     "Trajectory": "data.trajectory",
     "build_map": "field.build",
     "extract_features": "features.extract",
+    "localize": "atlas.localize",
+    "open_atlas": "atlas.atlas",
     "prepare": "preparation.prepare",
     "read_survey": "data.read",
     "register": "registration.register",
@@ -48,6 +53,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Atlas",
     "Features",
     "FieldConfig",
     "FieldEstimator",
@@ -61,6 +67,8 @@ __all__ = [
     "Trajectory",
     "build_map",
     "extract_features",
+    "localize",
+    "open_atlas",
     "prepare",
     "read_survey",
     "register",

@@ -12,6 +12,7 @@ from magmatch.registration.covariance import pose_covariance, to_survey_axes
 from magmatch.registration.cubes import thin
 from magmatch.registration.evidence import unrelated_field, weigh_pose
 from magmatch.registration.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
+from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import prepare
 from magmatch.registration.raster import rasterize
 from magmatch.registration.refinement import RefinementConfig, look_up, perturbation, refine, residual_jacobian
@@ -35,6 +36,8 @@ class BiasedPosterior:
         return getattr(self.honest, name)
 
 
+# Any pose within a room.
+FLAT = PosePrior(10.0)
 FEW = InvariantSearchConfig(n_anchors=60, n_neighbours=15, n_coarse=60, n_fine=10)
 
 
@@ -54,7 +57,7 @@ def error(T, T_true, target):
 
 def test_search_finds_a_random_pose_without_a_guess(prepared_pair):
     base, target, T_true = prepared_pair
-    found = invariant_search(base, target, FEW, np.random.default_rng(0))
+    found = invariant_search(base, target, FLAT, FEW, np.random.default_rng(0))
     distance, angle = error(found.candidates[0].T_base_target, T_true, target)
     assert distance < 0.02
     assert angle < np.radians(1)
@@ -63,7 +66,7 @@ def test_search_finds_a_random_pose_without_a_guess(prepared_pair):
 def test_search_is_deterministic(prepared_pair):
     base, target, _ = prepared_pair
     one, two = (
-        invariant_search(base, target, FEW, np.random.default_rng(7)).candidates[0].T_base_target.as_matrix()
+        invariant_search(base, target, FLAT, FEW, np.random.default_rng(7)).candidates[0].T_base_target.as_matrix()
         for _ in range(2)
     )
     np.testing.assert_array_equal(one, two)
@@ -72,7 +75,7 @@ def test_search_is_deterministic(prepared_pair):
 def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
     base, target, T_true = prepared_pair
     start = T_true * exp_se3(np.array([0.05, -0.03, 0.04, 0.05, 0.02, -0.04]))
-    pose = refine(base, target, start, RefinementConfig(), np.random.default_rng(0))
+    pose = refine(base, target, start, FLAT, RefinementConfig(), np.random.default_rng(0))
     distance, angle = error(pose.T_base_target, T_true, target)
     assert distance < 1e-3
     assert angle < np.radians(0.1)
@@ -105,9 +108,9 @@ def test_a_biased_sensor_is_noticed_and_taken_off(make_exact_pair):
     base, target = prepare(base_map, 4, rng), prepare(target_map, 4, rng)
     T_model = base.T_map_model.inv() * T_true * target.T_map_model
     config, unrelated = RefinementConfig(), unrelated_field(base, target)
-    like = weigh_pose(base, target, refine(base, target, T_model, config, rng), unrelated)
-    pose = refine(base, target, T_model, config, rng, level=2)
-    assert weigh_pose(base, target, pose, unrelated).log_evidence > like.log_evidence + config.sensor.min_gain
+    like = weigh_pose(base, target, refine(base, target, T_model, FLAT, config, rng), unrelated, FLAT)
+    pose = refine(base, target, T_model, FLAT, config, rng, level=2)
+    assert weigh_pose(base, target, pose, unrelated, FLAT).log_evidence > like.log_evidence + config.sensor.min_gain
     np.testing.assert_allclose(target.T_map_model.rotation.apply(pose.sensor.bias), bias, atol=0.2e-6)
     np.testing.assert_allclose(pose.sensor.gain[0, 0], scale, atol=0.003)
     assert error(pose.T_base_target, T_model, target)[1] < np.radians(0.1)
@@ -117,7 +120,9 @@ def test_like_sensors_are_left_alike(prepared_pair):
     base, target, T_true = prepared_pair
     config, unrelated = RefinementConfig(), unrelated_field(base, target)
     like, free = (
-        weigh_pose(base, target, refine(base, target, T_true, config, np.random.default_rng(0), level), unrelated)
+        weigh_pose(
+            base, target, refine(base, target, T_true, FLAT, config, np.random.default_rng(0), level), unrelated, FLAT
+        )
         for level in (0, 2)
     )
     assert free.log_evidence < like.log_evidence + config.sensor.min_gain
@@ -143,7 +148,7 @@ def test_covariance_covers_the_error_of_repeated_surveys(make_exact_pair):
         rng = np.random.default_rng(0)
         base, target = (prepare(m, 4, rng) for m in make_exact_pair(seed, T_true))
         T_model = base.T_map_model.inv() * T_true * target.T_map_model
-        pose = refine(base, target, T_model, RefinementConfig(), rng)
+        pose = refine(base, target, T_model, FLAT, RefinementConfig(), rng)
         C = pose_covariance(pose, 1.2)
         xi = perturbation(np.zeros(6), pose.center).inv() * pose.T_base_target.inv() * T_model
         shift = xi.apply(pose.center) - pose.center
@@ -156,9 +161,9 @@ def test_a_right_pose_has_evidence_and_a_wrong_one_has_none(prepared_pair):
     base, target, T_true = prepared_pair
     config, rng = RefinementConfig(), np.random.default_rng(0)
     unrelated = unrelated_field(base, target)
-    right = weigh_pose(base, target, refine(base, target, T_true, config, rng), unrelated)
+    right = weigh_pose(base, target, refine(base, target, T_true, FLAT, config, rng), unrelated, FLAT)
     elsewhere = T_true * exp_se3(np.array([0, 0, 2.0, 0.4, 0.3, 0]))
-    wrong = weigh_pose(base, target, refine(base, target, elsewhere, config, rng), unrelated)
+    wrong = weigh_pose(base, target, refine(base, target, elsewhere, FLAT, config, rng), unrelated, FLAT)
     assert right.log_evidence > 100
     assert right.good_share > 0.95
     assert wrong.log_evidence < 10

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from magmatch.data.sniff import sniff
+from magmatch.data.table import is_folder
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import PRESETS, RegistrationConfig
@@ -118,13 +119,16 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
         raise DataFormatError(folder, message)
     opened = {path: open_index(path, config) for path in paths}
     stale = [path for path, index in opened.items() if index is None]
-    sheets = []
-    for path, index in opened.items():
-        if index is None:
-            log.info("indexing %s (%d of %d)", path.name, stale.index(path) + 1, len(stale))
-            index = _kept(path, config)
-        sheets.append(Sheet(path, index, index.table()))
+    for number, path in enumerate(stale, 1):
+        log.info("indexing %s (%d of %d)", path.name, number, len(stale))
+        opened[path] = _kept(path, config)
+    sheets = [Sheet(path, index, index.table()) for path, index in opened.items() if index is not None]
     return Atlas(folder, tuple(sheets), config)
+
+
+def is_atlas(path: str | Path) -> bool:
+    """Whether a path is a folder that holds saved maps."""
+    return is_folder(path) and next(maps_in(Path(path)), None) is not None
 
 
 def maps_in(folder: Path) -> Iterator[Path]:

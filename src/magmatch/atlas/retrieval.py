@@ -1,20 +1,35 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which maps may hold a walk: pairs of points propose poses, and those that agree with each other are votes.
+"""Which maps may hold a target: a few hypotheses in each, and how well they agree.
 
-In the right map many pairs of the walk propose one and the same pose; in any other map each proposes its own. Votes
-need the maps' pair tables only, so a hundred maps are asked without reading their fields.
+For a walk, pairs of points propose poses, and those that agree with each other are votes: in the right map many pairs
+propose one and the same pose, in any other map each proposes its own. Votes need the maps' pair tables only, so a
+hundred maps are asked without reading their fields. Other targets score a few poses against each map's field.
 """
+
+from collections.abc import Iterable
 
 import numpy as np
 from numba import njit
 
 from magmatch.data.survey import Survey
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.invariant_search import (
+    InvariantSearchConfig,
+    align_frames,
+    choose_anchors,
+    judging_samples,
+    similar_points,
+)
 from magmatch.registration.pair_search import PairSearchConfig, PairTable, choose_pairs, hypotheses
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.scoring import score_poses, weigh_samples
 from magmatch.registration.walk import Walk, walk_of
 from magmatch.typing import Scalars
 
 # Pairs of the walk that vote, and base pairs that each is tried on.
 N_PAIRS, N_NEIGHBOURS = 40, 6
+# The same for points with their frames, and samples that judge each pose.
+N_ANCHORS, N_ANCHOR_NEIGHBOURS, N_JUDGES = 200, 10, 80
 # Poses nearer than this are one: rad, and in the base's field lengths at the walk's centre.
 SAME_ROTATION, SAME_PLACE = 0.25, 0.8
 # Maps whose field lengths differ by less than this factor share one binning of the walk.
@@ -74,6 +89,41 @@ def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.ra
     centers = anchors + np.einsum("nij,nj->ni", R, walk.positions.mean(axis=0) - middle)
     largest = _largest_agreement(R, centers, pair_rows, len(i), SAME_ROTATION, SAME_PLACE * table.length)
     return float(largest / config.n_pairs)
+
+
+def count_agreement(
+    bases: Iterable[PreparedMap], target: PreparedMap, config: RegistrationConfig, seed: int
+) -> Scalars:
+    """Score of the best of a few poses of a target, in each of many maps.
+
+    Parameters
+    ----------
+    bases : iterable of PreparedMap
+    target : PreparedMap
+    config : RegistrationConfig
+    seed : int
+
+    Returns
+    -------
+    (n,) array, nats
+        Log-likelihood against an unrelated field; 0 where it speaks against all poses.
+    """
+    return np.array([_best_score(base, target, config.invariants, np.random.default_rng(seed)) for base in bases])
+
+
+def _best_score(
+    base: PreparedMap, target: PreparedMap, config: InvariantSearchConfig, rng: np.random.Generator
+) -> float:
+    anchors = choose_anchors(target, N_ANCHORS, rng)
+    neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS, config.whitening_floor)
+    rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
+    R = align_frames(base, target, neighbours.ravel(), anchors[rows])
+    judges = judging_samples(target.points[anchors], target, N_JUDGES, rng)
+    scores = score_poses(
+        R, base.points[neighbours.ravel()], rows, target.points[anchors], judges, weigh_samples(base, target), base,
+        config.sd_rotation, config.sd_translation * min(base.lengthscale, target.lengthscale), config.outlier_share,
+    )  # fmt: skip
+    return max(float(scores.max()), 0.0)
 
 
 @njit(cache=True)

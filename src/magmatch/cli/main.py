@@ -13,6 +13,7 @@ from magmatch.cli import (
     datasets,
     demo,
     evaluate,
+    index,
     info,
     map,
     prepare,
@@ -41,7 +42,7 @@ Exit codes:
 """
 
 # In the order in which one gets to know the program.
-COMMANDS = (register, transform, prepare, map, query, info, view, convert, simulate, datasets, demo, evaluate)
+COMMANDS = (register, transform, prepare, map, index, query, info, view, convert, simulate, datasets, demo, evaluate)
 
 
 def build_app() -> typer.Typer:

@@ -3,7 +3,7 @@
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,9 +12,15 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
-from magmatch.cli.registering import register_keeping_maps
+from magmatch.cli.registering import read_base, register_in_folder, register_keeping_base
 from magmatch.cli.settings import registration_config
 from magmatch.cli.words import tell_result
+
+if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.field.map import FieldMap
+    from magmatch.registration.config import RegistrationConfig
+    from magmatch.registration.result import RegistrationResult
 
 EXAMPLES = (
     "magmatch register base.csv target.csv",
@@ -22,6 +28,7 @@ EXAMPLES = (
     "magmatch register base.csv target.csv --field-unit uT --target-length-unit mm",
     "magmatch register monday.bag tuesday.mcap --target-pose-topic /slam/pose",
     "magmatch register room.map target.csv --preset paper --json > result.json",
+    "magmatch register buildings/ walk.csv   # which of the maps in this folder, and where in it",
 )
 
 
@@ -31,7 +38,9 @@ def add_to(app: typer.Typer) -> None:
 
 
 def register(
-    base: Annotated[Path, typer.Argument(help="Survey or saved map that gives the frame.", metavar="BASE")],
+    base: Annotated[
+        Path, typer.Argument(help="Survey, saved map, or folder of saved maps, that gives the frame.", metavar="BASE")
+    ],
     target: Annotated[Path, typer.Argument(help="Survey or saved map to bring into that frame.", metavar="TARGET")],
     layouts: Layouts,
     out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
@@ -48,7 +57,8 @@ def register(
 ) -> int:
     """Find the transform from TARGET to BASE.
 
-    A rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none.
+    A rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none. Where BASE is a
+    folder of maps, the result also says which one holds TARGET.
 
     Exit code 0: accepted; 3: not accepted, with the reason.
     """
@@ -58,17 +68,19 @@ def register(
         from magmatch.viz.plotting import require_plotly
 
         require_plotly()
-    read = read_survey_or_map(base, layouts, "base"), read_survey_or_map(target, layouts, "target")
-    base_map, target_map, result = register_keeping_maps(*read, settings, seed)
+    read = read_survey_or_map(target, layouts, "target")
+    base_map, result = _register(base, read, layouts, settings, seed)
     if out is not None:
         result.save(out)
-    if report is not None:
+    if report is not None and base_map is not None:
+        from magmatch.registration.register import as_map
         from magmatch.viz.report import write_report
 
-        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
+        again = command_again(base, target, layouts, seed)
+        write_report(report, base_map, as_map(read, settings), result, again)
     if json:
         put(as_json(result.to_dict()))
-    say(tell_result(result, out, report))
+    say(tell_result(result, out, report if base_map is not None else None))
     return DONE if result.is_accepted else NOT_ACCEPTED
 
 
@@ -76,3 +88,14 @@ def command_again(base: Path, target: Path, layouts: Layouts, seed: int) -> str:
     """Command line that gives the same result, with the resolved settings in settings.yaml."""
     words = ["magmatch", "register", str(base), str(target), *layouts.words()]
     return shlex.join([*words, "--config", "settings.yaml", "--seed", str(seed)])
+
+
+def _register(
+    base: Path, target: "Survey | FieldMap", layouts: Layouts, settings: "RegistrationConfig", seed: int
+) -> "tuple[FieldMap | None, RegistrationResult]":
+    """Register against a file or a folder; the map that the answer speaks of (None where it speaks of none)."""
+    from magmatch.atlas.atlas import is_atlas
+
+    if is_atlas(base):
+        return register_in_folder(base, target, settings, seed)
+    return register_keeping_base(read_base(base, layouts, settings), target, settings, seed)

@@ -24,6 +24,7 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
     str
     """
     lines = [f"{'Accepted' if result.is_accepted else f'Not accepted ({result.status})'}: {result.reason}"]
+    lines += [] if result.base is None else [f"Map: {result.base}"]
     if result.T_base_target is not None:
         lines += ["T_base_target (p_base = T p_target, metres):"]
         lines += ["  " + " ".join(f"{v:12.6f}" for v in row) for row in result.T_base_target.as_matrix()]

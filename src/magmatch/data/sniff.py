@@ -127,7 +127,10 @@ def _sniff_folder(path: str | Path) -> FileKind:
         return "log"
     if any(is_phone_member(name) for name in names):
         return "phone"
-    message = "is a folder, expected a file, a ROS 2 bag (metadata.yaml) or a phone log (Magnetometer.csv)"
+    message = (
+        "is a folder, expected a file, a ROS 2 bag (metadata.yaml), a phone log (Magnetometer.csv) or, as the base "
+        "of 'magmatch register', saved maps"
+    )
     raise DataFormatError(path, message)
 
 

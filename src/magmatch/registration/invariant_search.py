@@ -83,7 +83,7 @@ def invariant_search(
     neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
     log.info("scoring %d hypotheses", neighbours.size)
     anchor_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
-    R = _align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
+    R = align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
     pb, pt = base.points[neighbours.ravel()], target.points[anchors]
     evidence = weigh_samples(base, target)
     rows = judging_samples(pt, target, config.n_score_samples, rng)
@@ -203,7 +203,8 @@ def distinct_poses(
     return np.asarray(kept, dtype=np.int64)
 
 
-def _align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:
+def align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:
+    """Rotations that turn the frames of target points onto those of base points: (n, 3, 3)."""
     base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
     target_frames = point_frames(target.point_field, target.point_gradient)[target_rows]
     R: Tensors = base_frames @ np.swapaxes(target_frames, 1, 2)

@@ -117,7 +117,12 @@ class IndexFile:
         arrays, scalars = self.content.arrays, self.content.attributes["table"]
         tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in ("points", "rows", "axes", "values")))
         return PairTable(
-            *(arrays[f"table.{name}"] for name in ("positions", "field", "first", "second")), tree, **scalars
+            positions=arrays["table.positions"],
+            field=arrays["table.field"],
+            first=arrays["table.first"],
+            second=arrays["table.second"],
+            tree=tree,
+            **scalars,
         )
 
     def load(self, field_map: FieldMap) -> MapIndex:

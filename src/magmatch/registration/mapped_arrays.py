@@ -2,8 +2,8 @@
 """Arrays in one file that are mapped into memory rather than read: opening costs the same whatever their size.
 
 Layout: 16 bytes ``magmatch.arrays``, SHA-256 of the header (32 bytes), its length (8 bytes, little-endian), the
-header (JSON: schema, attributes, and dtype, shape and offset of each array), then the arrays, little-endian, each at a
-multiple of 64 bytes. The header's own hash is checked on opening, that of the arrays by `MappedArrays.check`.
+header (JSON: schema, attributes, and dtype, shape and offset of each array), then the arrays, little-endian, each at
+a multiple of 64 bytes. The header's own hash is checked on opening, that of the arrays by `MappedArrays.check`.
 """
 
 import hashlib

@@ -114,7 +114,9 @@ def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: Pa
     x, b = x[rows], b[rows]
     i, j = pairs[:, 0], pairs[:, 1]
     invariants = whiten_pairs(pair_invariants(x[i], x[j], b[i], b[j]), sd_position, sd_field, field_norm)
-    return PairTable(x, b, i, j, NeighbourTree.of(invariants), length, sd_position, sd_field, field_norm, gradient_rms)
+    return PairTable(
+        x, b, i, j, NeighbourTree.of(invariants), length, sd_position, sd_field, field_norm, gradient_rms
+    )
 
 
 def pair_search(

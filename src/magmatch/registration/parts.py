@@ -21,10 +21,14 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Another pose that explains the data, with its probability (None where not computed)."""
+    """Another pose that explains the data, with its probability (None where not computed).
+
+    ``base`` says in which map, where the base was a folder and it is another than the result's.
+    """
 
     T_base_target: RigidTransform
     probability: float | None = None
+    base: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,6 +90,9 @@ def register_by_field(
         answer = clock.time("walk", register_walk, walks, survey, config.walks, rng, config.prior)
         if answer.is_accepted or config.search == "pairs":
             return answer
+        # A line that turns and crosses itself may have the breadth that maps are compared by.
+        as_area = register_as_map(prepared, target, config, seed, clock)
+        return as_area if as_area.is_accepted else answer
     return register_as_map(prepared, target, config, seed, clock)
 
 

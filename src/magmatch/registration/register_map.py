@@ -91,9 +91,7 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, elsewhere: float 
     -------
     RegistrationResult
     """
-    return by_evidence(
-        weighed.base, weighed.target, weighed.found, weighed.ranked, config.decision, elsewhere
-    )
+    return by_evidence(weighed.base, weighed.target, weighed.found, weighed.ranked, config.decision, elsewhere)
 
 
 def _search(

@@ -56,7 +56,9 @@ def document_of(result: "RegistrationResult") -> dict[str, Any]:
         "probability": result.probability,
         "overlap": result.overlap,
         "alternatives": [
-            {"T_base_target": matrix_of(a.T_base_target), "probability": a.probability} for a in result.alternatives
+            {"T_base_target": matrix_of(a.T_base_target), "probability": a.probability}
+            | ({} if a.base is None else {"base": a.base})
+            for a in result.alternatives
         ],
         "degenerate_directions": [{"xi": d.xi, "words": d.words} for d in result.degenerate_directions],
         "sensor": result.sensor,

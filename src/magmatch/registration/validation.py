@@ -149,7 +149,11 @@ def _covariance(value: Any) -> np.ndarray:
 def _alternatives(value: Any) -> tuple[Alternative, ...]:
     _expect(isinstance(value, list), "a list", value)
     return tuple(
-        Alternative(_transform(_mapping(a)["T_base_target"]), _or_none(_fraction)(a.get("probability")))
+        Alternative(
+            _transform(_mapping(a)["T_base_target"]),
+            _or_none(_fraction)(a.get("probability")),
+            _or_none(_text)(a.get("base")),
+        )
         for a in value
     )
 

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: an atlas and a target in, the map that holds it and the pose in that map out."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from magmatch import __version__
+from magmatch.atlas.atlas import Atlas, Sheet
+from magmatch.atlas.retrieval import count_agreement, count_votes
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.registration.prepared import prepare
+from magmatch.registration.register import as_map, survey_of
+from magmatch.registration.register_map import WeighedMap, judge_map, search_map
+from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
+from magmatch.registration.result import RegistrationResult
+from magmatch.registration.serialization import describe_input
+from magmatch.registration.stopwatch import Stopwatch
+from magmatch.registration.walk import choose_search
+from magmatch.threads import single_threaded
+from magmatch.typing import Scalars
+
+log = logging.getLogger(__name__)
+
+# Maps that are searched in full: at least and at most so many, and those with this share of the most votes.
+MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 3, 6, 0.6
+
+
+@single_threaded
+def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> RegistrationResult:
+    """Find the map that holds a survey, and the pose in it; or say why there is none.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        From `open_atlas`.
+    target : Survey or FieldMap
+    seed : int
+        Same atlas, target and seed give the same answer bit for bit.
+
+    Returns
+    -------
+    RegistrationResult
+        ``base`` names the map; alternatives name theirs. An answer is accepted only where no pose in any map comes
+        near it, and it pays for a search through all of them.
+    """
+    clock, config, survey = Stopwatch(), atlas.config, survey_of(target)
+    length = float(np.median([sheet.table.length for sheet in atlas.sheets]))
+    search = choose_search(survey, length) if config.search == "auto" else config.search
+    if search == "pairs":
+        answer = localize_walk(atlas, survey, seed, clock)
+    else:
+        answer = localize_map(atlas, target, seed, clock)
+    found = (atlas.load(sheet).field_map.survey for sheet in atlas.sheets if sheet.name == answer.base)
+    return replace(
+        answer,
+        seconds=clock.seconds(),
+        config=config.model_dump(mode="json"),
+        version=__version__,
+        seed=seed,
+        inputs=tuple(describe_input(s) for s in (*found, survey)),
+    )
+
+
+def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> RegistrationResult:
+    """Ask all maps for votes, search the likeliest in full, judge the best pose of all."""
+    config = atlas.config
+    log.info("asking %d maps", len(atlas.sheets))
+    tables = [sheet.table for sheet in atlas.sheets]
+    votes = clock.time("votes", count_votes, tables, survey, config.walks.search, seed)
+
+    def search(sheet: Sheet) -> WeighedWalk:
+        index, rng = clock.time("load", atlas.load, sheet), np.random.default_rng(seed)
+        log.info("searching %s", sheet.name)
+        return clock.time("walk", search_walk, index.walks, survey, config.walks, rng, config.prior, atlas.volume)
+
+    weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
+    best, elsewhere = _best(weighed)
+    judged = {
+        sheet: judge_walk(w, config.walks, elsewhere if sheet is best else np.inf) for sheet, w in weighed.items()
+    }
+    return _with_alternatives(best, judged, weighed)
+
+
+def localize_map(atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stopwatch) -> RegistrationResult:
+    """Score a few poses in every map, search the likeliest in full, judge the best pose of all."""
+    config = atlas.config
+    target_map = clock.time("target map", as_map, target, config)
+    rng = np.random.default_rng(seed)
+    prepared = clock.time("prepare", prepare, target_map, config.invariants.n_draws, rng)
+    log.info("asking %d maps", len(atlas.sheets))
+    bases = (clock.time("load", atlas.load, sheet).base for sheet in atlas.sheets)
+    votes = clock.time("votes", count_agreement, bases, prepared, config, seed)
+
+    def search(sheet: Sheet) -> WeighedMap:
+        log.info("searching %s", sheet.name)
+        base = clock.time("load", atlas.load, sheet).base
+        return search_map(base, prepared, config, seed, clock, atlas.volume)
+
+    weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
+    best, elsewhere = _best(weighed)
+    judged = {sheet: judge_map(w, config, elsewhere if sheet is best else np.inf) for sheet, w in weighed.items()}
+    return _with_alternatives(best, judged, weighed)
+
+
+def shortlist(sheets: tuple[Sheet, ...], votes: Scalars) -> list[Sheet]:
+    """Maps worth a full search, likeliest first: a few always, and those nearly as likely as the first."""
+    order = np.argsort(-votes, kind="stable")[:MAX_SHORTLIST]
+    enough = SHORTLIST_SHARE * votes[order[0]]
+    return [sheets[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
+
+
+def _best(weighed: dict[Sheet, WeighedWalk] | dict[Sheet, WeighedMap]) -> tuple[Sheet, float]:
+    """Map of the best pose, and the log evidence of the best pose in any other map."""
+    ranked = sorted(weighed, key=lambda sheet: -weighed[sheet].log_evidence)
+    return ranked[0], weighed[ranked[1]].log_evidence if len(ranked) > 1 else -np.inf
+
+
+def _with_alternatives(
+    best: Sheet, judged: dict[Sheet, RegistrationResult], weighed: dict[Sheet, WeighedWalk] | dict[Sheet, WeighedMap]
+) -> RegistrationResult:
+    """State the answer of the best map, and beside a refusal the best pose of each other map."""
+    answer = judged[best]
+    if answer.is_accepted:
+        return replace(answer, base=best.name)
+    others = sorted((s for s in judged if s is not best), key=lambda sheet: -weighed[sheet].log_evidence)
+    elsewhere = tuple(replace(judged[s].alternatives[0], base=s.name) for s in others if judged[s].alternatives)
+    return replace(
+        answer,
+        base=best.name if answer.alternatives else None,
+        alternatives=answer.alternatives + elsewhere,
+    )

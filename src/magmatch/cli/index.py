@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch index``: compute once what every target will ask of a map."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import command
+from magmatch.cli.narration import say
+from magmatch.cli.settings import registration_config
+
+EXAMPLES = (
+    "magmatch index building.map",
+    "magmatch index buildings/",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the subcommand."""
+    command(app, "index", EXAMPLES)(index)
+
+
+def index(
+    maps: Annotated[list[Path], typer.Argument(help="Saved maps, or folders of them.", metavar="MAP")],
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the default's.")] = None,
+) -> None:
+    """Prepare maps for many registrations.
+
+    Writes MAP.index beside each map, from which `magmatch register` takes what it would compute again for each
+    target. An index that is up to date is left alone; one of a map that changed is never used. `register` makes the
+    indexes of a folder by itself.
+    """
+    from magmatch.atlas.atlas import is_atlas, maps_in
+    from magmatch.cli.inputs import read_map
+    from magmatch.registration.map_index import index_path, make_index, open_index
+
+    settings = registration_config("default", config)
+    for path in [found for given in maps for found in (maps_in(given) if is_atlas(given) else (given,))]:
+        if open_index(path, settings) is None:
+            make_index(path, settings, read_map(path))
+            say(f"Wrote {index_path(path)}")
+        else:
+            say(f"{index_path(path)} is up to date")

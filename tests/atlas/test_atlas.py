@@ -1,0 +1,104 @@
+import shutil
+
+import numpy as np
+import pytest
+
+from magmatch.atlas.atlas import is_atlas, open_atlas
+from magmatch.atlas.localize import localize
+from magmatch.data.survey import Survey
+from magmatch.errors import DataFormatError
+from magmatch.geometry import random_transform, transform_error
+from magmatch.registration.config import PRESETS
+from magmatch.registration.map_index import index_path, open_index
+from magmatch.registration.register import register
+
+
+@pytest.fixture(scope="module")
+def atlas(rooms):
+    return open_atlas(rooms[0])
+
+
+def copy_map(source, goal):
+    """Copy a map with its index, which is bound to the content and not to the name."""
+    shutil.copy(source, goal)
+    shutil.copy(index_path(source), index_path(goal))
+
+
+@pytest.mark.parametrize("name", ["attic.map", "cellar.map", "hall.map"])
+def test_a_walk_is_found_in_its_own_room(atlas, walk_in, name):
+    rng = np.random.default_rng(1)
+    T = random_transform(rng)
+    target = walk_in(name, rng).transformed(T.inv())
+    result = localize(atlas, target)
+    assert (result.base, result.is_accepted) == (name, True), result.reason
+    distance, angle = transform_error(result.T_base_target, T, target.centroid)
+    assert distance < 0.05
+    assert np.degrees(angle) < 3
+
+
+def test_a_survey_of_a_room_is_found_in_its_own_map(atlas, rooms):
+    pair, T_map_base, _ = rooms[1]["hall.map"]
+    result = localize(atlas, pair.target)
+    assert (result.base, result.is_accepted) == ("hall.map", True), result.reason
+    distance, angle = transform_error(result.T_base_target, T_map_base * pair.T_base_target, pair.target.centroid)
+    assert distance < 0.02
+    assert np.degrees(angle) < 1
+
+
+def test_without_its_own_room_a_walk_is_refused(atlas, walk_in, tmp_path):
+    for name in ("attic.map", "hall.map"):
+        copy_map(atlas.folder / name, tmp_path / name)
+    result = localize(open_atlas(tmp_path), walk_in("cellar.map", np.random.default_rng(2)))
+    assert not result.is_accepted
+    assert result.T_base_target is None
+
+
+def test_two_maps_of_one_room_are_ambiguous_and_both_are_named(atlas, walk_in, tmp_path):
+    for name in ("one.map", "two.map"):
+        copy_map(atlas.folder / "attic.map", tmp_path / name)
+    result = localize(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(3)))
+    assert result.status == "ambiguous"
+    named = [a.base or result.base for a in result.alternatives]
+    assert {"one.map", "two.map"} <= set(named)
+
+
+def test_the_same_seed_gives_the_same_answer_and_a_kept_index_that_of_a_fresh_one(atlas, rooms, walk_in):
+    target = walk_in("hall.map", np.random.default_rng(4))
+    one, other = localize(atlas, target), localize(open_atlas(rooms[0]), target)
+    np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
+    path = rooms[0] / "hall.map"
+    kept = open_index(path, PRESETS["default"]).load(rooms[1]["hall.map"][2])
+    fresh = register(rooms[1]["hall.map"][2], target)
+    np.testing.assert_array_equal(register(kept, target).T_base_target.as_matrix(), fresh.T_base_target.as_matrix())
+
+
+def test_an_index_of_another_map_or_other_settings_is_stale(atlas, tmp_path):
+    config, path = PRESETS["default"], tmp_path / "a.map"
+    shutil.copy(atlas.folder / "attic.map", path)
+    assert open_index(path, config) is None
+    copy_map(atlas.folder / "attic.map", path)
+    assert open_index(path, config) is not None
+    other = config.model_copy(update={"invariants": config.invariants.model_copy(update={"n_draws": 5})})
+    assert open_index(path, other) is None
+    shutil.copy(atlas.folder / "hall.map", path)
+    assert open_index(path, config) is None
+
+
+def test_a_damaged_index_is_made_again(atlas, walk_in, tmp_path):
+    copy_map(atlas.folder / "attic.map", tmp_path / "attic.map")
+    place = index_path(tmp_path / "attic.map")
+    content = bytearray(place.read_bytes())
+    content[-2000] ^= 1
+    place.write_bytes(content)
+    result = localize(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(5)))
+    assert result.is_accepted, result.reason
+    open_index(tmp_path / "attic.map", PRESETS["default"]).content.check()
+
+
+def test_a_folder_without_maps_is_no_atlas(tmp_path):
+    Survey(np.zeros((3, 3)), np.ones((3, 3))).save(tmp_path / "survey.csv")
+    assert not is_atlas(tmp_path)
+    with pytest.raises(DataFormatError, match="holds no saved maps"):
+        open_atlas(tmp_path)
+    with pytest.raises(DataFormatError, match="cannot be read"):
+        open_atlas(tmp_path / "nowhere")
