@@ -5,9 +5,9 @@
 
 FOLDER keeps the maps and their indexes from run to run. A simulated building is a corridor around a rectangle of its
 own size, walked twice along either side; CEA is walk one through both floors. Targets are stretches of CEA's walk
-two (`--tries`) and walks along the middle of as many different simulated corridors (`--simulated`), each in a random frame
-of its own. Right = the right building first, and in it within 0.25 m and 3 deg. With ``--absent`` each target's own
-building is taken out of the atlas, so that nothing is right. Seconds are per query in one process with the atlas
+two (`--tries`) and walks along the middle of as many different simulated corridors (`--simulated`), each in a random
+frame of its own. Right = the right building first, and in it within 0.25 m and 3 deg. With ``--absent`` each target's
+own building is taken out of the atlas, so that nothing is right. Seconds are per query in one process with the atlas
 open; those of opening it are printed besides.
 """
 

@@ -45,8 +45,9 @@ def test_with_and_without_index_the_answer_is_the_same(place, run, tmp_path):
     shutil.copy(place / "base.map", path)
     without = json.loads(run("register", path, place / "target.map", "--json").out)
     run("index", path)
-    assert json.loads(run("register", path, place / "target.map", "--json").out)["T_base_target"] == (
-        without["T_base_target"]
+    assert (
+        json.loads(run("register", path, place / "target.map", "--json").out)["T_base_target"]
+        == (without["T_base_target"])
     )
 
 
@@ -61,3 +62,35 @@ def test_index_of_something_else_is_refused(place, run):
     outcome = run("index", place / "base.csv")
     assert outcome.code == 2
     assert "base.csv" in outcome.err
+
+
+def test_a_rough_pose_of_a_result_is_taken_and_kept_in_the_settings(place, run):
+    words = ("register", place / "base.map", place / "target.map", "--json")
+    outcome = run(*words, "--prior-pose", place / "result.json", "--prior-pose-sd", "0.5,20", "--gravity-aligned")
+    assert outcome.code == 0, outcome.err
+    prior = json.loads(outcome.out)["config"]["prior"]
+    assert prior["sd_translation"] == 0.5
+    assert prior["is_gravity_aligned"]
+    assert prior["pose"][:3] == [
+        row[3] for row in json.loads((place / "result.json").read_text())["T_base_target"][:3]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--prior-pose", "1,2,3"), "--prior-pose"),
+        (("--prior-pose", "0,0,0,1,1,0,0"), "unit quaternion"),
+        (("--prior-pose", "nothing.json"), "nothing.json"),
+        (("--prior-pose", "0,0,0,0,0,0,1", "--prior-pose-sd", "1"), "--prior-pose-sd"),
+        (("--prior-pose", "0,0,0,0,0,0,1", "--prior-pose-sd", "0,10"), "above 0"),
+        (("--prior-pose-sd", "1,10"), "--prior-pose"),
+        (("--gravity-sd", "1"), "--gravity-aligned"),
+        (("--gravity-aligned", "--preset", "paper"), "keypoints"),
+    ],
+)
+def test_priors_that_say_nothing_are_refused_in_one_line(place, run, words, named):
+    outcome = run("register", place / "base.map", place / "target.map", *words)
+    assert outcome.code == 2
+    assert len(outcome.err.strip().splitlines()) == 1
+    assert named in outcome.err

@@ -12,8 +12,9 @@ from magmatch.geometry import exp_se3, log_se3, random_transform, transform_erro
 from magmatch.registration.line_evidence import weigh_walk
 from magmatch.registration.pair_search import pair_search
 from magmatch.registration.path_noise import PathNoise, Stretch, most_likely
-from magmatch.registration.pose_prior import PosePrior
+from magmatch.registration.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.prepared import prepare
+from magmatch.registration.refinement import perturbation
 from magmatch.registration.register_walk import WalkConfig, index_walks, register_walk
 from magmatch.registration.result import Status
 from magmatch.registration.walk import bin_along_path, choose_search, field_length, walk_of
@@ -83,6 +84,39 @@ def test_a_walk_shorter_than_any_pair_is_refused_with_a_reason(rooms, index):
     result = register_walk(index, short, WalkConfig(), rng)
     assert result.status is Status.UNINFORMATIVE
     assert "walk" in result.reason
+
+
+def test_a_rough_pose_makes_a_short_walk_enough(rooms, index):
+    """Half a metre straight on leaves the pose open; a pose known to 10 cm and 4 deg closes it."""
+    rng = np.random.default_rng(3)
+    T = random_transform(rng)
+    target = walk_in(rooms[0], rng, np.array([[0.5, 0.6, 0.3], [1.1, 0.7, 0.25]])).transformed(T.inv())
+    alone = register_walk(index, target, WalkConfig(), np.random.default_rng(0))
+    assert not alone.is_accepted
+    rough = T * perturbation(np.array([0.04, -0.03, 0.03, 0.06, -0.05, 0.05]), target.centroid)
+    numbers = (*map(float, rough.translation), *map(float, rough.rotation.as_quat()))
+    prior = PosePriorConfig(pose=numbers, sd_translation=0.05, sd_rotation=0.03)
+    result = register_walk(index, target, WalkConfig(), np.random.default_rng(0), prior)
+    assert result.is_accepted, result.reason
+    distance, angle = transform_error(result.T_base_target, T, target.centroid)
+    assert distance < 0.05
+    assert np.degrees(angle) < 3
+
+
+def test_a_walk_far_from_a_wrong_rough_pose_is_refused(rooms, index):
+    rng = np.random.default_rng(4)
+    target = walk_in(rooms[0], rng)
+    prior = PosePriorConfig(pose=(0.9, -0.8, 0.3, 0.0, 0.0, 0.7071, 0.7071), sd_translation=0.2, sd_rotation=0.1)
+    assert not register_walk(index, target, WalkConfig(), rng, prior).is_accepted
+
+
+def test_a_walk_is_found_among_the_headings_that_gravity_leaves(rooms, index):
+    rng = np.random.default_rng(6)
+    T = RigidTransform.from_components([3.0, -2.0, 0.5], Rotation.from_euler("z", 200, degrees=True))
+    prior = PosePriorConfig(is_gravity_aligned=True)
+    result = register_walk(index, walk_in(rooms[0], rng).transformed(T.inv()), WalkConfig(), rng, prior)
+    assert result.is_accepted, result.reason
+    assert (T.rotation.inv() * result.T_base_target.rotation).magnitude() < 0.02
 
 
 def test_a_walk_through_a_uniform_field_is_refused(index):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from magmatch.data.sniff import sniff
-from magmatch.data.table import is_folder
+from magmatch.data.text import is_folder
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import PRESETS, RegistrationConfig

@@ -15,6 +15,7 @@ from magmatch.registration.answer import by_evidence
 from magmatch.registration.candidate import Candidate, SearchResult
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.evidence import unrelated_field, weigh_pose
+from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import prepare
 from magmatch.registration.refinement import refine
 from magmatch.registration.result import RegistrationResult
@@ -55,8 +56,9 @@ def register_by_refinement(
     rng = np.random.default_rng(seed)
     base, target = (prepare(m, config.invariants.n_draws, rng) for m in (base_map, target_map))
     T_model = base.T_map_model.inv() * start * target.T_map_model
-    pose = refine(base, target, T_model, config.refinement, np.random.default_rng(seed))
-    evidence = weigh_pose(base, target, pose, unrelated_field(base, target))
+    prior = PosePrior(base.raster.volume)
+    pose = refine(base, target, T_model, prior, config.refinement, np.random.default_rng(seed))
+    evidence = weigh_pose(base, target, pose, unrelated_field(base, target), prior)
     return by_evidence(base, target, SearchResult((Candidate(T_model, 0.0),)), [evidence], config.decision)
 
 

@@ -12,6 +12,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
+from magmatch.cli.prior import with_prior
 from magmatch.cli.registering import read_base, register_in_folder, register_keeping_base
 from magmatch.cli.settings import registration_config
 from magmatch.cli.words import tell_result
@@ -28,6 +29,7 @@ EXAMPLES = (
     "magmatch register base.csv target.csv --field-unit uT --target-length-unit mm",
     "magmatch register monday.bag tuesday.mcap --target-pose-topic /slam/pose",
     "magmatch register room.map target.csv --preset paper --json > result.json",
+    "magmatch register hall.map robot.csv --gravity-aligned --prior-pose 3,1.5,0,0,0,0,1 --prior-pose-sd 2,30",
     "magmatch register buildings/ walk.csv   # which of the maps in this folder, and where in it",
 )
 
@@ -51,6 +53,19 @@ def register(
     sensor: Annotated[
         str, typer.Option(help="What to estimate between the magnetometers: auto|none|bias|scale|full.")
     ] = "auto",
+    prior_pose: Annotated[
+        str | None, typer.Option(help="Rough T_base_target: x,y,z,qx,qy,qz,qw (m), or the file of a result.")
+    ] = None,
+    prior_pose_sd: Annotated[
+        str | None,
+        typer.Option(help="Standard deviations of it where the target lies: metres,degrees.  [default: 1,10]"),
+    ] = None,
+    gravity_aligned: Annotated[
+        bool, typer.Option("--gravity-aligned", help="z points up in both surveys: search heading and place only.")
+    ] = False,
+    gravity_sd: Annotated[
+        float | None, typer.Option(help="How well it does, degrees.  [default: 0.6]", min=0.001, max=45)
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the preset's.")] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
@@ -63,6 +78,7 @@ def register(
     Exit code 0: accepted; 3: not accepted, with the reason.
     """
     settings = registration_config(preset, config, sensor)
+    settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd)
     check_outputs((out, report), inputs=[path for path in (base, target, config) if path])
     if report is not None:
         from magmatch.viz.plotting import require_plotly
