@@ -1,21 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch view``: a picture of a survey, a map or a registration."""
+"""``magmatch view``: a picture of a survey, a map or a registration, a live viewer, or a recording for one."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_result, read_survey_or_map
-from magmatch.cli.narration import put
+from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.field.map import FieldMap
+    from magmatch.registration.result import RegistrationResult
 
 EXAMPLES = (
     "magmatch view survey.csv --field-unit uT --out survey.html",
     "magmatch view room.map --out room.html",
-    "magmatch view result.json base.csv target.csv --out result.html",
+    "magmatch view result.json base.map target.map --out result.html",
+    "magmatch view result.json base.map target.map --live",
+    "magmatch view room.map walk.csv --rerun room.rrd",
 )
 
 
@@ -35,31 +42,89 @@ def view(
     out: Annotated[
         Path | None, typer.Option(help="Write here (HTML); by default named after the first file, in this folder.")
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Open a 3-D viewer for the browser on this machine, until Ctrl-C.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Of the viewer; the next free one where it is taken.")
+    ] = 8080,
+    rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
 ) -> None:
     """Draw surveys, maps or a registration.
 
-    One HTML page that works offline; its path goes to stdout.
+    One HTML page that works offline; its path goes to stdout. With --live a 3-D viewer instead, whose address goes to
+    stdout; with --rerun a recording. With --out as well, both.
     """
     from magmatch.data.sniff import sniff
-    from magmatch.viz.plotting import require_plotly
 
-    goal = out or Path(files[0].stem + ".html")
-    check_outputs((goal,), inputs=files)
-    require_plotly()
-    from magmatch.viz.pages import write_view
-    from magmatch.viz.report import write_report
-
+    goal = out or (None if live or rerun else Path(files[0].stem + ".html"))
+    check_outputs((goal, rerun), inputs=files)
+    _require(goal, rerun, live=live)
     results = [path for path in files if sniff(path) == "registration"]
     drawn = [read_survey_or_map(path, layouts) for path in files if path not in results]
-    if not results:
-        write_view(goal, drawn)
-    elif len(results) == 1 and len(drawn) in {0, 2}:
-        base, target = drawn or (None, None)
-        write_report(goal, base, target, read_result(results[0]))
-    else:
+    if len(results) > 1 or (results and len(drawn) not in {0, 2}):
         msg = (
             "expected surveys and maps, or one registration result, alone or with its base and target; "
             f"found {len(results)} results and {len(drawn)} surveys or maps"
         )
         raise ConfigurationError(msg)
-    put(str(goal))
+    if (live or rerun) and not drawn:
+        msg = "a registration result alone has nothing in space; give its base and target too"
+        raise ConfigurationError(msg)
+    result = read_result(results[0]) if results else None
+    if goal is not None:
+        _write_page(goal, drawn, result)
+        put(str(goal))
+    if rerun is not None:
+        _record(rerun, drawn, result)
+        put(str(rerun))
+    if live:
+        _serve(drawn, result, port)
+
+
+def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
+    """Say what is missing before any work is done."""
+    if page is not None:
+        from magmatch.viz.plotting import require_plotly
+
+        require_plotly()
+    if recording is not None:
+        from magmatch.viz.rerun_recording import require_rerun
+
+        require_rerun()
+    if live:
+        from magmatch.viz.viewer import require_viser
+
+        require_viser()
+
+
+def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
+    from magmatch.viz.pages import write_view
+    from magmatch.viz.report import write_report
+
+    if result is None:
+        write_view(goal, drawn)
+    else:
+        base, target = drawn or (None, None)
+        write_report(goal, base, target, result)
+
+
+def _record(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
+    from magmatch.viz.exhibit import exhibit
+    from magmatch.viz.rerun_recording import write_rerun
+
+    write_rerun(goal, exhibit(drawn, result))
+
+
+def _serve(drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None", port: int) -> None:
+    """Show it until the user has seen enough."""
+    from magmatch.viz.exhibit import exhibit
+    from magmatch.viz.viewer import address_of, serve
+
+    with serve(exhibit(drawn, result), port) as server:
+        put(address_of(server))
+        say("Open this address in a browser; Ctrl-C ends the viewer")
+        try:
+            server.sleep_forever()
+        except KeyboardInterrupt:
+            say("Viewer closed")

@@ -75,8 +75,8 @@ def cut_through(p: Points) -> Cut:
     return cut_normal_to(p, flattest if size[flattest] < FLATNESS * np.sort(size)[1] else 2)
 
 
-def cut_normal_to(p: Points, normal: int) -> Cut:
-    """Cut the box of points through their median, across one axis.
+def cut_normal_to(p: Points, normal: int, height: float | None = None) -> Cut:
+    """Cut the box of points across one axis.
 
     Parameters
     ----------
@@ -84,6 +84,8 @@ def cut_normal_to(p: Points, normal: int) -> Cut:
         Points that the picture shall cover.
     normal : int
         Which axis.
+    height : float, m, optional
+        Where along it; through their median by default.
 
     Returns
     -------
@@ -95,7 +97,7 @@ def cut_normal_to(p: Points, normal: int) -> Cut:
     margin = 2 * step
     first = np.arange(low[a] - margin, high[a] + margin + step, step)
     second = np.arange(low[b] - margin, high[b] + margin + step, step)
-    height = float(np.median(p[:, normal]))
+    height = float(np.median(p[:, normal])) if height is None else height
     points = np.empty((len(second), len(first), 3))
     points[..., a], points[..., b], points[..., normal] = first[None, :], second[:, None], height
     return Cut(points.reshape(-1, 3), first, second, (a, b, normal), height)

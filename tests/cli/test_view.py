@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`magmatch view`: pages, recordings, and a live viewer that ends when it is told to."""
+
+import signal
+import subprocess
+import sys
+from urllib.request import urlopen
+
+import pytest
+
+
+def test_a_recording_is_written_instead_of_a_page(place, run, tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    monkeypatch.chdir(tmp_path)
+    files = (place / "result.json", place / "base.map", place / "target.map")
+    outcome = run("view", *files, "--rerun", "o.rrd")
+    assert (outcome.code, outcome.out) == (0, "o.rrd\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["o.rrd"]
+
+
+def test_a_page_and_a_recording_are_written_where_both_are_asked_for(place, run, tmp_path):
+    pytest.importorskip("rerun")
+    pytest.importorskip("plotly")
+    page, recording = tmp_path / "v.html", tmp_path / "o.rrd"
+    assert run("view", place / "base.csv", "--out", page, "--rerun", recording).out == f"{page}\n{recording}\n"
+    assert page.exists()
+    assert recording.exists()
+
+
+@pytest.mark.parametrize("words", [("--live",), ("--rerun", "o.rrd")])
+def test_a_result_alone_has_nothing_in_space(place, run, words, tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    pytest.importorskip("viser")
+    monkeypatch.chdir(tmp_path)
+    outcome = run("view", place / "result.json", *words)
+    assert outcome.code == 2
+    assert "give its base and target too" in outcome.err
+    assert len(outcome.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "extra"),
+    [("viser", ("--live",), "view"), ("rerun", ("--rerun", "o.rrd"), "rerun"), ("plotly.graph_objects", (), "viz")],
+)
+def test_a_missing_extra_is_one_line_that_names_it(place, run, monkeypatch, tmp_path, module, words, extra):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    outcome = run("view", place / "base.csv", *words)
+    assert outcome.code == 2
+    assert f"pip install 'magmatch[{extra}]'" in outcome.err
+    assert len(outcome.err.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_live_viewer_answers_until_it_is_interrupted(place):
+    pytest.importorskip("viser")
+    words = ["view", str(place / "base.csv"), "--live", "--port", "18700"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "magmatch", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as viewer:
+        try:
+            address = viewer.stdout.readline().strip()
+            with urlopen(address, timeout=30) as answer:
+                assert answer.status == 200
+            viewer.send_signal(signal.SIGINT)
+            assert viewer.wait(timeout=60) == 0
+        finally:
+            viewer.kill()
+        assert viewer.stdout.read() == ""
+        assert viewer.stderr.read().splitlines() == [
+            "Open this address in a browser; Ctrl-C ends the viewer",
+            "Viewer closed",
+        ]
