@@ -40,7 +40,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     DataFormatError
         The folder does not exist, or the path is itself a folder.
     OSError
-        The machine cannot write (disk full, no permission); nothing is left behind.
+        The machine cannot write (disk full, no permission); names the file. Nothing is left behind.
 
     Examples
     --------
@@ -58,24 +58,36 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     if Path(path).exists() and not goal.is_file():
         buffer = BytesIO()
         yield buffer
-        Path(path).write_bytes(buffer.getvalue())
+        with _naming(path):
+            Path(path).write_bytes(buffer.getvalue())
         return
     if not goal.parent.is_dir():
         raise DataFormatError(path, f"the folder {goal.parent} does not exist; create it first")
     # Cut short, so that a name of the longest length allowed leaves room for what is added to it.
     temporary = goal.with_name(f".{goal.name[:50]}.tmp-{secrets.token_hex(4)}")
     try:
-        with temporary.open("xb") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        if goal.exists():
-            temporary.chmod(stat.S_IMODE(goal.stat().st_mode))
-        temporary.replace(goal)
-    except BaseException:
+        with _naming(path, temporary):
+            with temporary.open("xb") as stream:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            if goal.exists():
+                temporary.chmod(stat.S_IMODE(goal.stat().st_mode))
+            temporary.replace(goal)
+            _flush_folder(goal.parent)
+    finally:
         temporary.unlink(missing_ok=True)
-        raise
-    _flush_folder(goal.parent)
+
+
+@contextmanager
+def _naming(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
+    """Let errors of the machine speak of the file that was to be written; a full disk knows no names."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _flush_folder(folder: Path) -> None:
