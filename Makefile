@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 TEST_ENV := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 WORKERS ?= 2
 
-.PHONY: setup demo test fuzz check bench docs tutorial clean
+.PHONY: setup demo test fuzz harden check bench docs tutorial clean
 
 setup: $(STAMP)
 
@@ -26,7 +26,15 @@ test: setup
 FUZZ ?= 10000
 
 fuzz: setup
-	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS) --fuzz $(FUZZ) tests/data/logs/test_fuzz.py
+	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS) --fuzz $(FUZZ) tests/data/logs/test_fuzz.py \
+	  tests/hardening/test_fuzz_records.py
+
+# Kills among all writers, and corruptions of each saved file; the suite does some of both.
+KILLS ?= 600
+CORRUPTIONS ?= 5000
+
+harden: setup
+	$(TEST_ENV) $(BIN)/python -m pytest -s --kills $(KILLS) --corruptions $(CORRUPTIONS) tests/hardening
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -19,12 +19,13 @@ ELSEWHERE = {
     "data/datasets.py": "a cache, checked by SHA-256 whenever it is used",
     "evaluation/report.py": "a page made of rows that are kept",
     "evaluation/rows.py": "a table made of rows that are kept",
+    "viz/rerun_recording.py": "a picture; its bytes differ each time",
     "simulation/simulate.py": "made again from a seed; the truth is written last",
 }
 IN_CATALOGUE = {
-    "data/logs/write_mcap.py", "data/parquet.py", "data/table.py", "data/tum.py", "data/write.py", "field/archive.py",
-    "field/export.py", "preparation/report.py", "registration/export.py", "registration/serialization.py",
-    "viz/page.py",
+    "data/document.py", "data/logs/write_mcap.py", "data/parquet.py", "data/table.py", "data/tum.py",
+    "data/write.py", "field/archive.py", "field/export.py", "registration/export.py",
+    "registration/mapped_arrays.py", "viz/page.py",
 }  # fmt: skip
 
 
@@ -45,7 +46,7 @@ def test_a_killed_writer_leaves_one_whole_file(n_kills, tmp_path):
 
 
 def test_every_file_is_written_by_a_writer_that_is_killed_here():
-    """A new writer belongs into the catalogue."""
+    """A new writer belongs into the catalogue of `writers.py`, and its module into the set above."""
     users = {
         str(path.relative_to(SOURCE)).replace(os.sep, "/")
         for path in SOURCE.rglob("*.py")

@@ -31,6 +31,7 @@ from magmatch.field.export import map_on_grid, write_netcdf, write_ply_cloud, wr
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.report import PreparationReport, StepReport
 from magmatch.registration.export import write_g2o, write_relative_tum, write_static_transform
+from magmatch.registration.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
 
 
@@ -72,8 +73,7 @@ def catalogue() -> dict[str, Writer]:
     surveys, results, reports = ([make(seed) for seed in (1, 2)] for make in (survey, result, report))
     lives = [checkpoint(seed) for seed in (1, 2)]
     config = FieldConfig(prior="spline", lengthscale=0.8, signal_sd=1e-5, noise_sd=1e-7, spacing=0.5)
-    maps = [build_map(replace(s, positions=s.positions[:60], field=s.field[:60], times=None, orientations=None), config)
-            for s in surveys]  # fmt: skip
+    maps = [build_map(s.subset(np.arange(60)), config) for s in surveys]
     grids = [map_on_grid(m, 0.2) for m in maps]
     extras = {".parquet": "pyarrow", ".mcap": "mcap"}
     writers = {
@@ -90,6 +90,9 @@ def catalogue() -> dict[str, Writer]:
         "map grid .vtk": Writer(lambda k, path: write_vtk(grids[k], path), "map.vtk"),
         "map grid .ply": Writer(lambda k, path: write_ply_cloud(grids[k], path), "map.ply"),
         "map grid .nc": Writer(lambda k, path: write_netcdf(grids[k], path, "map"), "map.nc", "xarray"),
+        "map index": Writer(
+            lambda k, path: write_mapped(path, "test/1", {}, {"x": surveys[k].positions}), "room.index"
+        ),
         "live checkpoint": Writer(lambda k, path: lives[k].save(path), "live.map"),
         "result": Writer(lambda k, path: results[k].save(path), "result.json"),
         "result .tum": Writer(lambda k, path: write_relative_tum(results[k], path), "result.tum"),

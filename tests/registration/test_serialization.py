@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.data.document import checksum
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.geometry import random_transform, transform_from_matrix
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
-from magmatch.registration.serialization import checksum, describe_input
+from magmatch.registration.serialization import describe_input
 
 few = settings(deadline=None, derandomize=True, max_examples=25)
 

@@ -97,7 +97,7 @@ def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
         return type(config).model_validate(_over(config.model_dump(), settings))
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
+        place = " ".join(".".join(str(part) for part in first["loc"]).split())[:100]
         raise DataFormatError(path, _explain(type(config), first), column=place) from None
 
 
@@ -150,7 +150,7 @@ def _parsed(path: Path) -> Any:
     except (yaml.YAMLError, ValueError) as error:
         if isinstance(error, DataFormatError):
             raise
-        raise DataFormatError(path, f"is not YAML: {error}") from None
+        raise DataFormatError(path, f"is not YAML: {' '.join(str(error).split())[:200]}") from None
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
 from magmatch.field.archive import naming_entries, read_archive, write_archive
 from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
@@ -18,6 +19,8 @@ from magmatch.field.store import hyperparameters_from
 SCHEMA = "magmatch.live/1"
 # Where the sums of the field (1 row) and of its products (3 rows) stand in 'moments'.
 N_MOMENTS = 4
+# Lattice indices beyond this are not told apart by float64 coordinates.
+MAX_LATTICE = 2**52
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -126,6 +129,7 @@ class LiveRecord:
             if array.ndim != 2 or array.shape[1] != n_columns or not np.isfinite(array).all():
                 msg = f"entry '{name}': expected finite numbers, (n, {n_columns}), got {array.shape}"
                 raise ValueError(msg)
+        self._check_samples()
         h = self.hyperparameters
         if h is not None and not all(0 < x < np.inf for x in (h.lengthscale, h.signal_sd, h.noise_sd, h.spacing)):
             msg = f"entry 'zarr.json', hyperparameters: expected positive numbers, got {h}"
@@ -147,6 +151,22 @@ class LiveRecord:
         full = {tuple(cell) for cell in found[n_kept == KEPT_PER_CELL].tolist()}
         if (n_kept > KEPT_PER_CELL).any() or {tuple(cell) for cell in cells.tolist()} - full:
             msg = f"entry 'sums': expected sums over cells that keep {KEPT_PER_CELL} samples"
+            raise ValueError(msg)
+
+    def _check_samples(self) -> None:
+        """Refuse samples that `FieldEstimator.update` would have refused."""
+        samples = [self.arrays[name] for name in ("first", "kept") if name in self.arrays and len(self.arrays[name])]
+        if samples and self.start is None:
+            msg = "entry 'start' is missing"
+            raise ValueError(msg)
+        start = np.zeros(3) if self.start is None else self.start
+        for rows in samples:
+            if np.abs(rows[:, :3] - start).max() > MAX_EXTENT or np.abs(rows[:, 3:]).max() > MAX_FIELD:
+                msg = f"expected samples within {MAX_EXTENT / 1e3:.0f} km of 'start' and below {MAX_FIELD} T"
+                raise ValueError(msg)
+        spacing = 1.0 if self.hyperparameters is None else self.hyperparameters.spacing
+        if (np.abs(start).max() + MAX_EXTENT) / spacing > MAX_LATTICE:
+            msg = f"entry 'start': {start} m is too far away for cells of {spacing:.3g} m"
             raise ValueError(msg)
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The noun of this room: what was done to a log, step by step, with figures before and after."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from magmatch import __version__
-from magmatch.atomic import atomic_write
-from magmatch.data.text import read_bytes
+from magmatch.data.document import read_document, write_document
 from magmatch.errors import DataFormatError
 from magmatch.preparation.sensor_model import SensorModel
 
@@ -109,10 +107,8 @@ class PreparationReport:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the report as JSON, whole or not at all."""
-        text = json.dumps(self.to_dict(), indent=2, allow_nan=False)
-        with atomic_write(path) as stream:
-            stream.write(text.encode() + b"\n")
+        """Write the report as JSON with a checksum, whole or not at all."""
+        write_document(path, self.to_dict())
 
     @classmethod
     def load(cls, path: str | Path) -> "PreparationReport":
@@ -121,12 +117,10 @@ class PreparationReport:
         Raises
         ------
         DataFormatError
-            The file is none.
+            The file is none, or was changed after it was written.
         """
+        content = read_document(path, SCHEMA, "report of 'magmatch prepare'", MAX_BYTES)
         try:
-            content = json.loads(read_bytes(path, MAX_BYTES))
-            if content["schema"] != SCHEMA:
-                raise DataFormatError(path, f"expected schema {SCHEMA}, found {str(content['schema'])[:60]}")
             return cls(
                 content["name"],
                 (int(content["n_samples"][0]), int(content["n_samples"][1])),
@@ -136,10 +130,9 @@ class PreparationReport:
                 tuple(content["inputs"]),
                 content["version"],
             )
-        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-            if isinstance(error, DataFormatError):
-                raise
-            raise DataFormatError(path, f"is not a report of 'magmatch prepare' ({SCHEMA})") from None
+        except (ValueError, KeyError, TypeError, IndexError, OverflowError) as error:
+            words = f"missing {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:150]
+            raise DataFormatError(path, f"is not a report of 'magmatch prepare' ({SCHEMA}): {words}") from None
 
 
 def _sensor_from(content: Mapping[str, Any]) -> SensorModel:

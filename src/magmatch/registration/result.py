@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.document import write_document
 from magmatch.registration.parts import Alternative, DegenerateDirection, Links, Status
-from magmatch.registration.serialization import document_of, read_json, write_json
+from magmatch.registration.serialization import document_of, read_result_document
 from magmatch.registration.validation import fields_of
 
 __all__ = ["Alternative", "DegenerateDirection", "Links", "RegistrationResult", "Status"]
@@ -108,7 +109,7 @@ class RegistrationResult:
         DataFormatError
             The folder does not exist.
         """
-        write_json(path, self.to_dict())
+        write_document(path, self.to_dict())
 
     @classmethod
     def load(cls, path: str | Path) -> "RegistrationResult":
@@ -128,4 +129,4 @@ class RegistrationResult:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        return cls(**fields_of(read_json(path), path))
+        return cls(**fields_of(read_result_document(path), path))

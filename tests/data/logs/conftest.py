@@ -28,6 +28,14 @@ TRANSFORM, TF, POINT, VECTOR, STRING = (
 )
 
 
+BATTERY, JOINTS, VALUE, ARRAY = (
+    "sensor_msgs/msg/BatteryState",
+    "sensor_msgs/msg/JointState",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/Float32MultiArray",
+)
+
+
 @dataclass
 class Series:
     """Messages of one topic: log times, header stamps (both ns), numbers, and what stands around them."""
@@ -124,6 +132,8 @@ class Messages:
         v, kind = series.values[i], series.type
         if kind == STRING:
             return self.make(STRING, data=str(v))
+        if kind in {BATTERY, JOINTS, VALUE, ARRAY}:
+            return self.number(series, i)
         header = self.header(series.stamp_ns[i], series.frame)
         if kind == MAG:
             return self.make(MAG, header=header, magnetic_field=self.xyz(v), magnetic_field_covariance=np.zeros(9))
@@ -148,6 +158,25 @@ class Messages:
         if kind == TRANSFORM:
             return self.transform(header, series.child, v)
         return self.make(TF, transforms=[self.transform(header, series.child, v)])
+
+    def number(self, series, i):
+        """A message whose only number that matters is the current."""
+        types, amps, none = self.store.types, float(series.values[i]), np.zeros(0, np.float32)
+        if series.type == VALUE:
+            return types[VALUE](data=amps)
+        if series.type == ARRAY:
+            dimension = types["std_msgs/msg/MultiArrayDimension"](label="motor", size=2, stride=2)
+            layout = types["std_msgs/msg/MultiArrayLayout"](dim=[dimension], data_offset=0)
+            return types[ARRAY](layout=layout, data=np.array([amps, 2 * amps], np.float32))
+        header = self.header(series.stamp_ns[i], series.frame)
+        if series.type == JOINTS:
+            return types[JOINTS](header, ["left", "right_wheel"], np.zeros(2), np.zeros(0), np.array([amps, -amps]))
+        return types[BATTERY](
+            header=header, voltage=24.0, temperature=20.0, current=amps, charge=1.0, capacity=2.0,
+            design_capacity=3.0, percentage=0.5, power_supply_status=1, power_supply_health=1,
+            power_supply_technology=1, present=True, cell_voltage=np.full(6, 4.0, np.float32), cell_temperature=none,
+            location="slot", serial_number="7",
+        )  # fmt: skip
 
     def serialise(self, message, kind):
         return (self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr)(message, kind)
@@ -259,6 +288,7 @@ def made():
     return SimpleNamespace(
         flight=make_flight, Series=Series, Messages=Messages, WRITERS=WRITERS,
         ros1=write_ros1, ros2=write_ros2, mcap=write_mcap, replace=replace,
+        numbers={"/battery": BATTERY, "/joints": JOINTS, "/motors": ARRAY, "/amps": VALUE},
     )  # fmt: skip
 
 

@@ -2,13 +2,11 @@
 """Mutated files of every format: a survey or one of our errors, in bounded time and memory. `make fuzz` runs many."""
 
 import logging
-import resource
 import shutil
-import signal
 import sqlite3
 import zipfile
 import zlib
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,61 +17,8 @@ from hypothesis import strategies as st
 from magmatch.data.format import SurveyFormat
 from magmatch.data.load_trajectory import load_trajectory
 from magmatch.data.logs.open import open_log
-from magmatch.data.read import read_survey
+from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.errors import MagmatchError
-
-SECONDS = 20
-MEBIBYTES = 700
-LENGTHS = (0, 1, 0x7F, 0xFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
-
-
-@contextmanager
-def bounded():
-    """Whatever is read here takes little time and memory."""
-
-    def give_up(*_):
-        msg = f"took longer than {SECONDS} s"
-        raise TimeoutError(msg)
-
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    old = signal.signal(signal.SIGALRM, give_up)
-    signal.alarm(SECONDS)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, old)
-    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    assert grown < MEBIBYTES, f"grew by {grown:.0f} MiB"
-
-
-def mutated(raw, rng):
-    """Bytes flipped, lengths overwritten, pieces cut out, doubled, moved or cut off."""
-    data = bytearray(raw)
-    for _ in range(int(rng.integers(1, 4))):
-        n = max(1, len(data))
-        at, size = int(rng.integers(n)), int(rng.integers(1, 40))
-        kind = int(rng.integers(8))
-        if kind == 0:
-            data[at : at + 1] = bytes([data[at] ^ (1 << int(rng.integers(8)))]) if data else b"x"
-        elif kind == 1:
-            data[at : at + size] = rng.bytes(size)
-        elif kind == 2:
-            width = int(rng.choice([2, 4, 8]))
-            length = LENGTHS[int(rng.integers(len(LENGTHS)))] % (1 << 8 * width)
-            data[at : at + width] = length.to_bytes(width, "little" if rng.integers(2) else "big")
-        elif kind == 3:
-            del data[at : at + size]
-        elif kind == 4:
-            data[at:at] = data[at : at + size]
-        elif kind == 5:
-            data[at : at + size] = bytes(size)
-        elif kind == 6:
-            other = int(rng.integers(n))
-            data[at : at + size] = data[other : other + size]
-        else:
-            del data[at:]
-    return bytes(data)
 
 
 def hold(path, layout):
@@ -81,7 +26,7 @@ def hold(path, layout):
     for recover in (False, True):
         words = ""
         try:
-            read_survey(path, layout.model_copy(update={"recover": recover}))
+            read_survey_and_channels(path, layout.model_copy(update={"recover": recover}))
         except MagmatchError as error:
             words = str(error)
         assert "\n" not in words
@@ -103,6 +48,9 @@ def seeds(made, tmp_path_factory):
         write(folder, three if "JSON" not in name else series)
     for name, options in {"free.mcap": {}, "free-z.mcap": {"compression": "ZSTD"}}.items():
         made.mcap(folder / name, three, **({"compression": "NONE"} | options), enable_crcs=False)
+    numbers = [made.Series(t, k, series[0].log_ns[:8], np.arange(8.0)) for t, k in made.numbers.items()]
+    made.mcap(folder / "numbers.mcap", [*series, *numbers], compression="NONE", enable_crcs=False)
+    made.ros1(folder / "numbers.bag", [*series, *numbers])
     rows = [f"{1_700_000_000_000_000_000 + 20_000_000 * i},{0.02 * i},{-45},{3},{20 + i}" for i in range(24)]
     logger = "\n".join(["time,seconds_elapsed,z,y,x", *rows, ""])
     (folder / "sensor-logger.csv").write_text(logger)
@@ -139,7 +87,7 @@ def _has_pyarrow():
 
 FILES = [
     "log.bag", "log-bz2.bag", "log-lz4.bag", "log.mcap", "log1.mcap", "logj.mcap", "logl.mcap", "logn.mcap",
-    "logc.mcap", "logs.mcap", "free.mcap", "free-z.mcap", "log-db3/log-db3.db3",
+    "logc.mcap", "logs.mcap", "free.mcap", "free-z.mcap", "numbers.mcap", "numbers.bag", "log-db3/log-db3.db3",
     "log-db3z/metadata.yaml", "log-mcap/metadata.yaml",
     "survey.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv", "logger.zip",
     "phyphox.zip", "euroc.csv",
@@ -147,7 +95,7 @@ FILES = [
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_mutated_files_end_in_a_survey_or_a_known_error(name, seeds, tmp_path, n_fuzz, caplog):
+def test_mutated_files_end_in_a_survey_or_a_known_error(name, seeds, tmp_path, n_fuzz, mutated, bounded, caplog):
     if not (seeds / name).exists():
         pytest.skip("written by an extra that is not installed")
     caplog.set_level(logging.CRITICAL, logger="magmatch")
@@ -170,7 +118,7 @@ def test_mutated_files_end_in_a_survey_or_a_known_error(name, seeds, tmp_path, n
 
 
 @pytest.mark.parametrize("name", ["poses.tum", "euroc.csv"])
-def test_mutated_trajectories_end_in_poses_or_a_known_error(name, seeds, tmp_path, n_fuzz):
+def test_mutated_trajectories_end_in_poses_or_a_known_error(name, seeds, tmp_path, n_fuzz, mutated):
     rng = np.random.default_rng(5)
     raw = (seeds / name).read_bytes()
     for _ in range(n_fuzz):

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""JSON documents that notice when they were changed: written whole with a checksum, read strictly."""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from magmatch.atomic import atomic_write
+from magmatch.data.text import read_bytes
+from magmatch.errors import DataFormatError
+
+_DIGEST = re.compile("[0-9a-fA-F]{16,}")
+
+
+def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
+    """Write a document with its checksum, one key a line, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Where; an existing file is replaced.
+    document : mapping
+        What JSON can hold, without NaN and infinity.
+    """
+    lines = [f'  "{key}": {json.dumps(value, allow_nan=False)}' for key, value in document.items()]
+    lines.append(f'  "checksum": "{checksum(document)}"')
+    with atomic_write(path) as stream:
+        stream.write(("{\n" + ",\n".join(lines) + "\n}\n").encode())
+
+
+def checksum(document: Mapping[str, Any]) -> str:
+    """SHA-256 of what a document says, whatever the order and layout of its keys and ``1`` or ``1.0``."""
+    rest = {key: _canonical(value) for key, value in document.items() if key != "checksum"}
+    text = json.dumps(rest, allow_nan=False, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _canonical(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [_canonical(v) for v in value]
+    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value
+
+
+def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> dict[str, Any]:
+    """Read a document and check its schema and, where it has one, its checksum.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    schema : str
+        Name and version that are expected.
+    what : str
+        What such a document is called.
+    max_bytes : int
+        Longer ones are refused.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    DataFormatError
+        No such file, not JSON, another schema, or changed after it was written.
+    """
+    content = read_bytes(path, max_bytes + 1)
+    if len(content) > max_bytes:
+        raise DataFormatError(path, f"is larger than any {what} ({max_bytes} bytes)")
+    try:
+        text = content.decode("utf-8-sig")
+        document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse, parse_float=_finite)
+        # Files from elsewhere need not have a checksum.
+        is_changed = isinstance(document, dict) and document.get("checksum") not in (None, checksum(document))
+    except (ValueError, RecursionError) as error:
+        raise DataFormatError(path, f"is not a {what} (JSON): {error}") from None
+    found = document.get("schema") if isinstance(document, dict) else None
+    if not isinstance(document, dict) or found != schema:
+        is_newer = isinstance(found, str) and found.startswith(schema.rpartition("/")[0] + "/")
+        advice = "; it was written by another version of magmatch: update, or make it again" if is_newer else ""
+        raise DataFormatError(path, f"key 'schema': expected '{schema}', found {found!r}{advice}")
+    if is_changed:
+        advice = "make it again, or delete the key 'checksum' if the change is meant"
+        raise DataFormatError(path, f"key 'checksum': the file was changed after it was written; {advice}")
+    damaged = None if "checksum" in document else _damaged_checksum(document)
+    if damaged is not None:
+        raise DataFormatError(path, f"key {damaged[:40]!r} seems to be a damaged 'checksum'; make the file again")
+    return document
+
+
+def _damaged_checksum(document: Mapping[str, Any]) -> str | None:
+    """A key that looks like the checksum that is not there, name and value."""
+    alike = get_close_matches("checksum", document, cutoff=0.5)
+    return next((key for key in alike if _DIGEST.search(str(document[key]))), None)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse an object that says one thing twice: readers differ in which they believe."""
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        msg = f"one of the keys {sorted(made)[:5]} appears twice"
+        raise ValueError(msg)
+    return made
+
+
+def _refuse(constant: str) -> float:
+    msg = f"{constant} is not a JSON number"
+    raise ValueError(msg)
+
+
+def _finite(text: str) -> float:
+    """Refuse a number that only infinity could stand for."""
+    value = float(text)
+    return value if math.isfinite(value) else _refuse(text[:40])
