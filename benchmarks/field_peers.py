@@ -7,14 +7,10 @@ Every peer is a function ``(points, field, queries) -> field``. Those of GPyTorc
 from importlib.util import find_spec
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
+
+from magmatch.baselines.interpolation import N_LIKELIHOOD, inverse_distance, local_gp, nearest_neighbour
 
 HAS_GPYTORCH = find_spec("gpytorch") is not None
-N_LIKELIHOOD = 500
-N_LOCAL = 64
 N_EXACT = 3000
 N_INDUCING = 400
 BATCH = 500
@@ -23,62 +19,6 @@ BATCH = 500
 def thinned(points, n):
     """Rows of at most n samples, evenly along the recording."""
     return np.arange(0, len(points), -(-len(points) // n))
-
-
-def nearest_neighbour(points, field, queries):
-    return field[cKDTree(points).query(queries)[1]]
-
-
-def inverse_distance(points, field, queries):
-    """Shepard's weights of the 8 nearest samples, inverse squares."""
-    distance, near = cKDTree(points).query(queries, k=8)
-    weight = 1 / np.maximum(distance, 1e-6) ** 2
-    return np.einsum("nk,nka->na", weight / weight.sum(axis=1, keepdims=True), field[near])
-
-
-def likeliest(points, values):
-    """Lengthscale, signal and noise variance of a squared-exponential kernel, by marginal likelihood."""
-    rows = thinned(points, N_LIKELIHOOD)
-    square, y = cdist(points[rows], points[rows], "sqeuclidean"), values[rows] - values[rows].mean()
-    scale = y.std()
-
-    def loss(log_numbers):
-        length, signal, noise = np.exp(log_numbers)
-        kernel = signal * np.exp(-0.5 * square / length**2)
-        factor = cho_factor(kernel + (noise + 1e-9) * np.eye(len(y)), lower=True)
-        alpha = cho_solve(factor, y / scale)
-        inner = cho_solve(factor, np.eye(len(y))) - np.outer(alpha, alpha)
-        slopes = (kernel * square / length**2, kernel, noise * np.eye(len(y)))
-        value = 0.5 * y @ alpha / scale + np.log(np.diagonal(factor[0])).sum()
-        return value, np.array([0.5 * np.einsum("ij,ji", inner, slope) for slope in slopes])
-
-    limits = [np.log(np.ptp(points, axis=0).max() * np.array([1e-3, 1.0])), np.log([1e-2, 1e3]), np.log([1e-6, 1.0])]
-    tries = [
-        minimize(loss, np.log([length, 1.0, 0.01]), jac=True, bounds=limits, options={"maxiter": 30})
-        for length in (0.3, 1.5)
-    ]
-    length, signal, noise = np.exp(min(tries, key=lambda result: result.fun).x)
-    return length, signal * scale**2, noise * scale**2
-
-
-def local_gp(points, field, queries):
-    """Ordinary kriging from the nearest samples, one kernel per component: a Gaussian process of unknown mean."""
-    numbers = [likeliest(points, values) for values in field.T]
-    near = cKDTree(points).query(queries, k=min(N_LOCAL, len(points)))[1]
-    out = np.empty((len(queries), 3))
-    for start in range(0, len(queries), BATCH):
-        rows = near[start : start + BATCH]
-        x = points[rows]
-        between = ((x[:, :, None] - x[:, None]) ** 2).sum(axis=-1)
-        across = ((x - queries[start : start + BATCH, None]) ** 2).sum(axis=-1)
-        for a, (length, signal, noise) in enumerate(numbers):
-            mean = 100 * signal  # variance of the unknown mean
-            kernel = signal * np.exp(-0.5 * between / length**2) + mean + noise * np.eye(rows.shape[1])
-            cross, y = signal * np.exp(-0.5 * across / length**2) + mean, field[rows, a]
-            offset = y.mean(axis=1)
-            alpha = np.linalg.solve(kernel, (y - offset[:, None])[..., None])[..., 0]
-            out[start : start + BATCH, a] = offset + np.einsum("nk,nk->n", cross, alpha)
-    return out
 
 
 def svgp(points, field, queries):

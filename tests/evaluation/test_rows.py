@@ -24,7 +24,7 @@ def same(one, other):
 
 
 def test_rows_come_back_as_they_were_written(tmp_path):
-    kept = RowFile(tmp_path / "rows.jsonl")
+    kept = RowFile(tmp_path / "rows.jsonl", Row)
     assert kept.read() == []
     kept.append(some_rows(3)[:2])
     kept.append(some_rows(3)[2:])
@@ -33,7 +33,7 @@ def test_rows_come_back_as_they_were_written(tmp_path):
 
 @given(st.integers(0, 100))
 def test_file_cut_off_anywhere_gives_its_whole_rows_and_goes_on(tmp_path_factory, share):
-    kept = RowFile(tmp_path_factory.mktemp("cut") / "rows.jsonl")
+    kept = RowFile(tmp_path_factory.mktemp("cut") / "rows.jsonl", Row)
     kept.append(some_rows(4))
     content = kept.path.read_bytes()
     cut = len(content) * share // 100
@@ -46,7 +46,7 @@ def test_file_cut_off_anywhere_gives_its_whole_rows_and_goes_on(tmp_path_factory
 
 
 def test_of_two_rows_with_one_key_the_first_counts(tmp_path):
-    kept = RowFile(tmp_path / "rows.jsonl")
+    kept = RowFile(tmp_path / "rows.jsonl", Row)
     kept.append(some_rows(1))
     twice = some_rows(1)[0]
     kept.append([Row("e", "m", 0, "d", "other", *(getattr(twice, n) for n in Row.__slots__[5:]))])
@@ -55,7 +55,7 @@ def test_of_two_rows_with_one_key_the_first_counts(tmp_path):
 
 @pytest.mark.parametrize("line", ["{}", "[1]", "no json", '{"experiment": 1}'])
 def test_foreign_file_is_named_with_its_line(tmp_path, line):
-    kept = RowFile(tmp_path / "rows.jsonl")
+    kept = RowFile(tmp_path / "rows.jsonl", Row)
     kept.append(some_rows(1))
     with kept.path.open("a") as stream:
         stream.write(line + "\n")
@@ -64,8 +64,8 @@ def test_foreign_file_is_named_with_its_line(tmp_path, line):
 
 
 def test_table_for_other_programs_does_not_depend_on_the_order_of_work(tmp_path):
-    write_csv(tmp_path / "a.csv", some_rows(3))
-    write_csv(tmp_path / "b.csv", some_rows(3)[::-1])
+    write_csv(tmp_path / "a.csv", some_rows(3), Row)
+    write_csv(tmp_path / "b.csv", some_rows(3)[::-1], Row)
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     found = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert [float(row["distance"]) for row in found] == [row.distance for row in some_rows(3)]

@@ -11,7 +11,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.evaluation.experiment import Experiment, Pair
 from magmatch.evaluation.plan import Plan, make_plan
-from magmatch.evaluation.report import result_tables
+from magmatch.evaluation.report import Findings, result_tables
 from magmatch.evaluation.run import evaluate
 from magmatch.geometry import random_transform
 from magmatch.registration.result import RegistrationResult, Status
@@ -65,8 +65,16 @@ def toy_plan(calls: str = "", seconds: float = 0.0) -> Plan:
     return make_plan([toy_experiment("toy"), toy_experiment("other", n_samples=13)], methods)
 
 
+def toy_findings(plan: Plan, rows) -> Findings:
+    return Findings(plan.experiments, rows, [], {}, plan.left_out, "magmatch evaluate toys")
+
+
+def tables(plan: Plan, rows) -> str:
+    return "\n".join(table.markdown() for table in result_tables(toy_findings(plan, rows)))
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     plan = toy_plan(str(folder / "calls.txt"), seconds=0.02)
     rows = evaluate(plan, folder)
-    (folder / "results.md").write_text("\n".join(table.markdown() for table in result_tables(plan, rows)))
+    (folder / "results.md").write_text(tables(plan, rows))

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from magmatch.atomic import atomic_write
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import check_folder
+from magmatch.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from magmatch.evaluation.run import Progress
@@ -40,7 +42,9 @@ def evaluate(
     quick: Annotated[bool, typer.Option("--quick", help="A small run, under two minutes.")] = False,
     methods: Annotated[str | None, typer.Option(help="Only these methods, separated by commas.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Most trials of each experiment and method.")] = None,
-    first: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
+    first: Annotated[
+        int, typer.Option(min=0, help="First seed; those below 1000 were looked at during development.")
+    ] = 1000,
     recordings: Annotated[
         Path | None, typer.Option("--from", help="Folder of public recordings; the cache by default.", metavar="DIR")
     ] = None,
@@ -51,6 +55,10 @@ def evaluate(
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
     ] = None,
+    write_results: Annotated[
+        list[Path] | None,
+        typer.Option(help="Also put the results between the marks of this page (several times: several pages)."),
+    ] = None,
 ) -> None:
     """Run the benchmark: named experiments, several methods, paired seeds.
 
@@ -60,19 +68,25 @@ def evaluate(
         _list()
         return
     check_folder(out)
-    from magmatch.evaluation.plan import make_plan
-    from magmatch.evaluation.report import write_markdown
-    from magmatch.evaluation.run import evaluate as run
-    from magmatch.evaluation.selection import chosen_experiments, chosen_methods
+    from magmatch.evaluation.benchmark import Settings, run_benchmark
+    from magmatch.evaluation.report import markdown, replace_between_marks, write_html
 
-    experiments, asked = chosen_experiments(names, quick=quick), chosen_methods(methods)
-    plan = make_plan(experiments, asked, n_seeds=seeds, first_seed=first, recordings=recordings)
-    for what, why in plan.left_out.items():
+    settings = Settings(
+        tuple(names or ()), methods, is_quick=quick, n_seeds=seeds, first_seed=first, recordings=recordings
+    )
+    findings = run_benchmark(settings, out, jobs=jobs, scheduler=scheduler, tell=_Teller(), command=_command())
+    for what, why in findings.left_out.items():
         say(f"Left out: {what}: {why}")
-    rows = run(plan, out, jobs=jobs, scheduler=scheduler, tell=_Teller())
-    write_markdown(out / "results.md", plan, rows, _command())
-    put((out / "results.md").read_text(encoding="utf-8"))
-    say(f"{len(rows)} trials; rows, tables and report are in {out}")
+    with atomic_write(out / "results.md") as stream:
+        stream.write(markdown(findings).encode())
+    for page in write_results or ():
+        replace_between_marks(page, findings)
+    put(markdown(findings))
+    try:
+        write_html(out / "report.html", findings)
+    except MissingExtraError as error:
+        say(f"No report: {error}")
+    say(f"{len(findings.rows) + len(findings.map_rows)} trials; rows, tables and report are in {out}")
 
 
 class _Teller:
@@ -103,7 +117,9 @@ def _duration(seconds: float) -> str:
 def _list() -> None:
     """List experiments by group, and methods."""
     from magmatch.evaluation.experiments import EXPERIMENTS
+    from magmatch.evaluation.mapping import CASES
     from magmatch.evaluation.methods import METHODS
+    from magmatch.evaluation.selection import MAPPING
 
     put("Experiments:")
     group = ""
@@ -112,6 +128,9 @@ def _list() -> None:
             group = experiment.group
             put(f"  {group}")
         put(f"    {experiment.name:20}  {experiment.title} ({experiment.n_seeds} trials a method)")
+    put(f"  {MAPPING}")
+    for case in CASES.values():
+        put(f"    {case.name:20}  {case.title} ({case.n_seeds} trials a model)")
     put("Methods:")
     for method in METHODS.values():
         put(f"    {method.name:20}  {method.title}{f' (needs {method.module})' if method.module else ''}")

@@ -109,6 +109,8 @@ def _recorded() -> list[Experiment]:
     ]  # fmt: skip
 
 
+SWEEP_UNITS = {what: f"{what} ({unit}), scenario {scenario}" for what, unit, scenario, _ in SWEEPS}
+
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment for experiment in (*_published(), *_refusals(), *_harder(), *_recorded())
 }

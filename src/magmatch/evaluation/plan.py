@@ -81,7 +81,7 @@ def make_plan(
         f"method {m.name}": f"{m.module} is not installed (extra 'evaluate')"
         for name, m in methods.items() if name not in usable
     }  # fmt: skip
-    missing = {name: why for name in {e.dataset for e in experiments} if name and (why := _missing(name, folder))}
+    missing = missing_recordings({e.dataset for e in experiments}, recordings)
     left_out |= {f"experiment {e.name}": missing[e.dataset] for e in experiments if e.dataset in missing}
     batches = [
         Batch(e, seed, tuple(usable[name] for name in e.methods if name in usable), folder)
@@ -92,13 +92,29 @@ def make_plan(
     return Plan(tuple(batch for batch in batches if batch.methods), left_out)
 
 
-def _missing(dataset: str, folder: Path) -> str:
-    """Why a recording cannot be used; empty where it can."""
-    try:
-        verified_files(dataset, folder / dataset if (folder / dataset).is_dir() else folder)
-    except DataFormatError as error:
-        return f"recording '{dataset}' is not here ({error}); fetch it with 'magmatch datasets fetch {dataset}'"
-    return ""
+def missing_recordings(datasets: set[str | None], recordings: Path | None) -> dict[str | None, str]:
+    """Say which recordings cannot be used here, and why.
+
+    Parameters
+    ----------
+    datasets : set of str
+        Names; None stands for none and is never missing.
+    recordings : Path, optional
+        Folder; the cache by default.
+
+    Returns
+    -------
+    dict of str to str
+        Reason by name.
+    """
+    folder, missing = recordings or cache_folder(), dict[str | None, str]()
+    for name in sorted(name for name in datasets if name):
+        try:
+            verified_files(name, folder / name if (folder / name).is_dir() else folder)
+        except DataFormatError as error:
+            fetching = f"fetch it with 'magmatch datasets fetch {name}'"
+            missing[name] = f"recording '{name}' is not here ({error}); {fetching}"
+    return missing
 
 
 def _keys(batch: Batch) -> list[Key]:

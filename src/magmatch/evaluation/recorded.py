@@ -20,6 +20,14 @@ MIN_SAMPLES = 300
 APART = 15.0
 
 
+@lru_cache(maxsize=2)
+def load(dataset: str, recordings: Path | None) -> Mapping[str, Survey]:
+    """Recordings of a dataset, verified once a process."""
+    if recordings is None:
+        return load_recordings(dataset)
+    return load_recordings(dataset, recordings / dataset if (recordings / dataset).is_dir() else recordings)
+
+
 @dataclass(frozen=True, slots=True)
 class CeaArea:
     """A square area of one floor, centred on walk two: walk one against walk two.
@@ -37,7 +45,7 @@ class CeaArea:
 
     def __call__(self, seed: int, recordings: Path | None) -> Pair:
         """Give the pair of a seed."""
-        walks, rng = _load("cea", recordings), np.random.default_rng([seed, self.floor])
+        walks, rng = load("cea", recordings), np.random.default_rng([seed, self.floor])
         one, two = walks[f"training-floor{self.floor}"], walks[f"test-floor{self.floor}"]
         while True:
             center, side = two.positions[rng.integers(len(two)), :2], rng.uniform(*self.sides)
@@ -54,7 +62,7 @@ class CeaElsewhere:
 
     def __call__(self, seed: int, recordings: Path | None) -> Pair:
         """Give the pair of a seed."""
-        walks, rng = _load("cea", recordings), np.random.default_rng([seed, 3])
+        walks, rng = load("cea", recordings), np.random.default_rng([seed, 3])
         while True:
             base, target = (
                 _area(survey, survey.positions[rng.integers(len(survey)), :2], rng.uniform(*self.sides))
@@ -77,7 +85,7 @@ class TwoRecordings:
 
     def __call__(self, seed: int, recordings: Path | None) -> Pair:
         """Give the pair of a seed."""
-        surveys = _load(self.dataset, recordings)
+        surveys = load(self.dataset, recordings)
         return _moved(surveys[self.base], surveys[self.target], np.random.default_rng(seed))
 
 
@@ -90,7 +98,7 @@ class Halves:
 
     def __call__(self, seed: int, recordings: Path | None) -> Pair:
         """Give the pair of a seed."""
-        survey = _load(self.dataset, recordings)[self.name]
+        survey = load(self.dataset, recordings)[self.name]
         is_first = np.arange(len(survey)) < len(survey) // 2
         return _moved(survey.subset(is_first), survey.subset(~is_first), np.random.default_rng(seed))
 
@@ -105,20 +113,12 @@ class Interleaved:
 
     def __call__(self, seed: int, recordings: Path | None) -> Pair:
         """Give the pair of a seed: an area of the recording, drawn anew."""
-        survey, rng = _load(self.dataset, recordings)[self.name], np.random.default_rng(seed)
+        survey, rng = load(self.dataset, recordings)[self.name], np.random.default_rng(seed)
         while True:
             cut = _area(survey, survey.positions[rng.integers(len(survey)), :2], self.side)
             if len(cut) >= MIN_SAMPLES:
                 is_even = np.arange(len(cut)) % 2 == 0
                 return _moved(cut.subset(is_even), cut.subset(~is_even), rng)
-
-
-@lru_cache(maxsize=2)
-def _load(dataset: str, recordings: Path | None) -> Mapping[str, Survey]:
-    """Recordings of a dataset, verified once a process."""
-    if recordings is None:
-        return load_recordings(dataset)
-    return load_recordings(dataset, recordings / dataset if (recordings / dataset).is_dir() else recordings)
 
 
 def _area(survey: Survey, center: np.ndarray, side: float) -> Survey:

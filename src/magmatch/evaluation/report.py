@@ -1,80 +1,215 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report of an evaluation: tables as Markdown, and between marks in pages that others own."""
+"""The report of an evaluation: tables as Markdown, one HTML page with figures, and parts of pages that others own."""
 
+import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 
 from magmatch import __version__
 from magmatch.atomic import atomic_write
 from magmatch.errors import DataFormatError
-from magmatch.evaluation.plan import Plan
-from magmatch.evaluation.published import SOURCE
-from magmatch.evaluation.rows import Row
-from magmatch.evaluation.tables import TextTable, cost_table, error_table, refusal_table, summaries
+from magmatch.evaluation.comparison import shortfalls
+from magmatch.evaluation.experiment import Experiment
+from magmatch.evaluation.experiments import SWEEP_UNITS
+from magmatch.evaluation.figures import curve_figures, error_figure
+from magmatch.evaluation.notes import GROUP_NOTES, GROUP_TITLES, HOW_TO_READ, REASONS
+from magmatch.evaluation.rows import MapRow, Row
+from magmatch.evaluation.statistics import Summary
+from magmatch.evaluation.tables import (
+    TextTable,
+    cost_table,
+    curve_table,
+    error_table,
+    mapping_table,
+    refusal_table,
+    summaries,
+)  # fmt: skip
+from magmatch.viz.page import Section, bullets, figure_row, note, paragraph, table, to_copy, write_page
 
-BEGIN, END = "<!-- evaluation: begin -->", "<!-- evaluation: end -->"
-HOW_TO_READ = (
-    "Right: accepted and within tolerance. Trials that failed count in every column: RMSE and standard deviation, as "
-    "published, are of the best pose of every trial, accepted or not; median and 95 % take a trial without a pose as "
-    "infinitely far off ('none'). NEES is per degree of freedom, 1 where the stated covariance is right. 'As "
-    f"published': {SOURCE}; its data are not public, ours are equivalents."
-)
+SECTION, SHORT = "evaluation", "evaluation table"
+SHORT_METHODS = ("default", "paper", "sift", "sift-best")
 
 
-def result_tables(plan: Plan, rows: Sequence[Row]) -> list[TextTable]:
-    """Lay out all tables of a run whose cells do not change when it is run again."""
-    tables = []
-    for group in dict.fromkeys(e.group for e in plan.experiments):
-        found = summaries([e for e in plan.experiments if e.group == group], rows)
-        table = refusal_table if group == "refusals" else error_table
-        tables.append(table(group.capitalize(), found))
+@dataclass(frozen=True, eq=False, slots=True)
+class Findings:
+    """All that a run found.
+
+    Attributes
+    ----------
+    experiments : tuple of Experiment
+    rows : sequence of Row
+    map_rows : sequence of MapRow
+    case_titles : dict of str to str
+        Words for the cases of the mapping table.
+    left_out : dict of str to str
+    command : str
+    """
+
+    experiments: tuple[Experiment, ...]
+    rows: Sequence[Row]
+    map_rows: Sequence[MapRow]
+    case_titles: Mapping[str, str]
+    left_out: Mapping[str, str]
+    command: str
+
+    def of(self, group: str) -> tuple[list[Experiment], Mapping[tuple[str, str], Summary]]:
+        """Experiments of a group and their summaries."""
+        experiments = [e for e in self.experiments if e.group == group]
+        return experiments, summaries(experiments, self.rows)
+
+    @property
+    def groups(self) -> list[str]:
+        """Groups that have experiments, in order."""
+        return list(dict.fromkeys(e.group for e in self.experiments))
+
+
+def group_table(findings: Findings, group: str) -> TextTable:
+    """Lay out one group of experiments."""
+    experiments, found = findings.of(group)
+    title, words = GROUP_TITLES.get(group, group.capitalize()), GROUP_NOTES.get(group, "")
+    if group in SWEEP_UNITS:
+        return curve_table(title, SWEEP_UNITS[group], experiments, found, words)
+    if group == "refusals":
+        return refusal_table(title, found, words)
+    return error_table(title, found, {e.name: e.floor for e in experiments}, words)
+
+
+def result_tables(findings: Findings) -> list[TextTable]:
+    """Lay out all tables whose cells do not change when the run is repeated."""
+    tables = [group_table(findings, group) for group in findings.groups]
+    if findings.map_rows:
+        words = GROUP_NOTES["mapping"]
+        tables.append(mapping_table(GROUP_TITLES["mapping"], findings.map_rows, findings.case_titles, words))
     return tables
 
 
-def write_markdown(path: Path, plan: Plan, rows: Sequence[Row], command: str) -> None:
-    """Write all tables to a page of their own."""
-    found = summaries(plan.experiments, rows)
-    tables = [*result_tables(plan, rows), cost_table("Time and memory", found, "Maps included.")]
-    text = "\n".join([f"{provenance(plan, command)}\n\n{HOW_TO_READ}\n", *(table.markdown() for table in tables)])
-    with atomic_write(path) as stream:
-        stream.write(text.encode())
+def markdown(findings: Findings) -> str:
+    """Lay out the whole evaluation as Markdown, headings of the third level."""
+    costs = cost_table("Time and memory", summaries(_main(findings), findings.rows), GROUP_NOTES["costs"])
+    behind = _shortfalls(findings)
+    listed = "\n".join(f"- {line}" for line in behind) if behind else "Nowhere in this run."
+    blocks = [provenance(findings), HOW_TO_READ, *(t.markdown().strip() for t in result_tables(findings)),
+              costs.markdown().strip(), f"### Where `default` is not ahead\n\n{listed}"]  # fmt: skip
+    return "\n\n".join(blocks) + "\n"
 
 
-def provenance(plan: Plan, command: str) -> str:
-    """Say what gave the figures: command, versions, machine, date, and what was left out."""
-    packages = ", ".join(f"{name} {_version(name)}" for name in ("numpy", "scipy", "numba"))
-    machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    text = f"`{command}`; magmatch {__version__}, {packages}; {machine}; {date.today().isoformat()}."
-    return text + "".join(f"\nLeft out: {what}: {why}." for what, why in plan.left_out.items())
+def short_markdown(findings: Findings) -> str:
+    """Lay out the published experiments for a first page."""
+    experiments, found = findings.of("published")
+    kept = {key: s for key, s in found.items() if key[1] in SHORT_METHODS}
+    whole = error_table("", kept)
+    columns = [whole.header.index(name) for name in ("experiment", "method", "right", "RMSE ± sd, mm",
+                                                     "RMSE ± sd, deg", "median, mm / deg")]  # fmt: skip
+    rows = tuple(tuple(row[k] for k in columns) for row in whole.rows)
+    names = "; ".join(f"`{e.name}`: {e.title}" for e in experiments)
+    text = TextTable("", tuple(whole.header[k] for k in columns), rows).markdown().partition("\n\n")[2]
+    return f"{text.strip()}\n\n{names}. `{findings.command}`, {date.today().isoformat()}.\n"
 
 
-def replace_between_marks(path: Path, content: str) -> None:
-    """Put generated text between the marks of a page.
+def write_html(path: Path, findings: Findings) -> None:
+    """Write one self-contained page with all tables and figures.
 
     Parameters
     ----------
     path : Path
-        A page that holds the lines `BEGIN` and `END`, once each and in this order.
-    content : str
+    findings : Findings
+
+    Raises
+    ------
+    MissingExtraError
+        Plotly is not installed.
+    """
+    behind = _shortfalls(findings)
+    sections = [Section("", [paragraph(HOW_TO_READ)])]
+    for group in findings.groups:
+        experiments, found = findings.of(group)
+        laid = group_table(findings, group)
+        blocks = [paragraph(laid.note)] if laid.note else []
+        if group in SWEEP_UNITS and len(experiments) > 1:
+            blocks.append(figure_row(curve_figures(group, SWEEP_UNITS[group], experiments, found)))
+        elif group == "published":
+            blocks.append(figure_row([error_figure(e, findings.rows) for e in experiments]))
+        sections.append(Section(laid.title, [*blocks, table(laid.rows, laid.header)]))
+    if findings.map_rows:
+        laid = result_tables(findings)[-1]
+        sections.append(Section(laid.title, [paragraph(laid.note), table(laid.rows, laid.header)]))
+    costs = cost_table("Time and memory", summaries(_main(findings), findings.rows), GROUP_NOTES["costs"])
+    sections += [
+        Section(costs.title, [paragraph(costs.note), table(costs.rows, costs.header)]),
+        Section("Where default is not ahead", [bullets(behind) if behind else paragraph("Nowhere in this run.")]),
+        Section("Run it again", [to_copy("command", findings.command), note(_versions()), *_left_out(findings)]),
+    ]
+    write_page(path, "magmatch: evaluation", sections)
+
+
+def provenance(findings: Findings) -> str:
+    """Say what gave the figures: command, versions, machine, date, and what was left out."""
+    text = f"`{findings.command}`. {_versions()}"
+    return text + "".join(f"\nLeft out: {what}: {why}." for what, why in findings.left_out.items())
+
+
+def replace_between_marks(path: Path, findings: Findings) -> None:
+    """Put results between the marks of a page: the whole section, or the short table, whichever it has marks for.
+
+    Parameters
+    ----------
+    path : Path
+        A page with the lines ``<!-- evaluation: begin -->`` and ``<!-- evaluation: end -->``, or the same with
+        ``evaluation table``, or both.
+    findings : Findings
 
     Raises
     ------
     DataFormatError
         The page has no such marks.
     """
-    before, begin, rest = path.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise DataFormatError(path, f"expected the lines '{BEGIN}' and '{END}' to put the results between")
+    text, n_found = path.read_text(encoding="utf-8"), 0
+    for name, content in ((SECTION, markdown), (SHORT, short_markdown)):
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, opened, rest = text.partition(begin)
+        _, closed, after = rest.partition(end)
+        if opened and closed:
+            text, n_found = f"{before}{begin}\n{content(findings).strip()}\n{end}{after}", n_found + 1
+    if not n_found:
+        raise DataFormatError(path, f"expected the lines '<!-- {SECTION}: begin -->' and '<!-- {SECTION}: end -->'")
     with atomic_write(path) as stream:
-        stream.write(f"{before}{BEGIN}\n{content.strip()}\n{END}{after}".encode())
+        stream.write(text.encode())
+
+
+def _main(findings: Findings) -> list[Experiment]:
+    """Experiments whose cost is worth a row: those of a curve differ little."""
+    return [e for e in findings.experiments if e.group not in SWEEP_UNITS]
+
+
+def _shortfalls(findings: Findings) -> list[str]:
+    experiments = [e for e in findings.experiments if e.group != "refusals"]
+    return shortfalls(summaries(experiments, findings.rows), REASONS)
+
+
+def _left_out(findings: Findings) -> list[str]:
+    return (
+        [bullets([f"Left out: {what}: {why}" for what, why in findings.left_out.items()])]
+        if findings.left_out
+        else []
+    )
+
+
+def _versions() -> str:
+    """Versions, machine and date on one line."""
+    packages = {"numpy": "numpy", "scipy": "scipy", "numba": "numba", "cv2": "opencv-python-headless",
+                "small_gicp": "small-gicp", "kiss_matcher": "kiss-matcher"}  # fmt: skip
+    there = ", ".join(f"{name} {_version(name)}" for module, name in packages.items() if find_spec(module))
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return f"magmatch {__version__}, {there}; {machine}; {date.today().isoformat()}."
 
 
 def _version(package: str) -> str:
     try:
         return version(package)
     except PackageNotFoundError:
-        return "(none)"
+        return "(unknown version)"

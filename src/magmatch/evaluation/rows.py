@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from magmatch.atomic import atomic_write
 from magmatch.errors import DataFormatError
@@ -63,19 +63,61 @@ class Row:
         return self.experiment, self.method, self.seed, self.digest
 
 
-class RowFile:
+@dataclass(frozen=True, slots=True)
+class MapRow:
+    """How well one model of the field predicted what was held out.
+
+    Attributes
+    ----------
+    experiment, method, seed, digest
+        As of `Row`.
+    reason : str
+        Why there is no figure; empty where there is.
+    field_rmse : float, T
+        Of 3-vectors.
+    gradient_rmse : float, T/m
+        Of the nine components together; NaN where truth or model have none.
+    coverage : float
+        Share of components within the stated 95 %; NaN where none is stated.
+    seconds : float, s
+        Of the processor.
+    """
+
+    experiment: str
+    method: str
+    seed: int
+    digest: str
+    reason: str
+    field_rmse: float
+    gradient_rmse: float
+    coverage: float
+    seconds: float
+
+    @property
+    def key(self) -> tuple[str, str, int, str]:
+        """What no two rows share."""
+        return self.experiment, self.method, self.seed, self.digest
+
+
+R = TypeVar("R", Row, MapRow)
+
+
+class RowFile(Generic[R]):
     """Rows in a file of JSON lines that only ever grows.
 
     Parameters
     ----------
     path : Path
         Created with the first row.
+    kind : type
+        Of its rows.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kind: type[R]) -> None:
         self.path = path
+        self.kind: type[R] = kind
 
-    def read(self) -> list[Row]:
+    def read(self) -> list[R]:
         """Read all whole rows; a last line that a crash cut off is left out.
 
         Returns
@@ -91,10 +133,10 @@ class RowFile:
         if not self.path.exists():
             return []
         *lines, _ = self.path.read_bytes().split(b"\n")
-        rows = [_parsed(line, self.path, number) for number, line in enumerate(lines, start=1)]
+        rows = [_parsed(line, self.kind, self.path, number) for number, line in enumerate(lines, start=1)]
         return list({row.key: row for row in reversed(rows)}.values())[::-1]
 
-    def append(self, rows: Iterable[Row]) -> None:
+    def append(self, rows: Iterable[R]) -> None:
         """Write rows; once this returns they are on the disk."""
         text = "".join(json.dumps(_plain(row)) + "\n" for row in rows)
         with self.path.open("ab") as stream:
@@ -112,27 +154,29 @@ class RowFile:
             os.truncate(self.path, whole)
 
 
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
+def write_csv(path: Path, rows: Sequence[R], kind: type[R]) -> None:
     """Write rows as a table for other programs, in an order that does not depend on when they were made."""
     buffer = StringIO()
-    writer = csv.DictWriter(buffer, [f.name for f in fields(Row)], lineterminator="\n")
+    writer = csv.DictWriter(buffer, [f.name for f in fields(kind)], lineterminator="\n")
     writer.writeheader()
     writer.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.key))
     with atomic_write(path) as stream:
         stream.write(buffer.getvalue().encode())
 
 
-def _plain(row: Row) -> dict[str, Any]:
+def _plain(row: Row | MapRow) -> dict[str, Any]:
     """JSON has no inf and no NaN: both become null, and a distance that is null is inf again."""
     content = asdict(row)
     return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in content.items()}
 
 
-def _parsed(line: bytes, path: Path, number: int) -> Row:
-    missing = {"distance": math.inf, "angle": math.inf, "nees": math.nan}
+def _parsed(line: bytes, kind: type[R], path: Path, number: int) -> R:
+    missing = {"distance": math.inf, "angle": math.inf}
     try:
         content: dict[str, Any] = json.loads(line)
-        filled: dict[str, Any] = {name: missing.get(name) if v is None else v for name, v in content.items()}
-        return Row(**filled)
+        filled: dict[str, Any] = {
+            name: missing.get(name, math.nan) if v is None else v for name, v in content.items()
+        }
+        return kind(**filled)
     except (ValueError, TypeError, AttributeError):
         raise DataFormatError(path, "is not a row of an evaluation; use another folder", line=number) from None

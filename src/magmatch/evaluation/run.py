@@ -62,7 +62,7 @@ def evaluate(
         Of the whole plan, in an order that does not depend on how often it was interrupted.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    kept = RowFile(folder / ROWS)
+    kept = RowFile(folder / ROWS, Row)
     kept.mend()
     wanted = plan.keys()
     known = [row for row in kept.read() if row.key in wanted]
@@ -73,7 +73,7 @@ def evaluate(
         kept.append(rows)
         tell(clock.after(batch, rows))
     found = sorted((row for row in kept.read() if row.key in wanted), key=lambda row: row.key)
-    write_csv(folder / TABLE, found)
+    write_csv(folder / TABLE, found, Row)
     return found
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from magmatch.evaluation.experiment import Experiment
 from magmatch.evaluation.published import PUBLISHED
-from magmatch.evaluation.rows import Row
+from magmatch.evaluation.rows import MapRow, Row
 from magmatch.evaluation.statistics import Spread, Summary, summarize
 
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A title, a header and cells of text."""
+    """A title, a note, a header and cells of text."""
 
     title: str
     header: tuple[str, ...]
@@ -23,8 +23,9 @@ class TextTable:
     def markdown(self) -> str:
         """Lay the table out for a Markdown page."""
         lines = [self.header, tuple("---" for _ in self.header), *self.rows]
-        body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-        return f"### {self.title}\n{self.note}\n\n{body}\n" if self.note else f"### {self.title}\n\n{body}\n"
+        body = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines)
+        note = f"\n{self.note}\n" if self.note else ""
+        return f"### {self.title}\n{note}\n{body}\n"
 
 
 ERROR_HEADER = (
@@ -44,22 +45,27 @@ def summaries(experiments: Sequence[Experiment], rows: Sequence[Row]) -> Mapping
     }  # fmt: skip
 
 
-def error_table(title: str, found: Mapping[tuple[str, str], Summary], note: str = "") -> TextTable:
+def error_table(
+    title: str, found: Mapping[tuple[str, str], Summary], floors: Mapping[str, str] | None = None, note: str = ""
+) -> TextTable:
     """Lay out success and errors, the published figures below ours where there are any.
 
     Parameters
     ----------
     title : str
     found : dict of (experiment, method) to Summary
+    floors : dict of str to str, optional
+        Accuracy of the data themselves, by experiment: a column of its own where there is any.
     note : str
 
     Returns
     -------
     TextTable
     """
-    rows = []
+    has_floors, rows = any((floors or {}).values()), []
     for (experiment, method), s in found.items():
-        rows.append((experiment, method, *_error_cells(s)))
+        cells = [experiment, method, *_error_cells(s)]
+        rows.append((*cells, (floors or {}).get(experiment, "")) if has_floors else tuple(cells))
         if (experiment, method) in PUBLISHED:
             p = PUBLISHED[experiment, method]
             rows.append((
@@ -67,15 +73,53 @@ def error_table(title: str, found: Mapping[tuple[str, str], Summary], note: str 
                 f"{1e3 * p.distance:.1f} ± {1e3 * p.distance_sd:.1f}", f"{p.angle_deg:.2f} ± {p.angle_sd_deg:.2f}",
                 "", "", "", "",
             ))  # fmt: skip
-    return TextTable(title, ERROR_HEADER, tuple(rows), note)
+    header = (*ERROR_HEADER, "accuracy of the data") if has_floors else ERROR_HEADER
+    return TextTable(title, header, tuple(rows), note)
+
+
+def curve_table(
+    title: str,
+    unit: str,
+    experiments: Sequence[Experiment],
+    found: Mapping[tuple[str, str], Summary],
+    note: str = "",
+) -> TextTable:
+    """Lay out one condition, a value a row and a method a column: right answers, median error.
+
+    Parameters
+    ----------
+    title, unit : str
+    experiments : sequence of Experiment
+        Those of the condition.
+    found : dict of (experiment, method) to Summary
+    note : str
+
+    Returns
+    -------
+    TextTable
+    """
+    methods = [m for m in dict.fromkeys(m for e in experiments for m in e.methods) if any(k[1] == m for k in found)]
+    rows = [
+        (f"{e.value:g}", *(_curve_cell(found[e.name, m]) if (e.name, m) in found else "-" for m in methods))
+        for e in experiments
+    ]
+    return TextTable(title, (unit, *methods), tuple(rows), note)
+
+
+def _curve_cell(s: Summary) -> str:
+    wrong = f", {s.n_false} wrongly" if s.n_false else ""
+    return (
+        f"{s.n_right} of {s.n}{wrong}; {_number(1e3 * s.distance.median, 1)} mm, {_number(s.angle_deg.median, 2)} deg"
+    )
 
 
 def refusal_table(title: str, found: Mapping[tuple[str, str], Summary], note: str = "") -> TextTable:
-    """Lay out how often nothing was accepted where nothing is to be found."""
+    """Lay out how often something was accepted where nothing is to be found."""
     rows = [
-        (experiment, method, f"{s.n_false} of {s.n}", f"{1 - s.success[1]:.0%} to {1 - s.success[0]:.0%}", _faults(s))
+        (experiment, method, f"{s.n_false} of {s.n}", f"{1 - s.success[1]:.0%} to {1 - s.success[0]:.0%}",
+         str(s.n_faults))
         for (experiment, method), s in found.items()
-    ]
+    ]  # fmt: skip
     return TextTable(title, ("experiment", "method", "accepted", "95 % interval", "broke down"), tuple(rows), note)
 
 
@@ -85,9 +129,46 @@ def cost_table(title: str, found: Mapping[tuple[str, str], Summary], note: str =
         (experiment, method, f"{s.seconds:.2f}", f"{s.peak_bytes / 2**20:.0f}")
         for (experiment, method), s in found.items()
     ]
-    return TextTable(
-        title, ("experiment", "method", "median seconds (processor)", "peak memory, MiB"), tuple(rows), note
-    )
+    header = ("experiment", "method", "median seconds (processor)", "peak memory, MiB")
+    return TextTable(title, header, tuple(rows), note)
+
+
+def mapping_table(title: str, rows: Sequence[MapRow], titles: Mapping[str, str], note: str = "") -> TextTable:
+    """Lay out the errors of priors and peers, a case a row: field in uT (gradient in uT/m), coverage.
+
+    Parameters
+    ----------
+    title : str
+    rows : sequence of MapRow
+    titles : dict of str to str
+        Words for each case, in order.
+    note : str
+
+    Returns
+    -------
+    TextTable
+        Root mean squares over the seeds; "failed" where a seed has no figure.
+    """
+    methods = tuple(dict.fromkeys(row.method for row in sorted(rows, key=lambda r: math.isnan(r.coverage))))
+    lines = []
+    for case in titles:
+        cells = [[row for row in rows if (row.experiment, row.method) == (case, method)] for method in methods]
+        if any(cells):
+            lines.append((titles[case], *map(_mapping_cell, cells)))
+    return TextTable(title, ("case", *methods), tuple(lines), note)
+
+
+def _mapping_cell(rows: Sequence[MapRow]) -> str:
+    if not rows:
+        return "-"
+    if any(math.isnan(row.field_rmse) for row in rows):
+        return "failed"
+    field, gradient = (1e6 * math.sqrt(sum(v * v for v in values) / len(rows)) for values in (
+        [row.field_rmse for row in rows], [row.gradient_rmse for row in rows]
+    ))  # fmt: skip
+    coverage = sum(row.coverage for row in rows) / len(rows)
+    inner = "" if math.isnan(gradient) else f" ({gradient:.2f})"
+    return f"{field:.2f}{inner}" + ("" if math.isnan(coverage) else f" {coverage:.0%}")
 
 
 def _error_cells(s: Summary) -> tuple[str, ...]:
@@ -103,10 +184,6 @@ def _error_cells(s: Summary) -> tuple[str, ...]:
         str(s.n_false),
         _number(s.nees, 2),
     )
-
-
-def _faults(s: Summary) -> str:
-    return str(s.n_faults) if s.n_faults else ""
 
 
 def _rmse(spread: Spread, unit: float, digits: int) -> str:
