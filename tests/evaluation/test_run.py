@@ -127,3 +127,19 @@ def test_unknown_name_lists_those_there_are(ask):
 def test_folder_of_results_is_made_with_its_table(tmp_path):
     evaluate(toy.toy_plan(), tmp_path / "new")
     assert {path.name for path in Path(tmp_path / "new").iterdir()} == {"rows.jsonl", "rows.csv"}
+
+
+def test_run_out_of_time_reports_what_there_is_and_goes_on_later(tmp_path):
+    plan = toy.toy_plan()
+    assert evaluate(plan, tmp_path, deadline=0.0) == []
+    some = evaluate(plan, tmp_path, deadline=time.monotonic() + 0.05)
+    assert len(evaluate(plan, tmp_path, deadline=0.0)) == len(some)
+    assert len(evaluate(plan, tmp_path)) == 40
+
+
+def test_rows_of_other_code_are_not_taken(tmp_path, monkeypatch):
+    calls = tmp_path / "calls.txt"
+    evaluate(toy.toy_plan(str(calls)), tmp_path)
+    monkeypatch.setattr("magmatch.evaluation.fingerprint.code_digest", lambda: "another")
+    evaluate(toy.toy_plan(str(calls)), tmp_path)
+    assert len(calls.read_text().splitlines()) == 80

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch evaluate``: the benchmark, in one command that can be interrupted."""
 
+import math
 import sys
 import time
 from pathlib import Path
@@ -55,6 +56,10 @@ def evaluate(
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
     ] = None,
+    minutes: Annotated[
+        float | None,
+        typer.Option(min=0, help="Begin no trial after this time and report what there is; 0 only reports."),
+    ] = None,
     write_results: Annotated[
         list[Path] | None,
         typer.Option(help="Also put the results between the marks of this page (several times: several pages)."),
@@ -71,9 +76,8 @@ def evaluate(
     from magmatch.evaluation.benchmark import Settings, run_benchmark
     from magmatch.evaluation.report import markdown, replace_between_marks, write_html
 
-    settings = Settings(
-        tuple(names or ()), methods, is_quick=quick, n_seeds=seeds, first_seed=first, recordings=recordings
-    )
+    seconds = math.inf if minutes is None else 60 * minutes
+    settings = Settings(tuple(names or ()), methods, quick, seeds, first, recordings, seconds)
     findings = run_benchmark(settings, out, jobs=jobs, scheduler=scheduler, tell=_Teller(), command=_command())
     for what, why in findings.left_out.items():
         say(f"Left out: {what}: {why}")

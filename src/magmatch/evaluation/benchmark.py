@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The whole benchmark: what was asked for by name, run, and put together for the report."""
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +31,8 @@ class Settings:
     first_seed : int
     recordings : Path or None
         Folder of public recordings.
+    seconds : float
+        No trial is begun after this time; with 0 only what is there is put together.
     """
 
     names: tuple[str, ...] = ()
@@ -37,6 +41,7 @@ class Settings:
     n_seeds: int | None = None
     first_seed: int = 1000
     recordings: Path | None = None
+    seconds: float = math.inf
 
 
 def run_benchmark(
@@ -74,8 +79,9 @@ def run_benchmark(
     missing = missing_recordings({case.dataset for case in cases}, settings.recordings)
     left_out = dict(plan.left_out) | {f"case {c.name}": missing[c.dataset] for c in cases if c.dataset in missing}
     tasks = [task for case in cases if case.dataset not in missing for task in _map_tasks(case, settings)]
-    rows = evaluate(plan, folder, jobs=jobs, scheduler=scheduler, tell=tell) if plan.batches else []
-    map_rows = evaluate_maps(tasks, folder, jobs=jobs, scheduler=scheduler) if tasks else []
+    end = time.monotonic() + settings.seconds
+    rows = evaluate(plan, folder, jobs=jobs, scheduler=scheduler, tell=tell, deadline=end) if plan.batches else []
+    map_rows = evaluate_maps(tasks, folder, jobs=jobs, scheduler=scheduler, deadline=end) if tasks else []
     titles = {case.name: case.title for case in cases}
     return Findings(plan.experiments, rows, map_rows, titles, left_out, command)
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How well fields are mapped: each prior and peer predicts what was held out, from the same samples."""
 
-import hashlib
 import logging
 import math
 from collections.abc import Callable, Sequence
@@ -10,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch import __version__
 from magmatch.baselines.interpolation import inverse_distance, local_gp, nearest_neighbour
 from magmatch.data.survey import Survey
 from magmatch.evaluation.cost import measured
+from magmatch.evaluation.fingerprint import fingerprint
 from magmatch.evaluation.recorded import load
 from magmatch.evaluation.rows import MapRow, RowFile, write_csv
-from magmatch.evaluation.workers import run_all
+from magmatch.evaluation.workers import run_all, until
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.simulation.config import SimulationConfig
@@ -144,7 +143,12 @@ CASES: dict[str, MappingCase] = {
 
 
 def evaluate_maps(
-    tasks: Sequence[MapTask], folder: Path, *, jobs: int = 1, scheduler: str | None = None
+    tasks: Sequence[MapTask],
+    folder: Path,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    deadline: float = math.inf,
 ) -> list[MapRow]:
     """Run the tasks whose rows are not there yet.
 
@@ -153,13 +157,13 @@ def evaluate_maps(
     tasks : sequence of MapTask
     folder : Path
         Where rows are kept.
-    jobs, scheduler
+    jobs, scheduler, deadline
         As of `magmatch.evaluation.run.evaluate`.
 
     Returns
     -------
     list of MapRow
-        Of all tasks.
+        Of all tasks that are done.
     """
     folder.mkdir(parents=True, exist_ok=True)
     kept = RowFile(folder / ROWS, MapRow)
@@ -170,7 +174,7 @@ def evaluate_maps(
         MapTask(t.case, t.seed, left, t.recordings)
         for t in tasks if (left := tuple(name for name in t.predictors if _key(t, name) not in done))
     ]  # fmt: skip
-    for k, (task, rows) in enumerate(run_all(predict_held_out, todo, jobs, scheduler), start=1):
+    for k, (task, rows) in enumerate(run_all(predict_held_out, until(deadline, todo), jobs, scheduler), start=1):
         kept.append(rows)
         log.info("%d of %d mapping tasks (%s, seed %d)", k, len(todo), task.case.name, task.seed)
     found = sorted((row for row in kept.read() if row.key in wanted), key=lambda row: row.key)
@@ -236,5 +240,4 @@ def differences(function: Callable[[Points], Vectors], points: Points) -> Tensor
 
 
 def _key(task: MapTask, name: str) -> tuple[str, str, int, str]:
-    digest = hashlib.sha256(f"{task.case.make!r} {name} {__version__}".encode()).hexdigest()[:16]
-    return task.case.name, name, task.seed, digest
+    return task.case.name, name, task.seed, fingerprint(repr(task.case.make), name)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verb of this room: experiments and methods in, rows out, whatever interrupts it on the way."""
 
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from pathlib import Path
 from magmatch.evaluation.plan import Plan
 from magmatch.evaluation.rows import Row, RowFile, write_csv
 from magmatch.evaluation.trial import Batch, run_batch
-from magmatch.evaluation.workers import run_all
+from magmatch.evaluation.workers import run_all, until
 
 ROWS, TABLE = "rows.jsonl", "rows.csv"
 
@@ -41,6 +42,7 @@ def evaluate(
     jobs: int = 1,
     scheduler: str | None = None,
     tell: Callable[[Progress], None] = lambda _: None,
+    deadline: float = math.inf,
 ) -> list[Row]:
     """Run the trials of a plan that have not been run yet.
 
@@ -55,11 +57,13 @@ def evaluate(
         Address of a Dask scheduler whose workers do it instead.
     tell : callable, optional
         Is told of the progress.
+    deadline : float, s
+        No trial is begun after this, on the clock of `time.monotonic`.
 
     Returns
     -------
     list of Row
-        Of the whole plan, in an order that does not depend on how often it was interrupted.
+        Of the whole plan, as far as it is done, in an order that does not depend on how often it was interrupted.
     """
     folder.mkdir(parents=True, exist_ok=True)
     kept = RowFile(folder / ROWS, Row)
@@ -69,7 +73,7 @@ def evaluate(
     todo = plan.remaining(known)
     clock = _Clock(known, len(wanted), todo)
     tell(clock.progress())
-    for batch, rows in run_all(run_batch, todo, jobs, scheduler):
+    for batch, rows in run_all(run_batch, until(deadline, todo), jobs, scheduler):
         kept.append(rows)
         tell(clock.after(batch, rows))
     found = sorted((row for row in kept.read() if row.key in wanted), key=lambda row: row.key)

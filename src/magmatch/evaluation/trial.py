@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One trial: a pure function of experiment, method and seed (all but its seconds and bytes)."""
 
-import hashlib
 import logging
 import math
 from dataclasses import dataclass
@@ -10,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch import __version__
 from magmatch.evaluation.cost import MapShelf, measured
 from magmatch.evaluation.experiment import Experiment, Pair
+from magmatch.evaluation.fingerprint import fingerprint
 from magmatch.evaluation.method import Method, Task
 from magmatch.evaluation.rows import Row
 from magmatch.geometry import log_se3, transform_error
@@ -63,9 +62,8 @@ def run_batch(batch: Batch) -> list[Row]:
 
 
 def digest_of(experiment: Experiment, method: Method) -> str:
-    """Fingerprint of all settings that a row depends on; rows of other settings are not taken for its own."""
-    settings = f"{experiment.make!r} {method!r} {__version__}"
-    return hashlib.sha256(settings.encode()).hexdigest()[:16]
+    """Fingerprint of all that a row depends on besides its seed: settings and code."""
+    return fingerprint(repr(experiment.make), repr(method))
 
 
 def rough_start(pair: Pair, seed: int) -> RigidTransform:

@@ -2,6 +2,7 @@
 """Who does the work: this process, others on this machine, or the workers of a Dask scheduler."""
 
 import multiprocessing
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -53,6 +54,25 @@ def run_all(
         return
     with _executor(jobs, scheduler) as (executor, n_at_once):
         yield from _as_finished(executor, work, iter(parts), n_at_once)
+
+
+def until(deadline: float, parts: Iterable[A]) -> Iterator[A]:
+    """Give parts as long as there is time.
+
+    Parameters
+    ----------
+    deadline : float, s
+        On the clock of `time.monotonic`; infinity for no end.
+    parts : iterable
+
+    Yields
+    ------
+    part
+    """
+    for part in parts:
+        if time.monotonic() >= deadline:
+            return
+        yield part
 
 
 def _as_finished(
