@@ -171,7 +171,8 @@ def test_a_right_pose_has_evidence_and_a_wrong_one_has_none(prepared_pair):
 
 def test_raster_agrees_with_the_map_between_its_points(prepared_pair):
     base, _, _ = prepared_pair
-    raster = rasterize(base.field_map, 0.05, 2, np.random.default_rng(0))
+    draws = list(base.field_map.posterior.draw_weights(2, np.random.default_rng(0)))
+    raster = rasterize(base.field_map, 0.05, draws)
     points = base.points[::20]
     field, _, gradient, is_known = raster.lookup(points)
     exact = base.field_map.posterior.evaluate(points, order=1)

@@ -77,7 +77,10 @@ def by_evidence(
         covariance=covariance if is_accepted else None,
         overlap=best.overlap,
         # A unique answer has no alternatives; a refusal shows what was considered, best first.
-        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
+        alternatives=()
+        if is_accepted
+        else tuple(Alternative(T, log_odds=e.log_evidence) for T, e in zip(poses, [best, *rivals], strict=True)),
+        evidence=_statistics(best, lead),
         degenerate_directions=free,
         sensor=_sensor(best, target),
         residual=best.residual if np.isfinite(best.residual) else None,
@@ -122,6 +125,16 @@ def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionCon
         n_correspondences=found.n_correspondences,
         links=found.links,
     )
+
+
+def _statistics(best: PoseEvidence, lead: float) -> dict[str, float | None]:
+    """What decided, as numbers."""
+    return {
+        "log_odds": best.log_evidence,
+        "lead": lead if np.isfinite(lead) else None,
+        "agreeing_share": best.good_share,
+        "n_informative": float(best.n_informative),
+    }
 
 
 def _is_same(one: PoseEvidence, other: PoseEvidence, distance: float) -> bool:

@@ -30,6 +30,9 @@ class DecisionConfig(BaseModel):
     # Different places with residuals below the limit reached at most 10, right poses 17 and more.
     min_log_evidence: float = 15.0
     min_lead: float = 10.0
+    # The same as a share of those odds: where rooms repeat, poses that explain the field equally well differ by what
+    # their edges happen to cover.
+    min_relative_lead: float = Field(default=0.25, ge=0)
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
     max_sd_rotation: float = Field(default=0.06, gt=0)
     max_sd_translation: float = Field(default=0.3, gt=0)
@@ -105,10 +108,11 @@ def _refusals(best: PoseEvidence, is_free: bool, lead: float, config: DecisionCo
             f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
             "survey a larger common area",
         )
-    if lead < config.min_lead:
+    needed = max(config.min_lead, config.min_relative_lead * best.log_evidence)
+    if lead < needed:
         yield Verdict(
             Status.AMBIGUOUS,
-            f"another pose explains the data nearly as well ({lead:.1f} nats behind, needs {config.min_lead:.0f}); "
+            f"another pose explains the data nearly as well ({lead:.1f} nats behind, needs {needed:.0f}); "
             "see alternatives, or survey more of the surroundings",
         )
     if is_free:

@@ -21,7 +21,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Another pose that explains the data, with its probability (None where not computed).
+    """Another pose that explains the data, with its probability and log odds in nats (None where not computed).
 
     ``base`` says in which map, where the base was a folder and it is another than the result's.
     """
@@ -29,6 +29,7 @@ class Alternative:
     T_base_target: RigidTransform
     probability: float | None = None
     base: str | None = None
+    log_odds: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,8 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     lengthscale = field_length(posterior.evaluate(some, order=1))
     points = survey.positions[thin(survey.positions, lengthscale / 8, limit=4000)]
     mean = posterior.evaluate(points, order=1)
-    draws = [posterior.evaluate(points, 1, w) for w in posterior.draw_weights(n_draws, rng)]
+    weights = list(posterior.draw_weights(n_draws, rng))
+    draws = [posterior.evaluate(points, 1, w) for w in weights]
     gradient = _lawful_gradient(mean)
     invariants = rotation_invariants(mean.field, gradient)
     spread = [rotation_invariants(d.field, _lawful_gradient(d)) - invariants for d in draws]
@@ -102,7 +103,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         gradient_sd=np.sqrt(np.mean(np.square(gradient_spread), axis=0)),
         invariants=invariants,
         invariant_sd=np.sqrt(np.mean(np.square(spread), axis=0)),
-        raster=rasterize(field_map, lengthscale / 4, n_draws, rng),
+        raster=rasterize(field_map, lengthscale / 4, weights),
         lengthscale=lengthscale,
         noise_sd=field_map.hyperparameters.noise_sd,
     )

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map's field and its spread on a grid, for the many cheap look-ups of a search (trilinear)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -59,7 +61,7 @@ class Raster:
         return out[:, :3], out[:, 3], out[:, 4:].reshape(-1, 3, 3), is_known
 
 
-def rasterize(field_map: FieldMap, spacing: float, n_draws: int, rng: np.random.Generator) -> Raster:
+def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Raster:
     """Evaluate a map on a grid laid along its own model axes.
 
     Parameters
@@ -69,10 +71,8 @@ def rasterize(field_map: FieldMap, spacing: float, n_draws: int, rng: np.random.
     spacing : float, m
         Distance of grid points; widened where the region would need more than `MAX_POINTS`, narrowed where the
         map knows only a thin layer.
-    n_draws : int
-        Posterior samples that give the spread.
-    rng : numpy Generator
-        Source of randomness of the draws.
+    draws : sequence of weights
+        Posterior samples that give the spread (see ``posterior.draw_weights``).
 
     Returns
     -------
@@ -80,7 +80,7 @@ def rasterize(field_map: FieldMap, spacing: float, n_draws: int, rng: np.random.
     """
     samples = field_map.survey.transformed(field_map.T_map_model.inv()).positions
     while True:
-        raster = _rasterize(field_map, samples, spacing, n_draws, rng)
+        raster = _rasterize(field_map, samples, spacing, draws)
         *_, is_known = raster.lookup(samples)
         # A thin layer of known field may fall between the points of a coarse grid.
         if is_known.mean() > MIN_COVERED or raster.spacing > spacing or raster.sd.size > MAX_POINTS / 8:
@@ -88,9 +88,7 @@ def rasterize(field_map: FieldMap, spacing: float, n_draws: int, rng: np.random.
         spacing /= 2
 
 
-def _rasterize(
-    field_map: FieldMap, samples: Points, spacing: float, n_draws: int, rng: np.random.Generator
-) -> Raster:
+def _rasterize(field_map: FieldMap, samples: Points, spacing: float, draws: Sequence[Any]) -> Raster:
     posterior = field_map.posterior
     margin = 2 * spacing
     extent = np.ptp(samples, axis=0) + 2 * margin
@@ -100,11 +98,11 @@ def _rasterize(
     rows = np.flatnonzero(posterior.knows(points))
     mean = posterior.evaluate(points[rows]).field
     power = np.zeros(len(rows))
-    for weights in posterior.draw_weights(n_draws, rng):
+    for weights in draws:
         power += ((posterior.evaluate(points[rows], 0, weights).field - mean) ** 2).mean(axis=1)
     field = np.zeros((grid.n_points, 3))
     sd = np.full(grid.n_points, -1.0)
-    field[rows], sd[rows] = mean, np.sqrt(power / n_draws)
+    field[rows], sd[rows] = mean, np.sqrt(power / len(draws))
     return Raster(grid.T_map_grid.translation, spacing, field.reshape(*grid.shape, 3), sd.reshape(grid.shape))
 
 

@@ -29,7 +29,11 @@ class RegistrationResult:
     covariance : (6, 6) array or None
         Of xi in ``T_true = T_estimate Exp(xi)``, rotation first (rad, m); None unless accepted, or not known.
     probability : float or None
-        Calibrated probability that the transform is right; None while no calibrated model exists.
+        Calibrated probability that the transform is right (see `magmatch.registration.probability`); of the first
+        alternative where nothing was accepted; None with the published method.
+    evidence : dict
+        What the probability was computed from: ``log_odds`` (nats) of the best pose, its ``lead`` over the best pose
+        elsewhere (None where there is none), and the shares that agree.
     overlap : float
         Fraction of the target's samples that fall where the base map knows the field.
     alternatives : tuple of Alternative
@@ -57,6 +61,7 @@ class RegistrationResult:
     T_base_target: RigidTransform | None
     covariance: np.ndarray | None = None
     probability: float | None = None
+    evidence: dict[str, float | None] = field(default_factory=dict)
     overlap: float = 0.0
     alternatives: tuple[Alternative, ...] = ()
     degenerate_directions: tuple[DegenerateDirection, ...] = ()

@@ -50,9 +50,10 @@ def document_of(result: "RegistrationResult") -> dict[str, Any]:
         "T_base_target": None if result.T_base_target is None else matrix_of(result.T_base_target),
         "covariance": _finite_or_none(result.covariance),
         "probability": result.probability,
+        "evidence": result.evidence,
         "overlap": result.overlap,
         "alternatives": [
-            {"T_base_target": matrix_of(a.T_base_target), "probability": a.probability}
+            {"T_base_target": matrix_of(a.T_base_target), "probability": a.probability, "log_odds": a.log_odds}
             | ({} if a.base is None else {"base": a.base})
             for a in result.alternatives
         ],

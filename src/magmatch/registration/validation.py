@@ -102,6 +102,10 @@ def _mapping(value: Any) -> dict[str, Any]:
     return dict(value)
 
 
+def _statistics(value: Any) -> dict[str, float | None]:
+    return {name: _or_none(_number)(number) for name, number in _mapping(value).items()}
+
+
 def _seconds(value: Any) -> dict[str, float]:
     return {stage: math.nan if seconds is None else _number(seconds) for stage, seconds in _mapping(value).items()}
 
@@ -153,6 +157,7 @@ def _alternatives(value: Any) -> tuple[Alternative, ...]:
             _transform(_mapping(a)["T_base_target"]),
             _or_none(_fraction)(a.get("probability")),
             _or_none(_text)(a.get("base")),
+            _or_none(_number)(a.get("log_odds")),
         )
         for a in value
     )
@@ -187,6 +192,7 @@ READERS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "T_base_target": ("T_base_target", _or_none(_transform)),
     "covariance": ("covariance", _or_none(_covariance)),
     "probability": ("probability", _or_none(_fraction)),
+    "evidence": ("evidence", _statistics),
     "overlap": ("overlap", lambda value: math.nan if value is None else _fraction(value)),
     "alternatives": ("alternatives", _alternatives),
     "degenerate_directions": ("degenerate_directions", _directions),

@@ -99,7 +99,10 @@ def by_line_evidence(
         T_base_target=poses[0] if is_accepted else None,
         covariance=to_survey_axes(covariance, best.center, walk.T_survey_walk) if is_accepted else None,
         overlap=best.coverage,
-        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
+        alternatives=()
+        if is_accepted
+        else tuple(Alternative(T, log_odds=e.log_evidence) for T, e in zip(poses, [best, *rivals], strict=True)),
+        evidence={"log_odds": best.log_evidence, "lead": lead if np.isfinite(lead) else None},
         degenerate_directions=free,
         residual=best.residual,
         n_inliers=int(best.is_covered.sum()),
