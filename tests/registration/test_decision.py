@@ -40,7 +40,7 @@ def evidence(**changes):
     ],
 )
 def test_each_check_gives_its_own_status(changes, is_free, lead, status):
-    assert decide([evidence(**changes)], is_free, lead, CONFIG).status is status
+    assert decide([evidence(**changes)], is_free, lead, None, CONFIG).status is status
 
 
 def test_uncertainty_is_said_where_the_target_lies_not_at_a_far_origin():
@@ -54,11 +54,11 @@ def test_uncertainty_is_said_where_the_target_lies_not_at_a_far_origin():
 
 
 def test_no_pose_at_all_is_a_result():
-    assert decide([], False, np.inf, CONFIG).status is Status.UNINFORMATIVE
+    assert decide([], False, np.inf, None, CONFIG).status is Status.UNINFORMATIVE
 
 
 def test_reason_names_the_number_that_decided():
-    verdict = decide([evidence(overlap=0.01)], False, np.inf, CONFIG)
+    verdict = decide([evidence(overlap=0.01)], False, np.inf, None, CONFIG)
     assert "1%" in verdict.reason
     assert "5%" in verdict.reason
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import FieldValues
 from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error, transform_points
-from magmatch.registration.covariance import pose_covariance, to_survey_axes
+from magmatch.registration.covariance import joint_covariance, to_survey_axes
 from magmatch.registration.cubes import thin
 from magmatch.registration.evidence import unrelated_field, weigh_pose
 from magmatch.registration.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
@@ -149,7 +149,7 @@ def test_covariance_covers_the_error_of_repeated_surveys(make_exact_pair):
         base, target = (prepare(m, 4, rng) for m in make_exact_pair(seed, T_true))
         T_model = base.T_map_model.inv() * T_true * target.T_map_model
         pose = refine(base, target, T_model, FLAT, RefinementConfig(), rng)
-        C = pose_covariance(pose, 1.2)
+        C = joint_covariance(pose, 1.2)[:6, :6]
         xi = perturbation(np.zeros(6), pose.center).inv() * pose.T_base_target.inv() * T_model
         shift = xi.apply(pose.center) - pose.center
         e = np.concatenate([xi.rotation.as_rotvec(), shift])

@@ -21,9 +21,9 @@ from magmatch.registration.serialization import describe_input
 few = settings(deadline=None, derandomize=True, max_examples=25)
 
 KEYS = [
-    "schema", "status", "reason", "base", "T_base_target", "covariance", "probability", "overlap", "alternatives",
-    "degenerate_directions", "sensor", "residual", "fitness", "inliers", "keypoints", "correspondences", "links",
-    "seconds", "config", "version", "seed", "inputs",
+    "schema", "status", "reason", "base", "T_base_target", "covariance", "probability", "evidence", "overlap",
+    "alternatives", "degenerate_directions", "sensor", "residual", "fitness", "inliers", "keypoints",
+    "correspondences", "links", "seconds", "config", "version", "seed", "inputs",
 ]  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def test_file_has_the_keys_of_the_interface_in_order(saved):
     assert document["schema"] == "magmatch.registration/1"
     assert np.shape(document["T_base_target"]) == (4, 4)
     assert np.shape(document["covariance"]) == (6, 6)
-    assert set(document["alternatives"][0]) == {"T_base_target", "probability"}
+    assert set(document["alternatives"][0]) == {"T_base_target", "probability", "log_odds"}
     assert len(document["degenerate_directions"][0]["xi"]) == 6
 
 

@@ -101,7 +101,9 @@ def localize_map(atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stop
 
     weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
     best, elsewhere = _best(weighed)
-    judged = {sheet: judge_map(w, config, elsewhere if sheet is best else np.inf) for sheet, w in weighed.items()}
+    judged = {
+        sheet: judge_map(w, config, seed, elsewhere if sheet is best else np.inf) for sheet, w in weighed.items()
+    }
     return _with_alternatives(best, judged, weighed)
 
 

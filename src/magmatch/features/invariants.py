@@ -80,6 +80,26 @@ def rotation_invariants(field: Vectors, gradient: Tensors) -> Matrix:
     )
 
 
+def mirrored_invariants(invariants: Matrix, *, is_mirrored: bool, sign: float) -> Matrix:
+    """The invariants that the field's mirror image has, or the field times a sign.
+
+    Parameters
+    ----------
+    invariants : (n, 6) array
+        Of `rotation_invariants`.
+    is_mirrored : bool
+        Chirality changes its sign.
+    sign : float
+        1 or -1; the invariants of odd power in the gradient alone change theirs with it.
+
+    Returns
+    -------
+    (n, 6) array
+    """
+    reflected: Matrix = invariants * np.array([1.0, 1.0, sign, 1.0, sign, -1.0 if is_mirrored else 1.0])
+    return reflected
+
+
 def point_frames(field: Vectors, gradient: Tensors) -> Tensors:
     """Right-handed frames spanned by B and G B at each point.
 

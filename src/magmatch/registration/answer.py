@@ -28,6 +28,7 @@ def by_evidence(
     ranked: list[PoseEvidence],
     config: DecisionConfig,
     elsewhere: float = -np.inf,
+    chance: float | None = None,
 ) -> RegistrationResult:
     """Judge refined poses by their cells and state the answer in survey frames.
 
@@ -41,13 +42,15 @@ def by_evidence(
     config : DecisionConfig
     elsewhere : float, nats
         Log evidence of the best pose in any other map.
+    chance : float or None, nats
+        Log evidence that the search reaches in places that do not exist (see `decoys`); None where not tried.
 
     Returns
     -------
     RegistrationResult
     """
     if not ranked:
-        verdict = decide(ranked, False, np.inf, config)
+        verdict = decide(ranked, False, np.inf, chance, config)
         return RegistrationResult(verdict.status, verdict.reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
     lengthscale = min(base.lengthscale, target.lengthscale)
@@ -67,7 +70,7 @@ def by_evidence(
         if best.covariance is not None
         else ()
     )
-    verdict = decide(ranked, bool(free) or best.covariance is None, lead, config)
+    verdict = decide(ranked, bool(free) or best.covariance is None, lead, chance, config)
     is_accepted = verdict.status is Status.ACCEPTED
     covariance = None if best.covariance is None else to_survey_axes(best.covariance, center, frame)
     return RegistrationResult(
@@ -80,7 +83,7 @@ def by_evidence(
         alternatives=()
         if is_accepted
         else tuple(Alternative(T, log_odds=e.log_evidence) for T, e in zip(poses, [best, *rivals], strict=True)),
-        evidence=_statistics(best, lead),
+        evidence=_statistics(best, lead, chance),
         degenerate_directions=free,
         sensor=_sensor(best, target),
         residual=best.residual if np.isfinite(best.residual) else None,
@@ -127,11 +130,14 @@ def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionCon
     )
 
 
-def _statistics(best: PoseEvidence, lead: float) -> dict[str, float | None]:
+def _statistics(best: PoseEvidence, lead: float, chance: float | None) -> dict[str, float | None]:
     """What decided, as numbers."""
     return {
         "log_odds": best.log_evidence,
         "lead": lead if np.isfinite(lead) else None,
+        "decoy_log_odds": chance,
+        "misfit": best.misfit,
+        "unexplained": best.unexplained,
         "agreeing_share": best.good_share,
         "n_informative": float(best.n_informative),
     }

@@ -15,8 +15,8 @@ from magmatch.typing import Covariance6, Matrix
 MIN_CELLS = 4
 
 
-def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
-    """Covariance of the perturbation about the pose's centre.
+def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
+    """Covariance of the perturbation about the pose's centre and of the sensor's parameters.
 
     Map errors are shared by neighbouring residuals, so each direction of comparison is a cluster sandwich
     ``A^-1 (sum g g^T) A^-1`` with g summed over cells; the directions share noise (one survey's samples made the
@@ -30,9 +30,9 @@ def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
 
     Returns
     -------
-    (6, 6) array or None
-        Rotation first (rad, m), target's model axes, about ``pose.center``; None where the data leave a
-        direction entirely free.
+    (6 + k, 6 + k) array or None
+        Pose first (rotation, rad; then translation, m; target's model axes, about ``pose.center``), then bias (T) and
+        gain; None where the data leave a direction entirely free.
     """
     prior = block_diag(pose.prior_information, np.diag(pose.sensor_sd**-2))
     total = np.zeros_like(prior)
@@ -49,10 +49,7 @@ def pose_covariance(pose: RefinedPose, cell_side: float) -> Covariance6 | None:
         bread = np.linalg.inv(_regular(information))
         total += bread @ (meat + prior) @ bread
         n_used += 1
-    if n_used == 0:
-        return None
-    pose_block = total[:6, :6]
-    return (pose_block + pose_block.T) / 2
+    return (total + total.T) / 2 if n_used else None
 
 
 def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform) -> Covariance6:

@@ -27,12 +27,15 @@ class DecisionConfig(BaseModel):
     # Largest robust normalised residual: about 1 when right, 3 and more for a wrong pose that matches what is smooth.
     max_residual: float = Field(default=3.0, gt=0)
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
-    # Different places with residuals below the limit reached at most 10, right poses 17 and more.
     min_log_evidence: float = 15.0
     min_lead: float = 10.0
     # The same as a share of those odds: where rooms repeat, poses that explain the field equally well differ by what
     # their edges happen to cover.
     min_relative_lead: float = Field(default=0.25, ge=0)
+    # By how much the odds must exceed what the same search reaches in places that do not exist (`decoys.py`), nats;
+    # and odds that chance never comes near, for which this is not tried.
+    min_decoy_lead: float = 20.0
+    certain_log_evidence: float = 150.0
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
     max_sd_rotation: float = Field(default=0.06, gt=0)
     max_sd_translation: float = Field(default=0.3, gt=0)
@@ -48,7 +51,9 @@ class Verdict:
     reason: str
 
 
-def decide(ranked: list[PoseEvidence], is_free: bool, lead: float, config: DecisionConfig) -> Verdict:
+def decide(
+    ranked: list[PoseEvidence], is_free: bool, lead: float, chance: float | None, config: DecisionConfig
+) -> Verdict:
     """Judge the best of several poses.
 
     Parameters
@@ -59,6 +64,8 @@ def decide(ranked: list[PoseEvidence], is_free: bool, lead: float, config: Decis
         Whether the best pose has a direction that the data do not fix.
     lead : float, nats
         Log evidence of the best pose over the best pose elsewhere (inf where there is none).
+    chance : float or None, nats
+        Log evidence reached in places that do not exist; None where not tried.
     config : DecisionConfig
 
     Returns
@@ -73,10 +80,12 @@ def decide(ranked: list[PoseEvidence], is_free: bool, lead: float, config: Decis
         f"{best.n_good} of {best.n_informative} informative cells agree, log odds {best.log_evidence:.0f} nats, "
         + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
     )
-    return next(_refusals(best, is_free, lead, config), accepted)
+    return next(_refusals(best, is_free, lead, chance, config), accepted)
 
 
-def _refusals(best: PoseEvidence, is_free: bool, lead: float, config: DecisionConfig) -> Iterator[Verdict]:
+def _refusals(
+    best: PoseEvidence, is_free: bool, lead: float, chance: float | None, config: DecisionConfig
+) -> Iterator[Verdict]:
     """Reasons against the best pose, the most telling first."""
     if best.overlap < config.min_overlap:
         yield Verdict(
@@ -106,6 +115,13 @@ def _refusals(best: PoseEvidence, is_free: bool, lead: float, config: DecisionCo
         yield Verdict(
             Status.INCONSISTENT,
             f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
+            "survey a larger common area",
+        )
+    if chance is not None and best.log_evidence < chance + config.min_decoy_lead:
+        yield Verdict(
+            Status.INCONSISTENT,
+            f"the best pose has {best.log_evidence:.0f} nats of evidence, and mirror images of the base, which are "
+            f"nowhere, reach {chance:.0f} (needs {config.min_decoy_lead:.0f} more): probably chance; "
             "survey a larger common area",
         )
     needed = max(config.min_lead, config.min_relative_lead * best.log_evidence)

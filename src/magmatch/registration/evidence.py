@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magmatch.geometry import rotate_vectors, transform_points
-from magmatch.registration.covariance import pose_covariance
+from magmatch.registration.covariance import joint_covariance
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refinement import RefinedPose
@@ -38,6 +38,8 @@ class PoseEvidence:
         Share of the field's variance that the base leaves unexplained, at its most likely value.
     residual : float
         Robust normalised rms residual over the overlap.
+    misfit : float
+        Normalised rms of the cells' mean residuals: about 1 when noise and the base's spread explain them.
     """
 
     pose: RefinedPose
@@ -49,6 +51,7 @@ class PoseEvidence:
     log_evidence: float
     unexplained: float
     residual: float
+    misfit: float
 
     @property
     def good_share(self) -> float:
@@ -83,12 +86,13 @@ def weigh_pose(
     """
     T, cells = pose.T_base_target, unrelated.cells
     expected, sd, _, is_known = base.raster.lookup(transform_points(target.samples, T))
-    covariance = pose_covariance(pose, 2 * min(base.lengthscale, target.lengthscale))
+    joint = joint_covariance(pose, 2 * min(base.lengthscale, target.lengthscale))
+    covariance = None if joint is None else joint[:6, :6]
     overlap = float(is_known.mean())
     residual = rotate_vectors(pose.sensor.correct(target.sample_field), T) - expected
     rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > 0.99)
     if not len(rows):
-        return PoseEvidence(pose, covariance, overlap, 0, 0, 0, -np.inf, 1.0, np.inf)
+        return PoseEvidence(pose, covariance, overlap, 0, 0, 0, -np.inf, 1.0, np.inf, np.inf)
 
     r, map_variance = cells.mean(residual)[rows], cells.mean(sd[:, None] ** 2)[rows, 0]
     log_ratio, unexplained = unrelated.log_ratio(r, map_variance, rows)
@@ -106,15 +110,17 @@ def weigh_pose(
         int(is_informative.sum()),
         int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
         int((is_informative & (r2 > np.maximum(24 * V, 0.25 * n2))).sum()),
-        log_ratio + _search_price(covariance, prior.log_density(T, pose.center)),
+        log_ratio + _search_price(joint, pose.sensor_sd, prior.log_density(T, pose.center)),
         unexplained,
         float(np.sqrt(np.median(sample_r2) / MEDIAN_CHI2_3)),
+        float(np.sqrt(np.mean(r2 / (unrelated.noise[rows] + map_variance)) / 3)),
     )
 
 
-def _search_price(covariance: Matrix | None, log_prior: float) -> float:
-    """Log of the share of all poses (as far as the prior allows them) that this one's uncertainty fills."""
-    if covariance is None:
+def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:
+    """Log of the share of all poses (as the prior allows them) and sensors that the estimate's spread fills."""
+    if joint is None:
         return -np.inf
-    _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
-    return float(0.5 * log_det + log_prior)
+    scale = np.concatenate([np.ones(6), sensor_sd])
+    _, log_det = np.linalg.slogdet(joint / np.outer(scale, scale))
+    return float(0.5 * log_det + 3 * np.log(2 * np.pi) + log_prior)

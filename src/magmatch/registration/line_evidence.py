@@ -221,7 +221,7 @@ class _LeastSquares:
         y = self.walk.positions - self.center
         points = (p[:, None] + np.einsum("hij,nj->hni", R, y)).reshape(-1, 3)
         _, sd, _, is_known = self.base.raster.lookup(points)
-        values = self.base.field_map.posterior.evaluate(points, order=1)
+        values = self.base.posterior.evaluate(points, order=1)
         if values.gradient is None:
             msg = "the posterior gave no gradient although order 1 was asked for"
             raise ValueError(msg)

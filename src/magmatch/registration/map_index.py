@@ -148,6 +148,7 @@ class IndexFile:
         base = PreparedMap(
             field_map=field_map,
             T_map_model=field_map.T_map_model,
+            posterior=field_map.posterior,
             samples=survey.positions,
             sample_field=survey.field,
             raster=self._raster(),

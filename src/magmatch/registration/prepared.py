@@ -5,6 +5,7 @@ Working in the model frame makes the answer follow every rigid motion of a surve
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -22,6 +23,14 @@ MEDIAN_CHI2_3 = 2.366
 MEDIAN_GRADIENT2 = 8.69
 
 
+class FieldFunction(Protocol):
+    """A field that can be asked for at points."""
+
+    def evaluate(self, points: Points, order: int = 0) -> FieldValues:
+        """Field and, for order 1, its gradient."""
+        ...
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class PreparedMap:
     """A field map made ready for matching; all arrays are in its model frame.
@@ -30,6 +39,8 @@ class PreparedMap:
     ----------
     field_map : FieldMap
     T_map_model : RigidTransform
+    posterior : FieldFunction
+        The map's field.
     samples : (n, 3) array, m
     sample_field : (n, 3) array, T
         Measured vectors.
@@ -51,6 +62,7 @@ class PreparedMap:
 
     field_map: FieldMap
     T_map_model: RigidTransform
+    posterior: FieldFunction
     samples: Points
     sample_field: Vectors
     points: Points
@@ -95,6 +107,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     return PreparedMap(
         field_map=field_map,
         T_map_model=field_map.T_map_model,
+        posterior=posterior,
         samples=survey.positions,
         sample_field=survey.field,
         points=points,

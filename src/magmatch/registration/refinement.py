@@ -219,14 +219,14 @@ def look_up(
     y, b = target.samples[rows[0]], target.sample_field[rows[0]]
     _, sd, _, is_known = base.raster.lookup(transform_points(y, T_base_target))
     y, corrected = y[is_known], sensor.correct(b[is_known])
-    seen = base.field_map.posterior.evaluate(transform_points(y, T_base_target), order=1).rotated(T_target_base)
+    seen = base.posterior.evaluate(transform_points(y, T_base_target), order=1).rotated(T_target_base)
     forward = Lookup(y, seen.field, corrected - seen.field, _gradient(seen), corrected, sd[is_known])
 
     z = transform_points(base.samples[rows[1]], T_target_base)
     b = rotate_vectors(base.sample_field[rows[1]], T_target_base)
     _, sd, _, is_known = target.raster.lookup(z)
     z, b = z[is_known], b[is_known]
-    seen = target.field_map.posterior.evaluate(z, order=1)
+    seen = target.posterior.evaluate(z, order=1)
     corrected = sensor.correct(seen.field)
     return forward, Lookup(z, b, corrected - b, _gradient(seen), corrected, sd[is_known])
 

@@ -104,7 +104,7 @@ def register_as_map(
     target_map = clock.time("target map", as_map, target, config)
     prepared = clock.time("prepare", prepare, target_map, config.invariants.n_draws, rng)
     weighed = search_map(base, prepared, config, seed, clock, base.raster.volume)
-    return clock.time("decide", judge_map, weighed, config)
+    return clock.time("decide", judge_map, weighed, config, seed)
 
 
 def register_by_keypoints(

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.registration.answer import by_evidence
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.decoys import decoys
 from magmatch.registration.evidence import PoseEvidence, unrelated_field, weigh_pose
 from magmatch.registration.invariant_search import invariant_search
 from magmatch.registration.keypoint_search import keypoint_search
@@ -30,6 +31,7 @@ class WeighedMap:
     Attributes
     ----------
     base, target : PreparedMap
+    prior : PosePrior
     found : SearchResult
         Counts of the search.
     ranked : list of PoseEvidence
@@ -38,6 +40,7 @@ class WeighedMap:
 
     base: PreparedMap
     target: PreparedMap
+    prior: PosePrior
     found: SearchResult
     ranked: list[PoseEvidence]
 
@@ -74,16 +77,19 @@ def search_map(
     found = clock.time("search", _search, base, target, prior, config, np.random.default_rng(seed))
     log.info("refining the best poses")
     ranked = clock.time("refine", _refine_and_rank, base, target, found, prior, config, seed)
-    return WeighedMap(base, target, found, ranked)
+    return WeighedMap(base, target, prior, found, ranked)
 
 
-def judge_map(weighed: WeighedMap, config: RegistrationConfig, elsewhere: float = -np.inf) -> RegistrationResult:
+def judge_map(
+    weighed: WeighedMap, config: RegistrationConfig, seed: int, elsewhere: float = -np.inf
+) -> RegistrationResult:
     """Accept or refuse the best pose.
 
     Parameters
     ----------
     weighed : WeighedMap
     config : RegistrationConfig
+    seed : int
     elsewhere : float, nats
         Log evidence of the best pose in any other map.
 
@@ -91,7 +97,28 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, elsewhere: float 
     -------
     RegistrationResult
     """
-    return by_evidence(weighed.base, weighed.target, weighed.found, weighed.ranked, config.decision, elsewhere)
+
+    def judge(chance: float | None) -> RegistrationResult:
+        w = weighed
+        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, elsewhere, chance)
+
+    answer = judge(None)
+    # A rough pose leaves little to chance, and a mirror has none.
+    is_searched = config.search != "keypoints" and weighed.prior.T_base_target is None
+    if answer.is_accepted and is_searched and weighed.log_evidence < config.decision.certain_log_evidence:
+        return judge(_best_by_chance(weighed, config, seed))
+    return answer
+
+
+def _best_by_chance(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> float:
+    """Log evidence that the same search reaches in places that do not exist."""
+    log.info("searching places that do not exist")
+    reached = -np.inf
+    for base, prior in decoys(weighed.base, weighed.prior):
+        found = _search(base, weighed.target, prior, config, np.random.default_rng(seed))
+        ranked = _refine_and_rank(base, weighed.target, found, prior, config, seed)
+        reached = max([reached, *(e.log_evidence for e in ranked)])
+    return reached
 
 
 def _search(

@@ -23,6 +23,8 @@ LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
 STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
 # Rough part of a field that follows no smooth one (jitter of poses), in the cells' standard deviation.
 ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
+# How calm or wild the cells of an overlap may be against all of the survey, as a share of the field's variance.
+LOCAL_STRENGTHS = np.geomspace(1e-3, 10.0, 17)
 # Share of modes that may disagree although the pose is right (moved objects).
 OUTLIER_SHARE = 0.1
 # Variance of what the base may leave unexplained, as a share of the field's.
@@ -102,12 +104,13 @@ class UnrelatedField:
             Variance of the residuals that explains them best, as a share of the cells' field's.
         """
         # Cells in units of their own uncertainty: where the base map is unsure, little is asked of it.
-        noise = self.noise[rows] + extra + self.roughness
-        W = 1 / np.sqrt(noise)
-        power, modes = np.linalg.eigh(W[:, None] * self.covariance[np.ix_(rows, rows)] * W)
-        k = np.maximum(power, 0.0) + 1.0
+        W = 1 / np.sqrt(self.noise[rows] + extra)
+        covariance = self.covariance[np.ix_(rows, rows)] + self.roughness * np.eye(len(rows))
+        power, modes = np.linalg.eigh(W[:, None] * covariance * W)
         constant = np.average(self.field[rows], axis=0, weights=W**2)
         b2 = ((modes.T @ (W[:, None] * (self.field[rows] - constant))) ** 2).sum(axis=1)
+        # A search finds calm corners of a survey; an unrelated field would be as calm there.
+        k = np.maximum(power, 0.0) * _strength_here(power, b2) + 1.0
         r2 = ((modes.T @ (W[:, None] * residual)) ** 2).sum(axis=1)
         variance = float(self.field.var(axis=0).mean() * (W**2).mean())
         found = []
@@ -119,6 +122,13 @@ class UnrelatedField:
             found.append(float(L[v < 0.8 * k].sum()))
         best = int(np.argmax(found))
         return found[best], UNEXPLAINED[best]
+
+
+def _strength_here(power: Scalars, b2: Scalars) -> float:
+    """Share of the field's variance that the modes of the cells at hand show most likely."""
+    k = np.maximum(power, 0.0) * LOCAL_STRENGTHS[:, None] + 1.0
+    log_likelihood = -(b2 / (2 * k) + 1.5 * np.log(k)).sum(axis=1)
+    return float(LOCAL_STRENGTHS[int(np.argmax(log_likelihood))])
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
