@@ -89,7 +89,9 @@ def test_the_map_without_outliers_is_saved_and_read_back(tmp_path):
     built = build_map([Survey(x[:600], b[:600]), Survey(x[600:], b[600:])], SETTINGS)
     built.save(tmp_path / "room.mag")
     loaded = type(built).load(tmp_path / "room.mag")
-    assert len(loaded.survey) == len(built.survey) == 1199
+    # The spike, and perhaps a clean sample: see the thousandth above.
+    assert 1198 <= len(built.survey) <= 1199
+    assert len(loaded.survey) == len(built.survey)
     assert np.array_equal(loaded.evaluate(x[:5]).field, built.evaluate(x[:5]).field)
 
 

@@ -55,6 +55,16 @@ def test_evidence_differences_equal_those_of_the_dense_gaussian_at_the_best_nois
     assert search.log_evidence(other) - search.log_evidence(H) == pytest.approx(expected, abs=1e-5)
 
 
+@pytest.mark.parametrize("signal_to_noise", [1.0, 30.0, 300.0, 1e4])
+def test_single_precision_tells_the_same_evidence(signal_to_noise):
+    """To a quarter of a nat, where a move has to gain two."""
+    x, b = draw(400, seed=5)
+    h = replace(H, noise_sd=H.signal_sd / signal_to_noise, stiffness=3000.0)
+    double, single = (EvidenceSearch(x, b, np.arange(len(x)), precision) for precision in (np.float64, np.float32))
+    assert single.log_evidence(h) == pytest.approx(double.log_evidence(h), rel=0, abs=0.25)
+    assert single.noise_sd(h) == pytest.approx(double.noise_sd(h), rel=1e-4)
+
+
 def test_evidence_finds_the_noise_level_the_field_was_drawn_with():
     x, b = draw(300, seed=3)
     search = EvidenceSearch(x, b, np.arange(len(x)))

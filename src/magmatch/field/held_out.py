@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # A squared-exponential potential's field differs from itself one lengthscale away by this share of its variance.
 SHARE_AT_LENGTHSCALE = 0.6
@@ -39,8 +39,7 @@ def typical_length(points: Points, field: Vectors) -> float:
     subset = points if n <= 20_000 else points[:: -(-n // 20_000)]
     values = field if n <= 20_000 else field[:: -(-n // 20_000)]
     ranks = ranks[ranks < len(subset)]
-    found = cKDTree(subset).query(points[anchors], k=(ranks + 1).tolist())
-    distance, other = np.asarray(found[0]), np.asarray(found[1])
+    distance, other = _neighbours(points[anchors], subset, ranks)
     half_square = 0.5 * ((values[other] - field[anchors][:, None]) ** 2).sum(axis=2)
     order = np.argsort(distance, axis=None)
     d, g = distance.ravel()[order], half_square.ravel()[order]
@@ -53,6 +52,17 @@ def typical_length(points: Points, field: Vectors) -> float:
     has_structure = sill - nugget > SMALLEST_STRUCTURE * sill and len(reached) > 0
     length = d[reached[0]] if has_structure else extent / 4
     return float(np.clip(length, 1e-3 * extent, extent / 2))
+
+
+def _neighbours(anchors: Points, points: Points, ranks: Indices) -> tuple[Matrix, Indices]:
+    """Distance and number of the neighbours of some ranks, the anchors themselves being of rank 0: (a, r) each."""
+    # Of neighbours equally far, as samples on a grid have, any one: the first would always lie on the same side.
+    nudge = 1 + 1e-5 * np.random.default_rng(0).random(len(points), dtype=np.float32)
+    centre = points.mean(axis=0)
+    x, y = (anchors - centre).astype(np.float32), (points - centre).astype(np.float32)
+    square = ((y**2).sum(axis=1) - 2 * x @ y.T + (x**2).sum(axis=1)[:, None]) * nudge
+    other = np.argsort(square, axis=1)[:, ranks]
+    return np.linalg.norm(points[other] - anchors[:, None], axis=2), other
 
 
 def _clipped_mean(squares: Scalars) -> float:

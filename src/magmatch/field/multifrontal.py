@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Sparse Cholesky factor by dense fronts: factorisation, log-determinant, solves, half solves."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,7 +36,7 @@ class CholeskyFactor:
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of A."""
-        return float(2 * sum(np.log(np.diagonal(L)).sum() for L in self.pivots))
+        return float(2 * sum(np.log(np.diagonal(L)).sum(dtype=np.float64) for L in self.pivots))
 
     @property
     def n_bytes(self) -> int:
@@ -45,26 +46,35 @@ class CholeskyFactor:
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """``A^-1 rhs`` for one (m + 3,) or several (m + 3, k) right-hand sides."""
         columns = rhs.reshape(len(rhs), -1)
-        z = np.asfortranarray(columns[self.elimination.unknown])
+        z = np.asfortranarray(columns[self.elimination.unknown], dtype=self.precision)
         for front, L, X in zip(self.elimination.fronts, self.pivots, self.below, strict=True):
             if len(L):
-                z[front.start : front.stop] = blas.dtrsm(1.0, L, z[front.start : front.stop], lower=1)
+                z[front.start : front.stop] = self._trsm(1.0, L, z[front.start : front.stop], lower=1)
                 z[front.border] -= X @ z[front.start : front.stop]
         self._solve_transposed(z)
-        return np.ascontiguousarray(z[self.elimination.position]).reshape(rhs.shape)
+        return np.ascontiguousarray(z[self.elimination.position], dtype=np.float64).reshape(rhs.shape)
 
     def solve_half(self, rhs: np.ndarray) -> np.ndarray:
         """``L^-T rhs``, whose covariance is ``A^-1`` where rhs is white: (m + 3, k)."""
-        z = np.asfortranarray(rhs.copy())
+        z = np.asfortranarray(rhs.copy(), dtype=self.precision)
         self._solve_transposed(z)
-        return np.ascontiguousarray(z[self.elimination.position])
+        return np.ascontiguousarray(z[self.elimination.position], dtype=np.float64)
 
     def _solve_transposed(self, z: np.ndarray) -> None:
         """Overwrite z (in the order of elimination) with ``L^-T z``."""
         for front, L, X in zip(self.elimination.fronts[::-1], self.pivots[::-1], self.below[::-1], strict=True):
             if len(L):
                 own = z[front.start : front.stop] - X.T @ z[front.border]
-                z[front.start : front.stop] = blas.dtrsm(1.0, L, own, lower=1, trans_a=1)
+                z[front.start : front.stop] = self._trsm(1.0, L, own, lower=1, trans_a=1)
+
+    @property
+    def precision(self) -> np.dtype[np.floating]:
+        """Of its entries."""
+        return self.pivots[0].dtype
+
+    @property
+    def _trsm(self) -> Callable[..., np.ndarray]:
+        return blas.dtrsm if self.precision == np.float64 else blas.strsm
 
 
 class Workspace:
@@ -221,16 +231,33 @@ def _extend_add(update, rows, A, X, S, is_first):  # type: ignore[no-untyped-def
     if is_first:
         for j in range(len(S)):
             S[j:, j] = 0
-    for j in range(n_own):
+    # Neighbours mostly stay neighbours: runs of rows are added as vectors.
+    runs = _runs(rows, n_own)
+    for j in range(len(rows)):
         q = rows[j]
-        for i in range(j, n_own):
-            A[rows[i], q] += update[i, j]
-        for i in range(n_own, len(rows)):
-            X[rows[i] - n, q] += update[i, j]
-    for j in range(n_own, len(rows)):
-        q = rows[j] - n
-        for i in range(j, len(rows)):
-            S[rows[i] - n, q] += update[i, j]
+        for r in range(len(runs) - 1):
+            first, last = max(runs[r], j), runs[r + 1]
+            if first >= last:
+                continue
+            to = rows[last - 1] + 1
+            if last <= n_own:
+                A[to - (last - first) : to, q] += update[first:last, j]
+            elif j < n_own:
+                X[to - (last - first) - n : to - n, q] += update[first:last, j]
+            else:
+                S[to - (last - first) - n : to - n, q - n] += update[first:last, j]
+
+
+@njit(cache=True, nogil=True)
+def _runs(rows: np.ndarray, n_own: int) -> np.ndarray:
+    """Where runs of consecutive rows start, a new one with the first row of the border; then their end."""
+    starts, count = np.empty(len(rows) + 1, dtype=np.int64), 0
+    for i in range(len(rows)):
+        if i in (0, n_own) or rows[i] != rows[i - 1] + 1:
+            starts[count] = i
+            count += 1
+    starts[count] = len(rows)
+    return starts[: count + 1]
 
 
 @njit(cache=True, nogil=True)

@@ -11,15 +11,17 @@ the evidence follow them. kappa is how many samples count as one: the integral o
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from magmatch.field.cells import CellGrid, lay_cells
 from magmatch.field.held_out import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.multifrontal import factorise
+from magmatch.field.multifrontal import CholeskyFactor, FactorMemory, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
-from magmatch.field.spline_model import SplineInformation, SplineModel
+from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior
+from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Correlations below this end the sum: what follows is scatter of the estimate.
@@ -27,6 +29,8 @@ SMALLEST_CORRELATION = 0.1
 # More than so many samples never count as one: what is correlated over longer stretches lives in few directions, and
 # the rest of what those samples say stands.
 MOST_SAMPLES_AS_ONE = 16.0
+# Measured values per cell over the prior's share: beyond, rounding in single precision would be seen.
+HIGHEST_CONTRAST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +43,13 @@ class Fit:
         S, what the prior and the noise have to explain.
     log_ratio : float
         ``ln det A - ln det P0``.
+    weights : (m + 3,) array, T
+        Posterior mean.
     """
 
     square: float
     log_ratio: float
+    weights: Scalars
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,6 +59,15 @@ class Basis:
     cells: CellGrid
     elimination: Elimination
     information: SplineInformation
+    memory: FactorMemory
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PriorShape:
+    """Prior precision where signal and noise are the same, of which theirs is a multiple, and its log-determinant."""
+
+    stencil: np.ndarray
+    log_determinant: float
 
 
 class EvidenceSearch:
@@ -63,14 +79,19 @@ class EvidenceSearch:
     field : (n, 3) array, T
     order : (n,) int array
         Place of each sample along its path; neighbours in it are one apart.
+    precision : numpy type
+        Of the factors: single is twice as fast and shifts the evidence by a tenth; where that would not do, double is
+        taken all the same.
     """
 
-    def __init__(self, points: Points, field: Vectors, order: Indices) -> None:
-        self.points, self.field, self.order = points, field, order
+    def __init__(
+        self, points: Points, field: Vectors, order: Indices, precision: type[np.floating] = np.float64
+    ) -> None:
+        self.points, self.field, self.order, self.precision = points, field, order, precision
         self.samples_as_one = 1.0
         self._bases: dict[tuple[float, float], Basis] = {}
         self._fits: dict[Hyperparameters, Fit] = {}
-        self._priors: dict[tuple[float, float, float, float], float] = {}
+        self._shapes: dict[tuple[float, float, float, float], PriorShape] = {}
 
     def operations(self, h: Hyperparameters) -> float:
         """Floating-point operations of one factorisation."""
@@ -95,7 +116,8 @@ class EvidenceSearch:
     def residuals(self, h: Hyperparameters) -> Vectors:
         """What the fitted mean leaves of the samples, (n, 3), T."""
         basis = self._basis(h)
-        posterior = SplineModel(h, basis.cells, basis.elimination).infer(basis.information)
+        model = SplineModel(h, basis.cells, basis.elimination)
+        posterior = SplinePosterior(h, basis.cells, partial(model.factorise, basis.information), self._fit(h).weights)
         left: Vectors = self.field - posterior.evaluate(self.points).field
         return left
 
@@ -115,32 +137,47 @@ class EvidenceSearch:
         if key not in self._bases:
             cells = lay_cells(self.points, h.spacing, h.reach)
             model = SplineModel(h, cells, order_elimination(cells))
-            self._bases[key] = Basis(cells, model.elimination, model.observe(self.points, self.field))
+            memory = FactorMemory(model.elimination, self.precision)
+            self._bases[key] = Basis(cells, model.elimination, model.observe(self.points, self.field), memory)
         return self._bases[key]
 
     def _fit(self, h: Hyperparameters) -> Fit:
         if h not in self._fits:
-            basis = self._basis(h)
-            model = SplineModel(h, basis.cells, basis.elimination)
-            prior = model.prior_precision()
-            factor = factorise(basis.elimination, basis.information.gram + prior)
-            square = basis.information.square - float(basis.information.eta @ factor.solve(basis.information.eta))
-            # Rounding of the difference of two large numbers must not pass for a perfect fit.
-            square = max(square, 1e-12 * basis.information.square, 1e-300)
-            self._fits[h] = Fit(square, factor.log_determinant - self._log_prior(h, basis))
+            basis, scale = self._basis(h), (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
+            shape, constant, data = self._shape(h, basis), (h.noise_sd / CONSTANT_SD) ** 2, basis.information
+            A = StencilMatrix(
+                data.gram.stencil + scale * shape.stencil, data.gram.border, data.gram.corner + constant * np.eye(3)
+            )
+            factor = self._factorise(basis, A, scale)
+            w = factor.solve(data.eta)
+            # What the first solution leaves takes its rounding errors away: the difference of large numbers counts.
+            left = data.eta - A.times(w, basis.cells)
+            w += factor.solve(left)
+            left = data.eta - A.times(w, basis.cells)
+            square = data.square - float(data.eta @ w) - float(left @ w)
+            # Nor may they pass for a perfect fit.
+            square = max(square, 1e-12 * data.square, 1e-300)
+            log_prior = shape.log_determinant + basis.cells.n_nodes * np.log(scale) + 3 * np.log(constant)
+            self._fits[h] = Fit(square, factor.log_determinant - float(log_prior), w)
         return self._fits[h]
 
-    def _log_prior(self, h: Hyperparameters, basis: Basis) -> float:
-        """Log-determinant of the prior precision; the signal only scales it, so it is factorised once per shape."""
+    def _factorise(self, basis: Basis, A: StencilMatrix, scale: float) -> CholeskyFactor:
+        """Factor in single precision where asked and possible."""
+        crowd = self.field.size / basis.cells.n_cells
+        if self.precision == np.float32 and crowd > HIGHEST_CONTRAST * scale:
+            return factorise(basis.elimination, A)
+        return factorise(basis.elimination, A, basis.memory)
+
+    def _shape(self, h: Hyperparameters, basis: Basis) -> PriorShape:
+        """Shape of the prior: signal and noise only scale it, so it is factorised once."""
         key = (h.spacing, h.reach, h.lengthscale, h.stiffness)
-        if key not in self._priors:
-            unit = replace(h, signal_sd=1.0, noise_sd=1.0)
+        if key not in self._shapes:
+            unit = replace(h, signal_sd=1.0, noise_sd=1.0, looseness=1.0)
             prior = SplineModel(unit, basis.cells, basis.elimination).prior_precision()
             prior.corner[:] = np.eye(3)
-            self._priors[key] = factorise(basis.elimination, prior).log_determinant
-        corner = SplineModel(h, basis.cells, basis.elimination).prior_precision().corner
-        scale = 2 * basis.cells.n_nodes * np.log(h.noise_sd / (h.looseness * h.signal_sd))
-        return self._priors[key] + float(scale + np.log(np.diagonal(corner)).sum())
+            factor = factorise(basis.elimination, prior, basis.memory)
+            self._shapes[key] = PriorShape(prior.stencil, factor.log_determinant)
+        return self._shapes[key]
 
 
 def correlated_samples(residuals: Vectors, order: Indices) -> float:

@@ -12,27 +12,24 @@ from magmatch.field.held_out import choose_part, has_path_order, typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.other_passes import OtherPasses
 from magmatch.field.spline_evidence import EvidenceSearch
-from magmatch.typing import Mask, Points, Vectors
+from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
 FEWEST_SAMPLES = 40
 # Where all samples lie at one place, m.
 LONELY_LENGTHSCALE = 0.5
-# The search starts here: spacing and lengthscale from the variogram, a smooth field, a stiffness that suits most.
+# The search starts here: spacing and lengthscale from the variogram, signal over noise and stiffness that suit most;
+# along a path a field so smooth that what it leaves shows which errors neighbours share.
 LENGTHSCALE_IN_SPACINGS = 4.0
-SIGNAL_TO_NOISE, STIFFNESS = 12.0, 300.0
+START, START_OF_A_PATH = (36.0, 3000.0), (12.0, 300.0)
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
 # Moves tried in turn, each repeated as long as the evidence grows: what is multiplied, and by which factors (the
 # second where the first does not help). Spacings only shrink: coarser splines can but hide what finer ones show.
-MOVES = (
-    ("noise_sd", (3.0, 1 / 3.0)),
-    ("stiffness", (10.0, 0.1)),
-    ("lengthscale", (1.8, 1 / 1.8)),
-    ("spacing", (0.75,)),
-    ("noise_sd", (1.7, 1 / 1.7)),
-)
+Moves = Sequence[tuple[str, Sequence[float]]]
+COARSE_MOVES: Moves = (("noise_sd", (3.0, 1 / 3.0)), ("stiffness", (10.0, 0.1)), ("lengthscale", (1.8, 1 / 1.8)))
+FINE_MOVES: Moves = (("spacing", (0.75,)), ("noise_sd", (1.7, 1 / 1.7)))
 # A move must gain so many nats: less is chance, and the start is a good one.
 LEAST_GAIN = 2.0
 ROUNDS, MOST_STEPS = 3, 6
@@ -41,6 +38,8 @@ RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
 PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 1.5e5)
+# The same of a smaller part, from which the coarse moves can be told where samples lie anywhere.
+FEW_OPERATIONS = (1e8, 3e4)
 FEWEST_OF_A_PART, MOST_SEARCHED, MOST_CUTS = 300, 50_000, 4
 # The posterior is made a little wider than it says of itself: its numbers are themselves estimates.
 LEAST_INFLATION = 1.3
@@ -71,10 +70,15 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
     if len(points) < FEWEST_SAMPLES or length == 0 or np.ptp(field, axis=0).max() <= floor:
         return _without_evidence(points, field, length, floor)
     start = _start(points, field, length)
-    part = _part(points, field, start)
-    search = EvidenceSearch(points[part], field[part], np.flatnonzero(part))
-    passes = OtherPasses(points[part], field[part], start.lengthscale) if has_path_order(points) else None
-    best = _search(search, start, points)
+    if has_path_order(points):
+        search = _search_of_a_part(points, field, start, PART_OF_A_PATH)
+        search.samples_as_one = max(search.correlated_samples(start), search.crowded_samples(start))
+        best = _climb(search, start, (*COARSE_MOVES, *FINE_MOVES), points)
+        passes = OtherPasses(search.points, search.field, start.lengthscale)
+    else:
+        few = _search_of_a_part(points, field, start, FEW_OPERATIONS)
+        search, passes = _search_of_a_part(points, field, start, PART_OPERATIONS), None
+        best = _climb(search, _climb(few, start, COARSE_MOVES, points), FINE_MOVES, points)
     noise, inflation = max(search.noise_sd(best), floor), LEAST_INFLATION
     if passes is not None and passes.tell_something:
         # Along a path the nearest samples share their error: what other passes miss by is the noise that a map for
@@ -94,9 +98,9 @@ def _with_noise(h: Hyperparameters, noise_sd: float) -> Hyperparameters:
 def _start(points: Points, field: Vectors, length: float) -> Hyperparameters:
     """Where the search starts: the scale at which the field changes, and the spacing the survey can afford."""
     signal = float(np.sqrt(field.var(axis=0).mean()))
-    reach = REACH_OF_A_PATH if has_path_order(points) else REACH
+    reach, (ratio, stiffness) = (REACH_OF_A_PATH, START_OF_A_PATH) if has_path_order(points) else (REACH, START)
     start = Hyperparameters(
-        length / 1.5, signal, signal / SIGNAL_TO_NOISE, length / LENGTHSCALE_IN_SPACINGS, STIFFNESS, reach=reach
+        length / 1.5, signal, signal / ratio, length / LENGTHSCALE_IN_SPACINGS, stiffness, reach=reach
     )
     spacing = affordable_spacing(points, start)
     return replace(start, spacing=spacing, lengthscale=max(start.lengthscale, 2 * spacing))
@@ -106,38 +110,37 @@ def _without_evidence(points: Points, field: Vectors, length: float, floor: floa
     """Where nothing can be compared: a broad prior about what was seen."""
     length = length or LONELY_LENGTHSCALE
     signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
+    stiffness = START_OF_A_PATH[1]
     h = Hyperparameters(
-        length, signal, signal / 10, length / LENGTHSCALE_IN_SPACINGS, STIFFNESS, reach=REACH_OF_A_PATH
+        length, signal, signal / 10, length / LENGTHSCALE_IN_SPACINGS, stiffness, reach=REACH_OF_A_PATH
     )
     spacing = affordable_spacing(points, h)
     return replace(h, spacing=spacing, lengthscale=LENGTHSCALE_IN_SPACINGS * spacing)
 
 
-def _part(points: Points, field: Vectors, start: Hyperparameters) -> Mask:
-    """A part of the survey that can be searched fast."""
+def _search_of_a_part(
+    points: Points, field: Vectors, start: Hyperparameters, operations: tuple[float, float]
+) -> EvidenceSearch:
+    """Search over a part of the survey that is small enough for it to be fast."""
     n = min(len(points), MOST_SEARCHED)
     part = np.ones(len(points), dtype=bool) if n == len(points) else choose_part(points, n, 3)
-    constant, per_sample = PART_OF_A_PATH if has_path_order(points) else PART_OPERATIONS
-    budget = constant + per_sample * n
-    for _ in range(MOST_CUTS):
-        operations = EvidenceSearch(points[part], field[part], np.flatnonzero(part)).operations(start)
-        if operations <= budget or n <= FEWEST_OF_A_PART:
+    budget = operations[0] + operations[1] * n
+    for cut in range(MOST_CUTS + 1):
+        search = EvidenceSearch(points[part], field[part], np.flatnonzero(part), np.float32)
+        needed = search.operations(start)
+        if needed <= budget or n <= FEWEST_OF_A_PART or cut == MOST_CUTS:
             break
-        n = max(int(n * max((budget / operations) ** 0.7, 0.1) * 0.95), FEWEST_OF_A_PART)
+        n = max(int(n * max((budget / needed) ** 0.7, 0.1) * 0.95), FEWEST_OF_A_PART)
         part = choose_part(points, n, 1 if 3 * n > len(points) else 3)
-    return part
+    return search
 
 
-def _search(search: EvidenceSearch, start: Hyperparameters, whole: Points) -> Hyperparameters:
-    """Walk uphill along one number after the other, twice, with neighbours counted as one as residuals deserve.
-
-    Residuals of the smooth start, that is: once a fit follows errors that neighbours share, it leaves white noise.
-    """
-    search.samples_as_one = max(search.correlated_samples(start), search.crowded_samples(start))
+def _climb(search: EvidenceSearch, start: Hyperparameters, moves: Moves, whole: Points) -> Hyperparameters:
+    """Walk uphill along one number after the other, until a round finds nothing better."""
     best = Trial(start, search.log_evidence(start))
     for _ in range(ROUNDS):
         before = best
-        for name, factors in MOVES:
+        for name, factors in moves:
             best = _along(search, best, name, factors, whole)
         if best == before:
             break

@@ -7,7 +7,7 @@ from numba import njit
 from magmatch.field.spline_basis import derivative_rows, spline_values
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_offset, stencil, border, eta):  # type: ignore[no-untyped-def]
     """Add samples, visited cell by cell, to the Gram stencil, its border and the right-hand side."""
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
@@ -23,7 +23,8 @@ def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_
                 scaled = weight[i] * rows[d, a]
                 rhs[a] += scaled * field[i, d]
                 edge[a, d] += scaled
-                for b in range(64):
+                # From the diagonal on, and a little before it: what is aligned is added faster.
+                for b in range(8 * (a // 8), 64):
                     gram[a, b] += scaled * rows[d, b]
         if k + 1 < len(order) and cell[order[k + 1]] == cell[i]:
             continue
