@@ -52,15 +52,16 @@ Sweep = tuple[str, str, str, dict[float, dict[str, Any]]]
 SWEEPS: tuple[Sweep, ...] = (
     ("rotation", "deg, about a random axis", "office-random",
      {deg: {"target_turn": float(np.radians(deg))} for deg in (0, 30, 90, 180)}),
-    ("overlap", "share of the target's region", "office-overlap",
+    ("overlap", "share, of the target's region that the base covers", "office-overlap",
      {share: {"overlap": share} for share in (1.0, 0.7, 0.5, 0.3, 0.2)}),
     ("noise", "uT", "office-random", {ut: {"noise_sd": 1e-6 * ut} for ut in (0.1, 1.0, 3.0, 10.0)}),
-    ("samples", "in each survey", "office-random", {n: {"n_samples": int(n)} for n in (100, 200, 400, 1000)}),
-    ("height", "m between two planes", "planar", {gap: {"plane_gap": gap} for gap in (0.0, 0.1, 0.2, 0.4)}),
-    ("drift", "m per sqrt(m) walked", "corridor", {rate: {"pose_drift": rate} for rate in (0.0, 0.02, 0.05, 0.1)}),
-    ("bias", "uT of the target's sensor on each axis, 3 % of scale", "office-random",
+    ("samples", "number, in each survey", "office-random", {n: {"n_samples": int(n)} for n in (100, 200, 400, 1000)}),
+    ("height", "m, between two planes", "planar", {gap: {"plane_gap": gap} for gap in (0.0, 0.1, 0.2, 0.4)}),
+    ("drift", "m per sqrt(m), of dead reckoning", "corridor",
+     {rate: {"pose_drift": rate} for rate in (0.0, 0.02, 0.05, 0.1)}),
+    ("bias", "uT, of the target's sensor on each axis, with 3 % of scale", "office-random",
      {ut: {"bias": (1e-6 * ut, -1e-6 * ut, 1e-6 * ut), "scale": 0.03} for ut in (0.5, 2.0, 5.0)}),
-    ("moved", "share of the sources moved between the surveys", "office-random",
+    ("moved", "share, of the sources, between the surveys", "office-random",
      {share: {"moved_sources": share} for share in (0.1, 0.2, 0.4)}),
 )  # fmt: skip
 
@@ -109,7 +110,9 @@ def _recorded() -> list[Experiment]:
     ]  # fmt: skip
 
 
-SWEEP_UNITS = {what: f"{what} ({unit}), scenario {scenario}" for what, unit, scenario, _ in SWEEPS}
+# Title of each axis, and what is behind it.
+SWEEP_AXES = {what: f"{what} ({unit.partition(',')[0]})" for what, unit, _, _ in SWEEPS}
+SWEEP_WORDS = {what: f"Scenario {scenario}; {what}: {unit}." for what, unit, scenario, _ in SWEEPS}
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment for experiment in (*_published(), *_refusals(), *_harder(), *_recorded())

@@ -69,14 +69,14 @@ def error_figure(experiment: Experiment, rows: Sequence[Row]) -> "Figure":
 
 
 def curve_figures(
-    what: str, unit: str, experiments: Sequence[Experiment], found: Mapping[tuple[str, str], Summary]
+    what: str, axis: str, experiments: Sequence[Experiment], found: Mapping[tuple[str, str], Summary]
 ) -> "list[Figure]":
     """Draw success and median error over one condition.
 
     Parameters
     ----------
-    what, unit : str
-        Of the condition.
+    what, axis : str
+        The condition, and its axis with the unit.
     experiments : sequence of Experiment
         Points of the curve; each has a value.
     found : dict of (experiment, method) to Summary
@@ -98,7 +98,6 @@ def curve_figures(
         median = [1e3 * s.distance.median if math.isfinite(s.distance.median) else None for _, s in points]
         success.append(_line(method, x, rate, error_y=bars))
         error.append(_line(method, x, median))
-    axis = f"{what} ({unit})"
     title = f"{what}: success<br><sub>accepted and right, 95 % intervals</sub>"
     one = new_plane(title, success, axis, "share of trials", is_equal=False)
     one.update_yaxes(range=[-0.03, 1.05])

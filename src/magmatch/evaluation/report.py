@@ -15,7 +15,7 @@ from magmatch.atomic import atomic_write
 from magmatch.errors import DataFormatError
 from magmatch.evaluation.comparison import shortfalls
 from magmatch.evaluation.experiment import Experiment
-from magmatch.evaluation.experiments import SWEEP_UNITS
+from magmatch.evaluation.experiments import SWEEP_AXES, SWEEP_WORDS
 from magmatch.evaluation.figures import curve_figures, error_figure
 from magmatch.evaluation.notes import GROUP_NOTES, GROUP_TITLES, HOW_TO_READ, REASONS
 from magmatch.evaluation.rows import MapRow, Row
@@ -72,8 +72,8 @@ def group_table(findings: Findings, group: str) -> TextTable:
     """Lay out one group of experiments."""
     experiments, found = findings.of(group)
     title, words = GROUP_TITLES.get(group, group.capitalize()), GROUP_NOTES.get(group, "")
-    if group in SWEEP_UNITS:
-        return curve_table(title, SWEEP_UNITS[group], experiments, found, words)
+    if group in SWEEP_AXES:
+        return curve_table(title, SWEEP_AXES[group], experiments, found, SWEEP_WORDS[group])
     if group == "refusals":
         return refusal_table(title, found, words)
     return error_table(title, found, {e.name: e.floor for e in experiments}, words)
@@ -130,8 +130,8 @@ def write_html(path: Path, findings: Findings) -> None:
         experiments, found = findings.of(group)
         laid = group_table(findings, group)
         blocks = [paragraph(laid.note)] if laid.note else []
-        if group in SWEEP_UNITS and len(experiments) > 1:
-            blocks.append(figure_row(curve_figures(group, SWEEP_UNITS[group], experiments, found)))
+        if group in SWEEP_AXES and len(experiments) > 1:
+            blocks.append(figure_row(curve_figures(group, SWEEP_AXES[group], experiments, found)))
         elif group == "published":
             blocks.append(figure_row([error_figure(e, findings.rows) for e in experiments]))
         sections.append(Section(laid.title, [*blocks, table(laid.rows, laid.header)]))
@@ -183,7 +183,7 @@ def replace_between_marks(path: Path, findings: Findings) -> None:
 
 def _main(findings: Findings) -> list[Experiment]:
     """Experiments whose cost is worth a row: those of a curve differ little."""
-    return [e for e in findings.experiments if e.group not in SWEEP_UNITS]
+    return [e for e in findings.experiments if e.group not in SWEEP_AXES]
 
 
 def _shortfalls(findings: Findings) -> list[str]:
