@@ -11,6 +11,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.errors import DataFormatError
+
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND + 123_456_789
 MAG, ODOM, POSE, COVARIANCE = (
@@ -295,3 +299,18 @@ def made():
 @pytest.fixture
 def flight():
     return make_flight()
+
+
+def refuse(path, expected=DataFormatError, **settings):
+    """The words of the one error with which a log is refused."""
+    with pytest.raises(expected) as caught:
+        read_survey(path, SurveyFormat(**settings))
+    words = str(caught.value)
+    assert "\n" not in words
+    assert len(words) < 900
+    return words
+
+
+@pytest.fixture
+def refusal():
+    return refuse

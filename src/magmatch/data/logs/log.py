@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-# Messages handed on at a time, of one channel: enough for array arithmetic, little to hold.
-BATCH = 8192
+# Messages handed on at a time, of one channel, and their bytes: enough for array arithmetic, little to hold.
+BATCH, BATCH_BYTES = 8192, 8 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,15 +147,19 @@ class Batcher:
 
     def __init__(self) -> None:
         self._open: dict[int, Batch] = {}
+        self._n_bytes: dict[int, int] = {}
 
     def add(self, key: int, channel: Channel, log_ns: int, payload: bytes) -> Batch | None:
         """Take one message of the channel with this number; gives a batch when one is full."""
         batch = self._open.get(key)
         if batch is None:
             batch = self._open[key] = Batch(channel, [], [])
+            self._n_bytes[key] = 0
         batch.log_ns.append(log_ns)
         batch.payloads.append(payload)
-        return self._open.pop(key) if len(batch.payloads) >= BATCH else None
+        self._n_bytes[key] += len(payload)
+        is_full = len(batch.payloads) >= BATCH or self._n_bytes[key] >= BATCH_BYTES
+        return self._open.pop(key) if is_full else None
 
     def rest(self) -> Iterator[Batch]:
         """Whatever has not been handed on."""

@@ -7,15 +7,16 @@ from typing import Any
 
 import yaml
 
-from magmatch.data.logs.log import Batch, Log, Loss, Topic
-from magmatch.data.logs.source import MAX_CHUNK
+from magmatch.data.logs.log import Batch, Batcher, Log, Loss, Topic
+from magmatch.data.logs.source import MAX_CHUNK, MAX_RATIO
 from magmatch.data.text import read_bytes
 from magmatch.data.yaml_text import load_yaml
 from magmatch.errors import DataFormatError, MissingExtraError
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap")
-MAX_METADATA = 4 << 20
+MAX_METADATA = 4 << 20  # topic tables of large bags make it long
+MAX_MESSAGE = 1 << 20  # bytes of one field, pose or tf message; an honest one never reaches it
 
 
 class JoinedLog:
@@ -70,8 +71,13 @@ class JoinedLog:
         for batch in (batch for part in self._parts for batch in part.messages(topics)):
             if self._unpack is None:
                 yield batch
-            else:
-                yield Batch(batch.channel, batch.log_ns, [self._unpack(payload) for payload in batch.payloads])
+                continue
+            batcher = Batcher()  # a full batch may be too much once it is unpacked
+            for log_ns, payload in zip(batch.log_ns, batch.payloads, strict=True):
+                full = batcher.add(0, batch.channel, log_ns, self._unpack(payload))
+                if full is not None:
+                    yield full
+            yield from batcher.rest()
 
 
 def open_ros2_folder(folder: str | Path, open_file: Callable[[Path], Log], *, recover: bool = False) -> JoinedLog:
@@ -116,9 +122,11 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     path = folder / METADATA
     if not path.exists():
         return {}
+    raw = read_bytes(path, MAX_METADATA + 1)
+    if len(raw) > MAX_METADATA:
+        raise DataFormatError(path, f"is larger than {MAX_METADATA} bytes; delete it to read the bag without it")
     try:
-        # Topic tables of large bags make this long; what is longer is no metadata.
-        content = load_yaml(read_bytes(path, MAX_METADATA).decode("utf-8"))
+        content = load_yaml(raw.decode("utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
         if isinstance(error, DataFormatError):
             raise
@@ -168,13 +176,18 @@ def _unpacker(folder: Path, about: dict[str, Any]) -> Callable[[bytes], bytes] |
     except ImportError:
         feature = "reading a ROS 2 bag with zstd messages"
         raise MissingExtraError(feature, "ros") from None
-    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK)
+    decompressor, budget = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK), MAX_CHUNK
 
     def unpack(payload: bytes) -> bytes:
+        nonlocal budget
         try:
-            # Field and poses are small; an honest one never reaches this bound.
-            return decompressor.stream_reader(payload, read_across_frames=True).read(1 << 20)
+            content = decompressor.stream_reader(payload, read_across_frames=True).read(MAX_MESSAGE)
         except (zstandard.ZstdError, ValueError):
             return b""  # no message: named as such where it is decoded
+        budget += MAX_RATIO * len(payload) - len(content)
+        if budget < 0:
+            message = f"messages decompress to more than {MAX_RATIO} times their size: refused as a zip bomb"
+            raise DataFormatError(folder, message)
+        return content
 
     return unpack

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Reading long recordings in every format: time and peak memory, against the libraries of the formats alone.
+
+Run ``python benchmarks/bench_formats.py [FORMAT...] [--gigabytes 1.0] [--folder DIR]``; needs ``magmatch[test]``.
+Bags hold a magnetometer at 200 Hz, poses at 100 Hz and an unrelated camera; tables hold samples only. For MCAP see
+``bench_logs.py``.
+"""
+
+import argparse
+import json
+import logging
+import resource
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+SECOND, START, ROWS = 1_000_000_000, 1_700_000_000, 20_000
+FRAME_BYTES, BYTES_PER_SECOND = 100_000, 200 * 130 + 100 * 95 + 100_000
+MAG, POSE, IMAGE = "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/CompressedImage"
+TOPICS = {"/imu/mag": MAG, "/pose": POSE, "/camera": IMAGE}
+
+
+def messages(gigabytes: float, *, is_ros1: bool) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, time (ns) and payload, packed by hand, which is much faster than by type."""
+    rng = np.random.default_rng(0)
+    front = b"" if is_ros1 else b"\0\1\0\0"
+    sequence = bytes(4) if is_ros1 else b""
+    for s in range(int(gigabytes * 1e9 / BYTES_PER_SECOND)):
+        field = rng.normal([2e-5, 0, -4e-5], 1e-6, (200, 3))
+        for i in range(200):
+            head = front + sequence + struct.pack("<II", START + s, i * 5_000_000)
+            stamp = (START + s) * SECOND + i * 5_000_000
+            # Seven letters and the zero of CDR; both then end where doubles may stand.
+            named = struct.pack("<I", 8) + b"mag_link" if is_ros1 else struct.pack("<I8s", 8, b"mag_lin\0") + bytes(4)
+            yield "/imu/mag", stamp, head + named + field[i].tobytes() + bytes(72)
+            if i % 2 == 0:
+                a = stamp / 1e11
+                pose = (np.cos(a), np.sin(a), 0.1 * np.sin(7 * a), 0.0, 0.0, np.sin(a / 2), np.cos(a / 2))
+                named = struct.pack("<I", 3) + b"map" if is_ros1 else struct.pack("<I4s", 4, b"map\0")
+                yield "/pose", stamp, head + named + struct.pack("<7d", *pose)
+        yield "/camera", (START + s) * SECOND, front + rng.bytes(FRAME_BYTES)
+
+
+def tables(gigabytes: float, bytes_per_row: int) -> Iterator[dict[str, np.ndarray]]:
+    """Columns of a survey, some rows at a time."""
+    rng = np.random.default_rng(0)
+    n = int(gigabytes * 1e9 / bytes_per_row)
+    for start in range(0, n, ROWS):
+        k = np.arange(start, min(n, start + ROWS))
+        a, zero = 0.5 * k / 1e4, np.zeros(len(k))
+        b = rng.normal([2e-5, 0, -4e-5], 1e-6, (len(k), 3)).T
+        yield {"t": START + k / 200, "x": np.cos(a), "y": np.sin(a), "z": 0.1 * np.sin(7 * a), "bx": b[0], "by": b[1],
+               "bz": b[2], "qx": zero, "qy": zero, "qz": np.sin(a / 2), "qw": np.cos(a / 2)}  # fmt: skip
+
+
+def write_bag(path: Path, gigabytes: float, *, is_ros1: bool) -> None:
+    """A ROS 1 bag, or a ROS 2 bag with SQLite."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    writer = Writer1(path) if is_ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    with writer:
+        opened = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in TOPICS.items()}
+        for topic, stamp, payload in messages(gigabytes, is_ros1=is_ros1):
+            writer.write(opened[topic], stamp, payload)
+
+
+def write_csv(path: Path, gigabytes: float) -> None:
+    with path.open("w") as stream:
+        for i, columns in enumerate(tables(gigabytes, 187)):
+            stream.write(",".join(columns) + "\n" if i == 0 else "")
+            rows = zip(*(map(repr, column.tolist()) for column in columns.values()), strict=True)
+            stream.write("\n".join(map(",".join, rows)) + "\n")
+
+
+def write_parquet(path: Path, gigabytes: float) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    writer = None
+    for columns in tables(gigabytes, 70):
+        table = pa.table(columns)
+        writer = writer or pq.ParquetWriter(path, table.schema)
+        writer.write_table(table)
+    writer.close()
+
+
+FORMATS = {
+    "bag": ("log.bag", lambda path, size: write_bag(path, size, is_ros1=True)),
+    "db3": ("log", lambda path, size: write_bag(path, size, is_ros1=False)),
+    "csv": ("log.csv", write_csv),
+    "parquet": ("log.parquet", write_parquet),
+}
+
+
+def with_magmatch(path: str) -> int:
+    """From the file to a checked survey, with all that ``magmatch map`` imports."""
+    import magmatch.field.build  # noqa: F401
+    from magmatch.data.read import read_survey
+
+    return len(read_survey(path))
+
+
+def with_rosbags(path: str) -> int:
+    """Messages, not decoded."""
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    with (Reader1 if path.endswith(".bag") else Reader2)(path) as reader:
+        wanted = [c for c in reader.connections if c.topic != "/camera"]
+        return sum(1 for _ in reader.messages(wanted))
+
+
+def with_pandas(path: str) -> int:
+    """A data frame."""
+    import pandas as pd
+
+    return len(pd.read_csv(path) if path.endswith(".csv") else pd.read_parquet(path))
+
+
+def measure(reader: str, path: str) -> None:
+    """In a process of its own: seconds of the clock and of the processor, peak memory."""
+    logging.disable()
+    start, busy = time.perf_counter(), time.process_time()
+    n = globals()[reader](path)
+    seconds, cpu = time.perf_counter() - start, time.process_time() - busy
+    mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"n": n, "seconds": seconds, "cpu": cpu, "mib": mib}))
+
+
+def compare(name: str, folder: Path, gigabytes: float) -> None:
+    """Write one format and read it with magmatch and without."""
+    file, write = FORMATS[name]
+    write(folder / file, gigabytes)
+    size = sum(
+        p.stat().st_size for p in ([folder / file] if (folder / file).is_file() else (folder / file).iterdir())
+    )
+    for reader in ("with_magmatch", "with_rosbags" if name in {"bag", "db3"} else "with_pandas"):
+        command = [sys.executable, __file__, "--measure", reader, str(folder / file)]
+        run = json.loads(subprocess.check_output(command))
+        print(
+            f"{name:8} {size / 1e9:6.2f} GB  {reader:14} {run['n']:9}  clock {run['seconds']:6.1f} s  "
+            f"cpu {run['cpu']:6.1f} s  peak {run['mib']:6.0f} MiB",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("formats", nargs="*", default=list(FORMATS), metavar="FORMAT", help=", ".join(FORMATS))
+    parser.add_argument("--gigabytes", type=float, default=1.0)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.measure:
+        measure(*arguments.measure)
+        return
+    print(", ".join(f"{name} {version(name)}" for name in ("rosbags", "pandas", "pyarrow", "numpy")))
+    for name in arguments.formats:
+        with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+            compare(name, Path(folder), arguments.gigabytes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""ROS 2 bag folders made wrong, by name: each is refused in one line that says what is wrong and what to do."""
+
+import shutil
+import sqlite3
+
+import pytest
+import yaml
+
+from magmatch.data.read import read_survey
+
+MAG = "sensor_msgs/msg/MagneticField"
+
+
+def about(folder, **changes):
+    path = folder / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["rosbag2_bagfile_information"] |= changes
+    path.write_text(yaml.safe_dump(content))
+
+
+def run_sql(folder, *statements):
+    database = sqlite3.connect(folder / "log-db3.db3")
+    for statement in statements:
+        database.execute(statement)
+    database.commit()
+    database.close()
+
+
+def remove(folder):
+    (folder / "log-db3.db3").unlink()
+
+
+def bombs(folder):
+    """Each message 64 MB of zeros, in some KB."""
+    import zstandard
+
+    about(folder, compression_mode="message", compression_format="zstd")
+    packed = zstandard.ZstdCompressor(level=3).compress(bytes(64 << 20))
+    database = sqlite3.connect(folder / "log-db3.db3")
+    database.execute("UPDATE messages SET data = ?", (packed,))
+    database.commit()
+    database.close()
+
+
+def loop(folder):
+    (folder / "log-db3.db3").unlink()
+    (folder / "log-db3.db3").symlink_to("log-db3.db3")
+
+
+def zero_page(folder):
+    path = folder / "log-db3.db3"
+    raw = bytearray(path.read_bytes())
+    middle = len(raw) // 8192 * 4096
+    raw[middle : middle + 4096] = bytes(4096)
+    path.write_bytes(raw)
+
+
+FOLDERS = {
+    "metadata that is no YAML": (lambda f: (f / "metadata.yaml").write_text("a: [b"), "is not YAML"),
+    "metadata that is no text": (lambda f: (f / "metadata.yaml").write_bytes(b"\xff\xfe\xfd"), "is not YAML"),
+    "metadata with code": (
+        lambda f: (f / "metadata.yaml").write_text("!!python/object/apply:os.abort []"),
+        "not YAML",
+    ),
+    "metadata repeated without end": (
+        lambda f: (f / "metadata.yaml").write_text("rosbag2_bagfile_information: &a {x: [*a, *a]}"),
+        "repeats values by name",
+    ),
+    "metadata of something else": (lambda f: (f / "metadata.yaml").write_text("a: b"), "rosbag2_bagfile_information"),
+    "metadata of a list": (lambda f: (f / "metadata.yaml").write_text("- a"), "rosbag2_bagfile_information"),
+    "empty metadata": (lambda f: (f / "metadata.yaml").write_text(""), "rosbag2_bagfile_information"),
+    "a file elsewhere": (lambda f: about(f, relative_file_paths=["/etc/passwd"]), "outside the folder"),
+    "a file above": (lambda f: about(f, relative_file_paths=["../x.db3"]), "outside the folder"),
+    "files that are no names": (lambda f: about(f, relative_file_paths=[1]), "list of names"),
+    "files that are no list": (lambda f: about(f, relative_file_paths="a"), "list of names"),
+    "a missing file": (lambda f: about(f, relative_file_paths=["a.db3"]), "not in the folder; --recover"),
+    "no file at all": (remove, "not in the folder"),
+    "files compressed as a whole": (lambda f: (f / "x.db3.zstd").write_bytes(b"x"), "unzstd x.db3.zstd"),
+    "messages compressed otherwise": (
+        lambda f: about(f, compression_mode="message", compression_format="lz4"),
+        "expected zstd",
+    ),
+    "messages said to be compressed": (
+        lambda f: about(f, compression_mode="message", compression_format="zstd"),
+        "message 0: ",
+    ),
+    "messages that are bombs": (bombs, "zip bomb"),
+    "messages compressed in an unknown way": (
+        lambda f: about(f, compression_mode="message", compression_format=["zstd"] * 40),
+        "expected zstd",
+    ),
+    "metadata larger than any": (lambda f: (f / "metadata.yaml").write_text("#" * (5 << 20)), "is larger than"),
+    "a name with a NUL": (lambda f: about(f, relative_file_paths=["a\0.db3"]), "outside the folder"),
+    "a name on Windows": (lambda f: about(f, relative_file_paths=["C:\\x.db3"]), "not in the folder"),
+    "a link in circles": (loop, "not in the folder"),
+    "a folder as file": (lambda f: about(f, relative_file_paths=["."]), "not in the folder"),
+    "a file of its own kind": (lambda f: shutil.copy(f / "metadata.yaml", f / "log-db3.db3"), "is no ROS 1 bag"),
+    "a file cut to its first page": (
+        lambda f: (f / "log-db3.db3").write_bytes((f / "log-db3.db3").read_bytes()[:4096]),
+        "damaged ROS 2 bag",
+    ),
+    "a page of zeros": (zero_page, "--recover"),
+    "no column of types": (lambda f: run_sql(f, "ALTER TABLE topics RENAME COLUMN type TO kind"), "damaged ROS 2"),
+    "stamps of fractions": (lambda f: run_sql(f, "UPDATE messages SET timestamp = 1.5"), "time stamp"),
+    "messages of no topic": (lambda f: run_sql(f, "UPDATE messages SET topic_id = 99"), "holds no messages"),
+    "an empty file": (lambda f: (f / "log-db3.db3").write_bytes(b""), "is no ROS 1 bag, ROS 2 bag or MCAP"),
+    "a file of text": (lambda f: (f / "log-db3.db3").write_text("hello"), "is no ROS 1 bag"),
+    "a database without pages": (
+        lambda f: (f / "log-db3.db3").write_bytes(b"SQLite format 3\0" + bytes(200)),
+        "damaged ROS 2 bag",
+    ),
+    "a database of something else": (lambda f: run_sql(f, "DROP TABLE messages"), "without table messages"),
+    "no topics": (lambda f: run_sql(f, "DELETE FROM topics"), "expected a field topic"),
+    "no messages": (lambda f: run_sql(f, "DELETE FROM messages"), "holds no messages"),
+    "columns of another time": (
+        lambda f: run_sql(f, "ALTER TABLE messages RENAME COLUMN data TO blob"),
+        "no such column: data",
+    ),
+    "data of another kind": (
+        lambda f: run_sql(f, "UPDATE messages SET data = 'text'"),
+        "no number, time stamp or data",
+    ),
+    "stamps of another kind": (
+        lambda f: run_sql(f, "UPDATE messages SET timestamp = 'now'"),
+        "time stamp is no whole number",
+    ),
+    "names of another kind": (lambda f: run_sql(f, "UPDATE topics SET name = x'ff'"), "other things than names"),
+    "payloads of zeros": (lambda f: run_sql(f, "UPDATE messages SET data = zeroblob(50)"), "message 0: "),
+    "payloads of nothing": (lambda f: run_sql(f, "UPDATE messages SET data = x''"), "where 0 are left"),
+    "another serialisation": (
+        lambda f: run_sql(f, "UPDATE topics SET serialization_format = 'xml'"),
+        "encoded as 'xml'",
+    ),
+    "types exchanged": (
+        lambda f: run_sql(f, f"UPDATE topics SET type = '{MAG}' WHERE name = '/odom'"),
+        "/odom, message 0: ",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FOLDERS)
+def test_a_ros2_bag_made_wrong_is_refused(case, made, flight, tmp_path, refusal):
+    damage, words = FOLDERS[case]
+    folder = made.WRITERS["ROS 2 bag, sqlite3"](tmp_path, flight.series)
+    damage(folder)
+    settings = {"mag_topic": "/odom", "pose_topic": "/odom"} if case == "types exchanged" else {}
+    if settings:
+        settings = {"mag_topic": "/odom", "trajectory": tmp_path / "poses.tum"}
+        flight.trajectory().save(tmp_path / "poses.tum")
+    assert words in refusal(folder, **settings)
+
+
+def test_a_bag_without_metadata_is_read_by_its_files(made, flight, tmp_path):
+    folder = made.WRITERS["ROS 2 bag, sqlite3"](tmp_path, flight.series)
+    (folder / "metadata.yaml").unlink()
+    assert len(read_survey(folder)) == 300
+    assert len(read_survey(folder / "log-db3.db3")) == 300

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""MCAP files made wrong by hand, by name: each is refused in one line that says what is wrong."""
+
+import json
+import struct
+
+import pytest
+
+SECOND = 1_000_000_000
+MAGIC = b"\x89MCAP0\r\n"
+MAG, ODOM = "sensor_msgs/msg/MagneticField", "nav_msgs/msg/Odometry"
+
+
+def text(value):
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def record(opcode, content):
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def schema(key, name):
+    return record(3, struct.pack("<H", key) + text(name) + text("ros2msg") + text(""))
+
+
+def channel(key, schema_id, topic, encoding="cdr"):
+    return record(4, struct.pack("<HH", key, schema_id) + text(topic) + text(encoding) + struct.pack("<I", 0))
+
+
+def message(key, payload, log_ns=SECOND):
+    return record(5, struct.pack("<HIQQ", key, 0, log_ns, log_ns) + payload)
+
+
+def chunk(content, compression="", size=None, crc=0, declared=None):
+    head = struct.pack("<QQQI", 0, 1, len(content) if size is None else size, crc) + text(compression)
+    body = head + struct.pack("<Q", len(content) if declared is None else declared) + content
+    return record(6, body)
+
+
+def file_of(*records):
+    return MAGIC + b"".join(records) + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
+
+
+TOPICS = schema(1, MAG) + schema(2, ODOM) + channel(1, 1, "/mag") + channel(2, 2, "/odom")
+CDR = b"\0\1\0\0"
+STAMP = struct.pack("<iI", 5, 0)
+GOOD_FIELD = CDR + STAMP + text("m\0") + bytes(2) + struct.pack("<3d", 2e-5, 0, 0) + bytes(72)
+
+
+def mcap_with(payload, encoding="cdr", name=MAG):
+    """A field topic with one strange message, beside odometry that is never reached."""
+    head = schema(1, name) + schema(2, ODOM) + channel(1, 1, "/mag", encoding) + channel(2, 2, "/odom", encoding)
+    return file_of(head, message(1, payload), message(2, payload))
+
+
+def bomb():
+    """Chunks of one large message each, of zeros."""
+    import zstandard
+
+    content = message(1, bytes(150 << 20))
+    return [chunk(zstandard.ZstdCompressor(level=1).compress(content), "zstd", len(content))] * 2
+
+
+MCAPS = {
+    "signature alone": (lambda: MAGIC, "--recover"),
+    "two signatures": (lambda: MAGIC + MAGIC, "expected a field topic"),
+    "no topics": (file_of, "expected a field topic"),
+    "topics without messages": (lambda: file_of(TOPICS), "holds no messages"),
+    "an unknown operation": (lambda: file_of(TOPICS, record(99, b"x")), "no record begins here"),
+    "operation zero": (lambda: file_of(TOPICS, bytes(9)), "no record begins here"),
+    "a record of exabytes": (lambda: MAGIC + struct.pack("<BQ", 5, 1 << 62) + MAGIC, "in the middle of a record"),
+    "a schema of gigabytes": (
+        lambda: MAGIC + struct.pack("<BQ", 3, 20 << 20) + bytes(20 << 20) + MAGIC,
+        "more than the",
+    ),
+    "a chunk that declares terabytes": (lambda: file_of(TOPICS, chunk(b"x" * 50, "zstd", 1 << 40)), "more than the"),
+    "a chunk of another length": (lambda: file_of(TOPICS, chunk(b"x" * 50, declared=49)), "do not fit each other"),
+    "a chunk with more than it declares": (lambda: file_of(TOPICS, chunk(TOPICS, size=10)), "holds more"),
+    "a chunk with less than it declares": (lambda: file_of(TOPICS, chunk(TOPICS, size=999)), "declares 999 bytes"),
+    "a checksum that does not fit": (lambda: file_of(TOPICS, chunk(TOPICS, crc=1)), "checksum"),
+    "an unknown compression": (lambda: file_of(TOPICS, chunk(b"x", "rar")), "compressed with 'rar'"),
+    "zstd that is none": (lambda: file_of(TOPICS, chunk(b"x" * 50, "zstd", 100)), "zstd chunk is damaged"),
+    "lz4 that is none": (lambda: file_of(TOPICS, chunk(b"x" * 50, "lz4", 100)), "lz4 chunk is damaged"),
+    "a zip bomb": (lambda: file_of(TOPICS, *bomb()), "zip bomb"),
+    "a chunk that breaks off": (lambda: file_of(TOPICS, chunk(message(1, GOOD_FIELD)[:-3])), "breaks off"),
+    "a chunk of zeros": (lambda: file_of(TOPICS, chunk(bytes(900))), "record of operation 0"),
+    "a message too short for its head": (lambda: file_of(TOPICS, chunk(record(5, b"xx"))), "breaks off"),
+    "a channel without schema": (lambda: file_of(channel(1, 9, "/mag")), "schema 9, which is nowhere defined"),
+    "a message without channel": (lambda: file_of(TOPICS, message(7, b"")), "channel 7, which is nowhere defined"),
+    "a name of gigabytes": (lambda: file_of(record(3, b"\1\0" + struct.pack("<I", 1 << 31))), "string of 2147483648"),
+    "a time beyond all calendars": (lambda: file_of(TOPICS, message(1, b"", (1 << 64) - 1)), "of the year 2554"),
+    "an index that does not fit": (lambda: file_of(TOPICS, record(7, b"\1\0\x20\0\0\0abc")), "message index"),
+    "protobuf": (lambda: mcap_with(b"x", "protobuf"), "encoded as 'protobuf', expected ros1, cdr, json"),
+    "no payload": (lambda: mcap_with(b""), "/mag, message 0: a field of 4 bytes where 0 are left"),
+    "half a header": (lambda: mcap_with(CDR + STAMP[:6]), "a field of 4 bytes where 2 are left"),
+    "a frame of gigabytes": (lambda: mcap_with(CDR + STAMP + b"\xff\xff\xff\x7f"), "a field of 2147483647 bytes"),
+    "half a field": (lambda: mcap_with(GOOD_FIELD[:-80]), "/mag, message 0: a field of"),
+    "another definition": (lambda: mcap_with(GOOD_FIELD + bytes(8)), "8 bytes are left over"),
+    "extended CDR": (lambda: mcap_with(b"\0\7" + GOOD_FIELD[2:]), "expected plain CDR"),
+    "parameter lists": (lambda: mcap_with(b"\1\1" + GOOD_FIELD[2:]), "expected plain CDR"),
+    "JSON that is none": (lambda: mcap_with(b"{", "json"), "is not the JSON of such a message"),
+    "JSON of a list": (lambda: mcap_with(b"[]", "json"), "is not the JSON of such a message"),
+    "JSON without a header": (lambda: mcap_with(b'{"magnetic_field": {}}', "json"), "KeyError: 'header'"),
+    "JSON nested without end": (lambda: mcap_with(b"[" * 100_000, "json"), "is not the JSON"),
+    "JSON of words": (
+        lambda: mcap_with(
+            json.dumps(
+                {
+                    "header": {"stamp": {"sec": 1, "nsec": 2}, "frame_id": ""},
+                    "magnetic_field": dict.fromkeys("xyz", "a"),
+                }
+            ).encode(),
+            "json",
+        ),
+        "could not convert",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MCAPS)
+def test_an_mcap_file_made_wrong_is_refused(case, tmp_path, refusal):
+    make, words = MCAPS[case]
+    pytest.importorskip("zstandard")
+    (tmp_path / "log.mcap").write_bytes(make())
+    assert words in refusal(tmp_path / "log.mcap")
