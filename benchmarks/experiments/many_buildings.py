@@ -29,7 +29,7 @@ from magmatch.simulation.paths import around_loop, heading_along, loop_length
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
 
 HALF_WIDTH, HEIGHT, CORNER, CLEARANCE = 1.5, 1.2, 1.5, 0.5
-LANES = (-0.5, 0.5)
+LANES = (-0.35, 0.35)
 STEP, NOISE_SD, ANOMALY_SD = 0.08, 0.4e-6, 12e-6
 EARTH = np.array([17.83e-6, 0.0, -44.57e-6])
 

@@ -2,6 +2,7 @@
 """The verb of this room: an atlas and a target in, the map that holds it and the pose in that map out."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +19,14 @@ from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
-from magmatch.registration.walk import choose_search
+from magmatch.registration.walk import choose_search, walk_of
 from magmatch.threads import single_threaded
 from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)
 
 # Maps that are searched in full: at least and at most so many, and those with this share of the most votes.
-MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 3, 6, 0.6
+MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 4, 8, 0.5
 
 
 @single_threaded
@@ -71,17 +72,18 @@ def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> 
     tables = [sheet.table for sheet in atlas.sheets]
     votes = clock.time("votes", count_votes, tables, survey, config.walks.search, seed)
 
+    likely = shortlist(atlas.sheets, votes)
+    # The same bins for all: only then can their densities be compared.
+    walk = walk_of(survey, float(np.median([sheet.table.length for sheet in likely])))
+
     def search(sheet: Sheet) -> WeighedWalk:
         index, rng = clock.time("load", atlas.load, sheet), np.random.default_rng(seed)
         log.info("searching %s", sheet.name)
-        return clock.time("walk", search_walk, index.walks, survey, config.walks, rng, config.prior, atlas.volume)
+        return clock.time("walk", search_walk, index.walks, walk, config.walks, rng, config.prior, atlas.volume)
 
-    weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
-    best, elsewhere = _best(weighed)
-    judged = {
-        sheet: judge_walk(w, config.walks, elsewhere if sheet is best else np.inf) for sheet, w in weighed.items()
-    }
-    return _with_alternatives(best, judged, weighed)
+    weighed = {sheet: search(sheet) for sheet in likely}
+    leads = _leads(weighed)
+    return _with_alternatives({sheet: judge_walk(weighed[sheet], config.walks, leads[sheet]) for sheet in leads})
 
 
 def localize_map(atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stopwatch) -> RegistrationResult:
@@ -100,11 +102,8 @@ def localize_map(atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stop
         return search_map(base, prepared, config, seed, clock, atlas.volume)
 
     weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
-    best, elsewhere = _best(weighed)
-    judged = {
-        sheet: judge_map(w, config, seed, elsewhere if sheet is best else np.inf) for sheet, w in weighed.items()
-    }
-    return _with_alternatives(best, judged, weighed)
+    leads = _leads(weighed)
+    return _with_alternatives({sheet: judge_map(weighed[sheet], config, seed, leads[sheet]) for sheet in leads})
 
 
 def shortlist(sheets: tuple[Sheet, ...], votes: Scalars) -> list[Sheet]:
@@ -114,23 +113,20 @@ def shortlist(sheets: tuple[Sheet, ...], votes: Scalars) -> list[Sheet]:
     return [sheets[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
 
 
-def _best(weighed: dict[Sheet, WeighedWalk] | dict[Sheet, WeighedMap]) -> tuple[Sheet, float]:
-    """Map of the best pose, and the log evidence of the best pose in any other map."""
-    ranked = sorted(weighed, key=lambda sheet: -weighed[sheet].log_evidence)
-    return ranked[0], weighed[ranked[1]].log_evidence if len(ranked) > 1 else -np.inf
+def _leads(weighed: Mapping[Sheet, WeighedWalk] | Mapping[Sheet, WeighedMap]) -> dict[Sheet, float]:
+    """Lead of each map's best pose over that of any other map, best first."""
+    ranked = sorted(weighed, key=lambda sheet: -weighed[sheet].log_density)
+    first, *others = (weighed[sheet].log_density for sheet in ranked)
+    leads = {sheet: weighed[sheet].log_density - first for sheet in ranked}
+    return leads | {ranked[0]: first - others[0] if others and np.isfinite(others[0]) else np.inf}
 
 
-def _with_alternatives(
-    best: Sheet, judged: dict[Sheet, RegistrationResult], weighed: dict[Sheet, WeighedWalk] | dict[Sheet, WeighedMap]
-) -> RegistrationResult:
-    """State the answer of the best map, and beside a refusal the best pose of each other map."""
-    answer = judged[best]
+def _with_alternatives(judged: dict[Sheet, RegistrationResult]) -> RegistrationResult:
+    """State the answer of the best map, and beside a refusal the best pose of each other map; best first."""
+    (best, answer), *others = judged.items()
     if answer.is_accepted:
         return replace(answer, base=best.name)
-    others = sorted((s for s in judged if s is not best), key=lambda sheet: -weighed[sheet].log_evidence)
-    elsewhere = tuple(replace(judged[s].alternatives[0], base=s.name) for s in others if judged[s].alternatives)
+    elsewhere = tuple(replace(r.alternatives[0], base=sheet.name) for sheet, r in others if r.alternatives)
     return replace(
-        answer,
-        base=best.name if answer.alternatives else None,
-        alternatives=answer.alternatives + elsewhere,
+        answer, base=best.name if answer.alternatives else None, alternatives=answer.alternatives + elsewhere
     )

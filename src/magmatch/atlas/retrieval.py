@@ -20,7 +20,7 @@ from magmatch.registration.invariant_search import (
     judging_samples,
     similar_points,
 )
-from magmatch.registration.pair_search import PairSearchConfig, PairTable, choose_pairs, hypotheses
+from magmatch.registration.pair_search import PairSearchConfig, PairTable, choose_pairs, hypotheses, similar_pairs
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import score_poses, weigh_samples
 from magmatch.registration.walk import Walk, walk_of
@@ -31,7 +31,9 @@ N_PAIRS, N_NEIGHBOURS = 40, 6
 # The same for points with their frames, and samples that judge each pose.
 N_ANCHORS, N_ANCHOR_NEIGHBOURS, N_JUDGES = 200, 10, 80
 # Poses nearer than this are one: rad, and in the base's field lengths at the walk's centre.
-SAME_ROTATION, SAME_PLACE = 0.25, 0.8
+SAME_ROTATION, SAME_PLACE = 0.2, 0.65
+# Squared distance (in standard deviations) of a pair's invariants at which its vote is worth 1/e.
+DISTANCE2 = 8.0
 # Maps whose field lengths differ by less than this factor share one binning of the walk.
 SHARED_LENGTH = 1.15
 
@@ -84,11 +86,14 @@ def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.ra
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return 0.0
-    R, anchors, pair_rows = hypotheses(table, walk, i, j, config.n_neighbours)
+    similar, distance2 = similar_pairs(table, walk, i, j, config.n_neighbours)
+    R, anchors, pair_rows = hypotheses(table, walk, i, j, similar)
     middle = (walk.positions[i] + walk.positions[j])[pair_rows] / 2
     centers = anchors + np.einsum("nij,nj->ni", R, walk.positions.mean(axis=0) - middle)
-    largest = _largest_agreement(R, centers, pair_rows, len(i), SAME_ROTATION, SAME_PLACE * table.length)
-    return float(largest / config.n_pairs)
+    # Pairs unlike any of the base fall to its most unlike ones, all in one place: such agreement means little.
+    weights = np.exp(-distance2.ravel() / DISTANCE2)
+    largest = _largest_agreement(R, centers, pair_rows, weights, SAME_ROTATION, SAME_PLACE * table.length)
+    return float(largest / len(i))
 
 
 def count_agreement(
@@ -127,25 +132,23 @@ def _best_score(
 
 
 @njit(cache=True)
-def _largest_agreement(R, centers, pair_rows, n_pairs, angle, distance):  # type: ignore[no-untyped-def]
-    """Most pairs, each counted once, whose poses lie around one of the poses."""
-    least_trace, best = 1.0 + 2.0 * np.cos(angle), 0
-    seen = np.full(n_pairs, -1)
+def _largest_agreement(R, centers, pair_rows, weights, angle, distance):  # type: ignore[no-untyped-def]
+    """Largest weight of poses around one of the poses, each pair counted once; poses of a pair stand together."""
+    least_trace, best = 1.0 + 2.0 * np.cos(angle), 0.0
     for h in range(len(R)):
-        found = 0
+        total, own = 0.0, 0.0
         for g in range(len(R)):
-            if seen[pair_rows[g]] == h:
-                continue
+            if g > 0 and pair_rows[g] != pair_rows[g - 1]:
+                total, own = total + own, 0.0
             d2, trace = 0.0, 0.0
             for c in range(3):
                 d2 += (centers[h, c] - centers[g, c]) ** 2
-            if d2 > distance * distance:
+            if d2 > distance * distance or weights[g] <= own:
                 continue
             for a in range(3):
                 for b in range(3):
                     trace += R[h, a, b] * R[g, a, b]
             if trace > least_trace:
-                seen[pair_rows[g]] = h
-                found += 1
-        best = max(best, found)
+                own = weights[g]
+        best = max(best, total + own)
     return best

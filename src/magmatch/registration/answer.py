@@ -27,7 +27,7 @@ def by_evidence(
     found: SearchResult,
     ranked: list[PoseEvidence],
     config: DecisionConfig,
-    elsewhere: float = -np.inf,
+    lead: float = np.inf,
     chance: float | None = None,
 ) -> RegistrationResult:
     """Judge refined poses by their cells and state the answer in survey frames.
@@ -40,8 +40,8 @@ def by_evidence(
     ranked : list of PoseEvidence
         Best first.
     config : DecisionConfig
-    elsewhere : float, nats
-        Log evidence of the best pose in any other map.
+    lead : float, nats
+        Over the best pose in any other map.
     chance : float or None, nats
         Log evidence that the search reaches in places that do not exist (see `decoys`); None where not tried.
 
@@ -55,7 +55,7 @@ def by_evidence(
     best = ranked[0]
     lengthscale = min(base.lengthscale, target.lengthscale)
     rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * lengthscale)]
-    lead = best.log_evidence - max([e.log_evidence for e in rivals] + [elsewhere])
+    lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
     frame, center = target.T_map_model, best.pose.center
     free = (

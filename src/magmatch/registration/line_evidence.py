@@ -77,6 +77,8 @@ class LineEvidence:
         Normalised rms residual (1 when the covariance explains everything).
     is_covered : (n,) bool array
         Bins inside the base map.
+    log_unrelated : float, nats
+        Log density of the whole walk as an unrelated field, as this base's residuals would have it.
     """
 
     T_base_walk: RigidTransform
@@ -86,6 +88,12 @@ class LineEvidence:
     log_evidence: float
     residual: float
     is_covered: Mask
+    log_unrelated: float
+
+    @property
+    def log_density(self) -> float:
+        """Log density of the walk's field under this pose, comparable between bases (same bins), nats."""
+        return self.log_evidence + self.log_unrelated
 
 
 def weigh_walk(
@@ -161,14 +169,13 @@ class UnrelatedWalk:
         d2 = distance[np.ix_(some, some)] ** 2
         spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
         constant = float((walk.field**2).sum(axis=1).mean()) / 3
-        best, chosen = -np.inf, (1.0, spread2)
+        best, chosen = -np.inf, (length, spread2, noise.nugget_sd**2)
         for factor, strength in product(NULL_LENGTHSCALES, NULL_STRENGTHS):
-            scale, variance = factor * length, strength**2 * spread2
-            K = _unrelated_covariance(d2, scale, variance, constant, noise)
-            found = _log_likelihood(walk.field[some], K)
+            numbers = factor * length, strength**2 * spread2, noise.nugget_sd**2
+            found = _log_likelihood(walk.field[some], _unrelated_covariance(d2, *numbers, constant))
             if found > best:
-                best, chosen = found, (scale, variance)
-        return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant, noise))
+                best, chosen = found, numbers
+        return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant))
 
     def log_likelihood(self, rows: Mask) -> float:
         """Log density of some bins' field (the factor of 2 pi left out)."""
@@ -268,6 +275,7 @@ class _LeastSquares:
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
     """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
     found = []
+    log_unrelated = null.log_likelihood(np.ones(len(squares.walk), dtype=bool))
     price_per_bin = config.price_outside * squares.walk.bin_length / squares.length
     for k in range(len(fits.chi2)):
         known = fits.known[k]
@@ -293,6 +301,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
                 ),
                 residual=float(np.sqrt(fits.chi2[k] / (3 * known.sum() - 6))),
                 is_covered=known,
+                log_unrelated=log_unrelated,
             )
         )
     return found
@@ -332,9 +341,9 @@ def _strained(fits: _Fits, config: LineConfig) -> Matrix:
     return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
 
 
-def _unrelated_covariance(d2: Matrix, length: float, variance: float, constant: float, noise: PathNoise) -> Matrix:
+def _unrelated_covariance(d2: Matrix, length: float, variance: float, nugget: float, constant: float) -> Matrix:
     # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant + noise.nugget_sd**2 * np.eye(len(d2))
+    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant + nugget * np.eye(len(d2))
     return K
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from magmatch.typing import Indices
+from magmatch.typing import Indices, Matrix
 
 # Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
 LEAF = 24
@@ -67,8 +67,8 @@ class NeighbourTree:
             bounds += [(low, middle), (middle, high)]
         return cls(points[order], order, axes, values)
 
-    def query(self, targets: np.ndarray, k: int) -> Indices:
-        """Rows of the k nearest points of each target, nearest first.
+    def query(self, targets: np.ndarray, k: int) -> tuple[Indices, Matrix]:
+        """Rows of the k nearest points of each target, nearest first, and their squared distances.
 
         Parameters
         ----------
@@ -78,27 +78,28 @@ class NeighbourTree:
 
         Returns
         -------
-        (t, k) int array
+        rows : (t, k) int array
+        distance2 : (t, k) array
         """
         targets = np.ascontiguousarray(targets, dtype=np.float32)
         if k > len(self.points):
             msg = f"expected at most as many neighbours as points ({len(self.points)}), got {k}"
             raise ValueError(msg)
         found = np.zeros((len(targets), k), dtype=np.int64)
-        _query(self.points, self.axes, self.values, targets, found)
-        return np.asarray(self.rows[found], dtype=np.int64)
+        distance2 = np.full((len(targets), k), np.inf)
+        _query(self.points, self.axes, self.values, targets, found, distance2)
+        return np.asarray(self.rows[found], dtype=np.int64), distance2
 
 
 @njit(cache=True)
-def _query(points, axes, values, targets, found):  # type: ignore[no-untyped-def]
+def _query(points, axes, values, targets, found, distance2):  # type: ignore[no-untyped-def]
     n, d = points.shape
     k, n_inner = found.shape[1], len(axes)
     nodes, lows, highs = np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64)
     # Distance from the target to each waiting node's box, axis by axis.
-    gaps, near = np.zeros((MAX_DEPTH, d)), np.zeros(k)
-    gap = np.zeros(d)
+    gaps, gap = np.zeros((MAX_DEPTH, d)), np.zeros(d)
     for t in range(len(targets)):
-        near[:] = np.inf
+        near = distance2[t]
         nodes[0], lows[0], highs[0], n_waiting = 0, 0, n, 1
         gaps[0] = 0.0
         while n_waiting:

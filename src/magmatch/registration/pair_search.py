@@ -19,7 +19,7 @@ from magmatch.registration.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.scoring import Evidence, score_poses
 from magmatch.registration.walk import Walk
-from magmatch.typing import Indices, Points, Scalars, Tensors, Vectors
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -151,7 +151,8 @@ def pair_search(
     center, pt = walk.positions.mean(axis=0), (walk.positions[i] + walk.positions[j]) / 2
     sd = np.array([config.sd_rotation, config.sd_translation * table.length])
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
-    found = hypotheses(table, walk, i, j, n_neighbours)
+    similar, _ = similar_pairs(table, walk, i, j, n_neighbours)
+    found = hypotheses(table, walk, i, j, similar)
     R, pb, pair_rows = prior.narrow(found, pt, center, (sd[0], sd[1]), rng)
     if not len(R):
         return SearchResult()
@@ -198,30 +199,51 @@ def choose_pairs(
     return i[chosen].astype(np.int64), j[chosen].astype(np.int64)
 
 
-def hypotheses(
-    table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int
-) -> tuple[Tensors, Points, Indices]:
-    """Poses that put each of the walk's pairs onto its most similar base pairs.
+def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int) -> tuple[Indices, Matrix]:
+    """Base pairs whose invariants are nearest to those of each of the walk's pairs.
 
     Returns
     -------
-    rotations : (h, 3, 3) array
-    anchors_base : (h, 3) array, m
-        Where each pose puts the middle of its pair.
-    pair_rows : (h,) int array
-        Which pair each pose comes from.
+    rows : (n, k) int array
+        Rows of the table.
+    distance2 : (n, k) array
+        Squared distances in standard deviations.
     """
     invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
     k = min(n_neighbours, len(table.first))
-    whitened = whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm)
-    found = table.tree.query(whitened, k).ravel()
-    a, b = table.first[found], table.second[found]
-    rows = np.repeat(np.arange(len(i)), k)
+    return table.tree.query(whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm), k)
+
+
+def hypotheses(
+    table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices
+) -> tuple[Tensors, Points, Indices]:
+    """Poses that put each of the walk's pairs onto base pairs.
+
+    Parameters
+    ----------
+    table : PairTable
+    walk : Walk
+    i, j : (n,) int arrays
+        The walk's pairs.
+    similar : (n, k) int array
+        Base pairs of each, rows of the table.
+
+    Returns
+    -------
+    rotations : (n k, 3, 3) array
+    anchors_base : (n k, 3) array, m
+        Where each pose puts the middle of its pair.
+    pair_rows : (n k,) int array
+        Which pair each pose comes from.
+    """
+    a, b = table.first[similar.ravel()], table.second[similar.ravel()]
+    rows = np.repeat(np.arange(len(i)), similar.shape[1])
     i, j = i[rows], j[rows]
+    u = walk.positions[j] - walk.positions[i]
     R = align_pairs(
         (table.positions[b] - table.positions[a], table.field[a], table.field[b]),
-        (walk.positions[j] - walk.positions[i], walk.field[i], walk.field[j]),
-        invariants[rows, 0],
+        (u, walk.field[i], walk.field[j]),
+        np.linalg.norm(u, axis=1),
         table.sd_position,
         table.sd_field,
     )

@@ -45,8 +45,8 @@ class WeighedMap:
     ranked: list[PoseEvidence]
 
     @property
-    def log_evidence(self) -> float:
-        """Of the best pose; -inf where there is none."""
+    def log_density(self) -> float:
+        """Log evidence of the best pose; -inf where there is none. All bases share the unrelated field it is against."""
         return self.ranked[0].log_evidence if self.ranked else -np.inf
 
 
@@ -80,9 +80,7 @@ def search_map(
     return WeighedMap(base, target, prior, found, ranked)
 
 
-def judge_map(
-    weighed: WeighedMap, config: RegistrationConfig, seed: int, elsewhere: float = -np.inf
-) -> RegistrationResult:
+def judge_map(weighed: WeighedMap, config: RegistrationConfig, seed: int, lead: float = np.inf) -> RegistrationResult:
     """Accept or refuse the best pose.
 
     Parameters
@@ -90,8 +88,8 @@ def judge_map(
     weighed : WeighedMap
     config : RegistrationConfig
     seed : int
-    elsewhere : float, nats
-        Log evidence of the best pose in any other map.
+    lead : float, nats
+        Over the best pose in any other map.
 
     Returns
     -------
@@ -100,12 +98,12 @@ def judge_map(
 
     def judge(chance: float | None) -> RegistrationResult:
         w = weighed
-        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, elsewhere, chance)
+        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, lead, chance)
 
     answer = judge(None)
     # A rough pose leaves little to chance, and a mirror has none.
     is_searched = config.search != "keypoints" and weighed.prior.T_base_target is None
-    if answer.is_accepted and is_searched and weighed.log_evidence < config.decision.certain_log_evidence:
+    if answer.is_accepted and is_searched and weighed.log_density < config.decision.certain_log_evidence:
         return judge(_best_by_chance(weighed, config, seed))
     return answer
 

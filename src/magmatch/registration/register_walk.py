@@ -87,9 +87,9 @@ class WeighedWalk:
     ranked: list[LineEvidence]
 
     @property
-    def log_evidence(self) -> float:
-        """Of the best pose; -inf where there is none."""
-        return self.ranked[0].log_evidence if self.ranked else -np.inf
+    def log_density(self) -> float:
+        """Of the walk's field under the best pose, comparable between bases, nats; -inf where there is no pose."""
+        return self.ranked[0].log_density if self.ranked else -np.inf
 
 
 def register_walk(
@@ -116,13 +116,14 @@ def register_walk(
     -------
     RegistrationResult
     """
-    weighed = search_walk(index, target, config, rng, prior or PosePriorConfig(), index.base.raster.volume)
+    walk = walk_of(target, index.length)
+    weighed = search_walk(index, walk, config, rng, prior or PosePriorConfig(), index.base.raster.volume)
     return judge_walk(weighed, config)
 
 
 def search_walk(
     index: WalkIndex,
-    target: Survey,
+    walk: Walk,
     config: WalkConfig,
     rng: np.random.Generator,
     prior: PosePriorConfig,
@@ -132,7 +133,9 @@ def search_walk(
 
     Parameters
     ----------
-    index, target, config, rng, prior
+    index : WalkIndex
+    walk : Walk
+    config, rng, prior
         As of `register_walk`.
     volume : float, m^3
         Of the regions in which the walk is looked for, this base's or those of many.
@@ -141,7 +144,6 @@ def search_walk(
     -------
     WeighedWalk
     """
-    walk = walk_of(target, index.length)
     known = pose_prior(prior, index.base.T_map_model, walk.T_survey_walk, volume)
     found = pair_search(index.base, index.table, walk, known, config.search, rng)
     starts = [c.T_base_target for c in found.candidates]
@@ -149,15 +151,15 @@ def search_walk(
     return WeighedWalk(index, walk, found, ranked)
 
 
-def judge_walk(weighed: WeighedWalk, config: WalkConfig, elsewhere: float = -np.inf) -> RegistrationResult:
+def judge_walk(weighed: WeighedWalk, config: WalkConfig, lead: float = np.inf) -> RegistrationResult:
     """Accept or refuse the best pose.
 
     Parameters
     ----------
     weighed : WeighedWalk
     config : WalkConfig
-    elsewhere : float, nats
-        Log evidence of the best pose in any other map.
+    lead : float, nats
+        Over the best pose in any other map.
 
     Returns
     -------
@@ -165,5 +167,5 @@ def judge_walk(weighed: WeighedWalk, config: WalkConfig, elsewhere: float = -np.
     """
     index = weighed.index
     return by_line_evidence(
-        index.base, weighed.walk, weighed.found, weighed.ranked, index.length, config.decision, elsewhere
+        index.base, weighed.walk, weighed.found, weighed.ranked, index.length, config.decision, lead
     )

@@ -45,7 +45,7 @@ def by_line_evidence(
     ranked: list[LineEvidence],
     length: float,
     config: WalkDecisionConfig,
-    elsewhere: float = -np.inf,
+    lead: float = np.inf,
 ) -> RegistrationResult:
     """Judge weighed poses of a walk and state the answer in survey frames.
 
@@ -60,8 +60,8 @@ def by_line_evidence(
     length : float, m
         The base's field length.
     config : WalkDecisionConfig
-    elsewhere : float, nats
-        Log evidence of the best pose in any other map.
+    lead : float, nats
+        Over the best pose in any other map.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def by_line_evidence(
         return RegistrationResult(Status.UNINFORMATIVE, reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
     rivals = _distinct(ranked, SAME_PLACE * length)[1:]
-    lead = best.log_evidence - max([e.log_evidence for e in rivals] + [elsewhere])
+    lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [base.T_map_model * e.T_base_walk * walk.T_survey_walk.inv() for e in (best, *rivals)]
     # The base's own stretches show how its poses drift, not how far the walk's frame is off as a whole.
     covariance = best.covariance + np.diag([0.0] * 3 + [walk.pose_sd**2] * 3)
