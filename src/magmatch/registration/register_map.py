@@ -46,7 +46,7 @@ class WeighedMap:
 
     @property
     def log_density(self) -> float:
-        """Log evidence of the best pose; -inf where there is none. All bases share the unrelated field it is against."""
+        """Log evidence of the best pose, comparable between bases; -inf where there is none."""
         return self.ranked[0].log_evidence if self.ranked else -np.inf
 
 
