@@ -5,15 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_points
 from magmatch.registration.result import Links
 
 pytest.importorskip("plotly")
 
+from magmatch.viz.agreement_figures import along_figure
 from magmatch.viz.map_figures import field_figures, spread_figure
 from magmatch.viz.plotting import thinned
 from magmatch.viz.registration_figures import scene_figures, slice_figures
+from magmatch.viz.residuals import compare
 from magmatch.viz.slices import common_limits, cut_through
 from magmatch.viz.survey_figures import profile_figure, survey_figure
 
@@ -119,3 +122,16 @@ def test_every_axis_says_its_unit(pair):
 def test_names_are_text_not_markup(pair):
     survey = replace(pair.base, name="<a href='x'>b</a>")
     assert "<a" not in survey_figure(survey).layout.title.text
+
+
+def test_the_band_is_not_drawn_across_gaps(pair):
+    T = pair.accepted.T_base_target * RigidTransform.from_translation([0, 0, 0.15])
+    compared = compare(pair.base_map, pair.target_map, T, pair.accepted)
+    assert 0.1 < compared.overlap < 0.999
+    band = next(trace for trace in along_figure(compared).data if trace.fill == "toself")
+    pieces = np.split(band.x, np.flatnonzero(np.isnan(band.x)) + 1)
+    known = set(compared.rows[compared.is_known].tolist())
+    for piece in pieces:
+        rows = set(piece[np.isfinite(piece)].tolist())
+        assert rows <= known
+        assert not rows or max(rows) - min(rows) + 1 == len(rows)

@@ -15,7 +15,8 @@ import yaml
 
 from magmatch.data.survey import Survey
 from magmatch.errors import MissingExtraError
-from magmatch.registration.result import Alternative, RegistrationResult, Status
+from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
+from magmatch.viz.map_report import write_map_report
 from magmatch.viz.pages import write_view
 from magmatch.viz.plotting import require_plotly
 from magmatch.viz.report import write_report
@@ -145,12 +146,23 @@ def test_names_cannot_break_out_of_the_page(pair, tmp_path):
 def test_a_hundred_thousand_samples_stay_under_five_megabytes(pair, tmp_path):
     pytest.importorskip("plotly")
     rng = np.random.default_rng(0)
-    p = rng.uniform(0, 50, (100_000, 3))
+    p = rng.uniform(0, 2, (100_000, 3))
     large = Survey(p, rng.normal(3e-5, 5e-6, p.shape), times=np.arange(100_000.0), name="large.csv")
-    write_report(tmp_path / "r.html", large, large, pair.accepted)
-    write_view(tmp_path / "v.html", [large, large])
-    assert (tmp_path / "r.html").stat().st_size < LIMIT
-    assert (tmp_path / "v.html").stat().st_size < LIMIT
+    # All that a report can hold: maps, links, every direction free, other poses. The fit itself does not matter here.
+    base, target = (replace(m, survey=large) for m in (pair.base_map, pair.target_map))
+    free = tuple(DegenerateDirection(xi, "words") for xi in np.eye(6))
+    links = Links(p[:200], p[200:400])
+    others = (Alternative(pair.accepted.T_base_target, 0.5),) * 30
+    refused = replace(pair.refused, degenerate_directions=free, links=links, alternatives=others)
+    accepted = replace(pair.accepted, degenerate_directions=free, links=links, alternatives=others)
+    write_report(tmp_path / "r.html", base, target, refused)
+    write_report(tmp_path / "a.html", base, target, accepted)
+    write_map_report(tmp_path / "m.html", base, [large])
+    write_view(tmp_path / "v.html", [large, base])
+    for page in tmp_path.iterdir():
+        assert page.stat().st_size < LIMIT
+    assert "3000 of 100000 samples of large.csv drawn" in (tmp_path / "a.html").read_text()
+    assert "From 3000 of the target's 100000 samples" in unescape((tmp_path / "a.html").read_text())
 
 
 def test_a_map_is_viewed_as_in_its_report_and_names_may_repeat(pair, tmp_path):

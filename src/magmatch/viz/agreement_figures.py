@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from magmatch.field.map import FieldMap
-from magmatch.typing import Points
+from magmatch.typing import Indices, Points, Scalars
 from magmatch.viz.plotting import (
     BASE_COLOR,
     INK,
@@ -160,17 +160,15 @@ def along_figure(compared: Comparison) -> "Figure":
     x = for_display(compared.rows)
     for k in range(3):
         said = np.where(known, expected[:, k], np.nan)
-        bounds = (said - 2 * sd[:, k], said + 2 * sd[:, k])
-        styles: list[tuple[Any, dict[str, Any]]] = [
-            (bounds[0], {"line": {"width": 0}, "showlegend": False}),
-            (bounds[1], {"line": {"width": 0}, "showlegend": False, "fill": "tonexty", "fillcolor": "#C9D6E2"}),
-            (said, {"name": "base map", "line": {"color": BASE_COLOR, "dash": "dash", "width": 2.5}}),
-            (measured[:, k], {"name": "measured", "line": {"color": TARGET_COLOR, "width": 1}}),
+        across, up = _band(compared.rows[known], said[known] - 2 * sd[known, k], said[known] + 2 * sd[known, k])
+        styles: list[tuple[Any, Any, dict[str, Any]]] = [
+            (across, up, {"line": {"width": 0}, "fill": "toself", "fillcolor": "#C9D6E2", "showlegend": False}),
+            (x, said, {"name": "base map", "line": {"color": BASE_COLOR, "dash": "dash", "width": 2.5}}),
+            (x, measured[:, k], {"name": "measured", "line": {"color": TARGET_COLOR, "width": 1}}),
         ]
-        for values, style in styles:
+        for along, values, style in styles:
             drawn = {"mode": "lines", "hoverinfo": "skip", "showlegend": k == 0} | style
-            trace = go.Scatter(x=x, y=for_display(values), **drawn)
-            figure.add_trace(trace, row=k + 1, col=1)
+            figure.add_trace(go.Scatter(x=along, y=for_display(values), **drawn), row=k + 1, col=1)
         figure.update_yaxes(title_text=f"b{'xyz'[k]} (uT)", gridcolor="white", zeroline=False, row=k + 1, col=1)
     figure.update_xaxes(title_text="sample", gridcolor="white", zeroline=False, row=3, col=1)
     figure.update_layout(height=480, legend={"y": -0.12})
@@ -180,6 +178,15 @@ def along_figure(compared: Comparison) -> "Figure":
         f"Three panels, bx, by and bz over the target's samples: measured (line) and from the base map (dashes) "
         f"differ by {rms:.3g} uT root mean square in the overlap.",
     )
+
+
+def _band(rows: Indices, low: Scalars, high: Scalars) -> tuple[Scalars, Scalars]:
+    """Outline of a band over rows, one closed piece for each run without a gap."""
+    step = int(np.median(np.diff(rows))) if len(rows) > 1 else 1
+    runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1.5 * step) + 1)
+    x = [np.concatenate([rows[run], rows[run][::-1], [np.nan]]) for run in runs]
+    y = [np.concatenate([low[run], high[run][::-1], [np.nan]]) for run in runs]
+    return np.concatenate(x), np.concatenate(y)
 
 
 def _seen(cut: Cut, p: Points, name: str, **marker: Any) -> Any:

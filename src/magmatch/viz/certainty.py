@@ -93,6 +93,16 @@ def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirec
     return transform_points(p_target, T_base_target * exp_se3(free.xi * (reach / max(longest, 1e-300))))
 
 
+def length_text(metres: float) -> str:
+    """A length in the unit that a reader can picture."""
+    return f"{1e3 * metres:.3g} mm" if metres < 0.9995 else f"{metres:.3g} m"
+
+
+def angle_text(radians: float) -> str:
+    """An angle in degrees."""
+    return f"{np.rad2deg(radians):.3g} deg"
+
+
 def direction_words(v: Vector3) -> str:
     """Name a direction of the base: an axis where it is near one, else its components."""
     v = v / np.linalg.norm(v)

@@ -60,10 +60,10 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
     for k, (half, direction) in enumerate(zip(scale * ellipsoid.half_axes, ellipsoid.directions, strict=True)):
         end = np.asarray(half * direction)[None]
         line = {"color": TARGET_COLOR, "width": 6, "dash": DASHES[k]}
-        name = f"{half:.2g} {unit} along {direction_words(direction)}"
+        name = f"{half:.3g} {unit} along {direction_words(direction)}"
         traces.append(lines3d(-end, end, name=name, line=line))
     figure = new_scene(title, traces, note, unit=unit)
-    halves = ", ".join(f"{scale * h:.2g}" for h in ellipsoid.half_axes)
+    halves = ", ".join(f"{scale * h:.3g}" for h in ellipsoid.half_axes)
     return described(
         figure,
         f"{title}: an ellipsoid that holds the truth with {LEVEL:.0%} probability; half axes {halves} {unit}, "

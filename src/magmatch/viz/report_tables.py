@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
-from magmatch.viz.certainty import LEVEL, Ellipsoid, direction_words, ellipsoids_at
+from magmatch.viz.certainty import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure
 from magmatch.viz.page import Section, figure_row, note, paragraph, subheading, table, to_copy
 from magmatch.viz.registration_figures import shown_pose
@@ -31,8 +31,8 @@ def figures_table(result: RegistrationResult) -> str:
         rows.append(["Normalised residual", f"{result.residual:.2f} (1: model and noise explain all)"])
     if result.fitness is not None:
         rows.append(["Fitness", f"{result.fitness:.3g} (cross product of aligned vectors)"])
-    matches = f"{result.n_inliers} inliers of {result.n_correspondences} correspondences"
-    rows.append(["Matches", f"{matches}, {result.n_keypoints} keypoints"])
+    rows.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
+    rows.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
     if result.probability is None:
         rows.append(["Probability", "not computed"])
     rows += _sensor(result.sensor or {})
@@ -162,11 +162,11 @@ def turn_words(T: RigidTransform) -> str:
 
 
 def _ellipsoid_words(place: Ellipsoid, turn: Ellipsoid) -> str:
-    shift, angle = MM * place.half_axes, DEG * turn.half_axes
+    shift = [length_text(half) for half in place.half_axes]
     return (
-        f"With {LEVEL:.0%} probability the target's centroid lies within {shift[0]:.2g} mm of where the transform "
-        f"puts it, least sure along {direction_words(place.directions[0])} and within {shift[2]:.2g} mm across; it "
-        f"is turned within {angle[0]:.2g} deg, least sure about {direction_words(turn.directions[0])}."
+        f"With {LEVEL:.0%} probability the target's centroid lies within {shift[0]} of where the transform "
+        f"puts it, least sure along {direction_words(place.directions[0])} and within {shift[2]} across; it "
+        f"is turned within {angle_text(turn.half_axes[0])}, least sure about {direction_words(turn.directions[0])}."
     )
 
 
