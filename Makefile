@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 TEST_ENV := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 WORKERS ?= 2
 
-.PHONY: setup demo test fuzz harden check bench docs tutorial clean
+.PHONY: setup demo test fuzz harden check bench docs tutorial screenshots clean
 
 setup: $(STAMP)
 
@@ -53,6 +53,10 @@ docs: setup
 # Runs every command of the tutorial and writes what it prints into the page.
 tutorial: setup
 	$(BIN)/python tests/run_tutorial.py
+
+# Takes the pictures of docs/viewing.md anew; needs Chromium.
+screenshots: setup
+	$(BIN)/python tests/take_screenshots.py
 
 clean:
 	rm -rf $(VENV) build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis

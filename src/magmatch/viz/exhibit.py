@@ -160,10 +160,10 @@ def sheet(field_map: FieldMap, cut: Cut, quantity: str, limits: tuple[float, flo
 
 
 def box_of(shown: Exhibit) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of all parts as recorded and registered, base frame."""
+    """Lowest and highest corner of all parts, the target where it belongs, base frame."""
     p = [part.survey.positions[thinned(len(part.survey), 2000)] for part in shown.parts]
     if shown.T_base_target is not None:
-        p.append(shown.T_base_target.apply(p[-1]))
+        p[-1] = shown.T_base_target.apply(p[-1])
     everything = np.concatenate(p)
     return everything.min(axis=0), everything.max(axis=0)
 

@@ -179,7 +179,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
         )  # fmt: skip
     ends[1] = ends[1] + shift
     traces += [
-        _links_on_plane(*ends),
+        *_links_on_plane(*ends),
         hollow_marks(ends[0], "keypoints of base", "square"),
         hollow_marks(ends[1], "keypoints of target", TARGET_MARKER),
     ]
@@ -233,11 +233,16 @@ def _on_cut(cut: Cut, p: Points) -> np.ndarray:
     return p[:, list(cut.axes[:2])]
 
 
-def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> Any:
+def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
+    """Dark dots on a white line, which show on any colour."""
     gaps = np.full_like(starts, np.nan)
     x, y = for_display(np.stack([starts, ends, gaps], axis=1).reshape(-1, 2)).T
-    line = {"color": INK, "width": 1, "dash": "dot"}
-    return require_plotly().Scatter(x=x, y=y, name="links", mode="lines", line=line, hoverinfo="skip")
+    halo, line = {"color": "white", "width": 2.5}, {"color": INK, "width": 1.5, "dash": "dot"}
+    draw = require_plotly().Scatter
+    return [
+        draw(x=x, y=y, mode="lines", line=halo, hoverinfo="skip", showlegend=False),
+        draw(x=x, y=y, mode="lines", line=line, hoverinfo="skip", name="links"),
+    ]
 
 
 def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, link_target: Points) -> list[Any]:

@@ -89,9 +89,9 @@ def _furnish(server: Any, shown: Exhibit) -> None:
     size = max(float(np.linalg.norm(high - low)), 1e-3)
     center = (low + high) / 2
     server.initial_camera.look_at = tuple(center)
-    server.initial_camera.position = tuple(center + size * np.array([0.35, -0.6, 0.5]))
+    server.initial_camera.position = tuple(center + size * np.array([0.42, -0.72, 0.6]))
     server.gui.add_markdown("  \n".join(shown.words))
-    frames = {part.name: _frame(server, f"/{part.name}", 0.08 * size) for part in shown.parts}
+    frames = {part.name: _frame(server, f"/{part.name}", 0.04 * size) for part in shown.parts}
     if shown.result is not None:
         _add_links(server, shown, frames["target"], size)
     _add_samples(server, shown, POINT_SHARE * size)

@@ -21,8 +21,8 @@ NEXT_STEPS = {
     Status.ACCEPTED: (
         "Use it: 'magmatch transform TARGET --by RESULT.json --out ALIGNED.csv' moves the target, 'magmatch convert "
         "RESULT.json' writes it for g2o, TUM or ROS.",
-        "Look at the residuals below: they should be about 1 everywhere. A patch that stands out is iron that was "
-        "moved between the surveys, or a gap in the base.",
+        "Look at the residuals below: 1 or less nearly everywhere is as it should be. A patch that stands out is "
+        "iron that was moved between the surveys, or a gap in the base.",
     ),
     Status.AMBIGUOUS: (
         "Look at the other poses below: if you know roughly where the target was, you can tell which one it is. Cut "

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Take the pictures of docs/viewing.md anew: reports and the viewer, in a headless Chromium.
+
+Run: make screenshots
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import sleep
+
+from browser import Browser, find_browser
+from magmatch.cli.main import main as magmatch
+from magmatch.field.map import FieldMap
+from magmatch.registration.result import RegistrationResult
+from magmatch.viz.exhibit import exhibit
+from magmatch.viz.report import write_report
+from magmatch.viz.viewer import address_of, serve
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+SCENARIO, SEED = "office-overlap", "4"
+# Scenes are drawn in software, which takes a moment longer than the page says.
+SETTLING = 3.0
+CLIPPED = "main > section:nth-of-type({})"
+NOTICE = "document.querySelectorAll('.mantine-Notification-root').forEach(n => n.remove())"
+
+
+def main() -> None:
+    path = find_browser()
+    if path is None:
+        sys.exit("needs Chromium")
+    with TemporaryDirectory() as name, Browser(path, patience=180.0) as browser:
+        folder = Path(name)
+        base, target, result = registered(folder)
+        write_report(folder / "r.html", base, target, result)
+        on_a_desk(browser, folder / "r.html")
+        on_a_phone(browser, folder / "r.html")
+        of_a_map(browser, folder / "map.html")
+        of_the_viewer(browser, base, target, result)
+
+
+def registered(folder: Path) -> tuple[FieldMap, FieldMap, RegistrationResult]:
+    """A pair that overlaps in part, its maps, and the result."""
+    magmatch(["simulate", SCENARIO, "--seed", SEED, "--out", str(folder / "pair")])
+    for side in ("base", "target"):
+        words = ["map", str(folder / "pair" / f"{side}.csv"), "--out", str(folder / f"{side}.map")]
+        magmatch([*words, "--report", str(folder / "map.html")] if side == "base" else words)
+    maps = [str(folder / f"{side}.map") for side in ("base", "target")]
+    magmatch(["register", *maps, "--out", str(folder / "result.json")])
+    loaded = [FieldMap.load(path) for path in maps]
+    return loaded[0], loaded[1], RegistrationResult.load(folder / "result.json")
+
+
+def on_a_desk(browser: Browser, page: Path) -> None:
+    """The report, section by section."""
+    open_page(browser, page, 1100, 1000)
+    take(browser, "report", clip=None)
+    for name, number in (("report-field", 3), ("report-residuals", 4), ("report-certainty", 5)):
+        take(browser, name, clip=CLIPPED.format(number))
+
+
+def on_a_phone(browser: Browser, page: Path) -> None:
+    """The top of the report, and its scenes."""
+    open_page(browser, page, 390, 844)
+    take(browser, "report-phone", clip=None)
+    browser.evaluate("document.querySelectorAll('h2')[2].scrollIntoView()")
+    sleep(SETTLING)
+    take(browser, "report-phone-field", clip=None)
+
+
+def of_a_map(browser: Browser, page: Path) -> None:
+    """A map's report."""
+    open_page(browser, page, 1100, 1000)
+    take(browser, "map-report", clip=None)
+
+
+def of_the_viewer(browser: Browser, base: FieldMap, target: FieldMap, result: RegistrationResult) -> None:
+    """The live viewer."""
+    with serve(exhibit([base, target], result), port=18_900) as server:
+        browser.open(address_of(server), 1200, 760)
+        sleep(12 * SETTLING / 3)
+        browser.evaluate(NOTICE)  # it says that there is no graphics card
+        sleep(1)
+        take(browser, "viewer", clip=None)
+
+
+def open_page(browser: Browser, page: Path, width: int, height: int) -> None:
+    browser.open(page, width, height)
+    browser.wait_for("document.body.dataset.drawn")
+    sleep(SETTLING)
+
+
+def take(browser: Browser, name: str, clip: str | None) -> None:
+    browser.screenshot(IMAGES / f"{name}.webp", clip=clip, quality=72)
+
+
+if __name__ == "__main__":
+    main()
