@@ -21,6 +21,7 @@ def evidence(**changes):
         "good_share": 0.95,
         "log_evidence": 200.0,
         "residual": 1.0,
+        "misfit": 0.6,
     }
     return SimpleNamespace(**(good | changes))
 
@@ -41,6 +42,18 @@ def evidence(**changes):
 )
 def test_each_check_gives_its_own_status(changes, is_free, lead, status):
     assert decide([evidence(**changes)], is_free, lead, None, CONFIG).status is status
+
+
+def test_odds_that_mirror_images_reach_are_chance_and_more_is_asked_of_a_pose_that_leaves_residuals():
+    assert decide([evidence(log_evidence=40.0)], False, np.inf, 20.0, CONFIG).status is Status.ACCEPTED
+    assert decide([evidence(log_evidence=40.0)], False, np.inf, 30.0, CONFIG).status is Status.INCONSISTENT
+    left = evidence(log_evidence=40.0, misfit=3.0)
+    assert decide([left], False, np.inf, 20.0, CONFIG).status is Status.INCONSISTENT
+
+
+def test_poses_that_explain_the_field_equally_well_are_ambiguous_however_much_there_is_to_explain():
+    assert decide([evidence(log_evidence=400.0)], False, 30.0, None, CONFIG).status is Status.AMBIGUOUS
+    assert decide([evidence(log_evidence=400.0)], False, 200.0, None, CONFIG).status is Status.ACCEPTED
 
 
 def test_uncertainty_is_said_where_the_target_lies_not_at_a_far_origin():

@@ -13,6 +13,7 @@ from magmatch.registration.decision import DecisionConfig, decide, decide_by_fit
 from magmatch.registration.evidence import PoseEvidence
 from magmatch.registration.fitness import Fitness, mean_misalignment
 from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.probability import pose_probability, shares
 from magmatch.registration.result import Alternative, Links, RegistrationResult, Status
 
 # Poses nearer than this are one answer: rad, and in lengthscales.
@@ -55,6 +56,7 @@ def by_evidence(
     best = ranked[0]
     lengthscale = min(base.lengthscale, target.lengthscale)
     rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * lengthscale)]
+    elsewhere = best.log_evidence - lead
     lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
     frame, center = target.T_map_model, best.pose.center
@@ -71,6 +73,7 @@ def by_evidence(
         else ()
     )
     verdict = decide(ranked, bool(free) or best.covariance is None, lead, chance, config)
+    probabilities = _probabilities(best, rivals, elsewhere, chance)
     is_accepted = verdict.status is Status.ACCEPTED
     covariance = None if best.covariance is None else to_survey_axes(best.covariance, center, frame)
     return RegistrationResult(
@@ -78,11 +81,15 @@ def by_evidence(
         reason=verdict.reason,
         T_base_target=poses[0] if is_accepted else None,
         covariance=covariance if is_accepted else None,
+        probability=probabilities[0],
         overlap=best.overlap,
         # A unique answer has no alternatives; a refusal shows what was considered, best first.
         alternatives=()
         if is_accepted
-        else tuple(Alternative(T, log_odds=e.log_evidence) for T, e in zip(poses, [best, *rivals], strict=True)),
+        else tuple(
+            Alternative(T, probability, log_odds=e.log_evidence)
+            for T, probability, e in zip(poses, probabilities, [best, *rivals], strict=True)
+        ),
         evidence=_statistics(best, lead, chance),
         degenerate_directions=free,
         sensor=_sensor(best, target),
@@ -128,6 +135,15 @@ def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionCon
         n_correspondences=found.n_correspondences,
         links=found.links,
     )
+
+
+def _probabilities(
+    best: PoseEvidence, rivals: list[PoseEvidence], elsewhere: float, chance: float | None
+) -> list[float]:
+    """Of the best pose and its rivals; what another map holds counts as one more."""
+    explained = pose_probability(best.log_evidence, chance, best.misfit, best.good_share)
+    odds = [best.log_evidence, *(e.log_evidence for e in rivals)]
+    return [explained * share for share in shares([*odds, elsewhere])[: len(odds)]]
 
 
 def _statistics(best: PoseEvidence, lead: float, chance: float | None) -> dict[str, float | None]:

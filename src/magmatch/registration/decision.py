@@ -34,7 +34,10 @@ class DecisionConfig(BaseModel):
     min_relative_lead: float = Field(default=0.25, ge=0)
     # By how much the odds must exceed what the same search reaches in places that do not exist (`decoys.py`), nats;
     # and odds that chance never comes near, for which this is not tried.
-    min_decoy_lead: float = 20.0
+    min_decoy_lead: float = 15.0
+    # How much more where the cells' residuals exceed what noise and maps explain, nats per factor e: residuals that
+    # nothing explains may hide a wrong pose.
+    misfit_price: float = Field(default=10.0, ge=0)
     certain_log_evidence: float = 150.0
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
     max_sd_rotation: float = Field(default=0.06, gt=0)
@@ -117,11 +120,12 @@ def _refusals(
             f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
             "survey a larger common area",
         )
-    if chance is not None and best.log_evidence < chance + config.min_decoy_lead:
+    needed = config.min_decoy_lead + config.misfit_price * float(np.log(max(best.misfit, 1.0)))
+    if chance is not None and best.log_evidence < chance + needed:
         yield Verdict(
             Status.INCONSISTENT,
             f"the best pose has {best.log_evidence:.0f} nats of evidence, and mirror images of the base, which are "
-            f"nowhere, reach {chance:.0f} (needs {config.min_decoy_lead:.0f} more): probably chance; "
+            f"nowhere, reach {chance:.0f} (needs {needed:.0f} more): probably chance; "
             "survey a larger common area",
         )
     needed = max(config.min_lead, config.min_relative_lead * best.log_evidence)

@@ -4,6 +4,7 @@
 import logging
 
 import numpy as np
+from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -95,10 +96,14 @@ def invariant_search(
         return SearchResult()
     # Most hypotheses are wrong, and a few samples say so.
     few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
-    for judges, n_kept in ((few, config.n_second), (rows, config.n_coarse)):
-        scores = score_poses(R, pb, anchor_rows, pt, judges, evidence, base, sd[0], sd[1], config.outlier_share)
-        best = np.argsort(-scores, kind="stable")[:n_kept]
-        R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
+    scores = score_poses(R, pb, anchor_rows, pt, few, evidence, base, sd[0], sd[1], config.outlier_share)
+    best = np.argsort(-scores, kind="stable")[: config.n_second]
+    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
+    scores = score_poses(R, pb, anchor_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
+    # A pose that fits a strong corner of the base comes in hundreds of copies, which would leave no room for others.
+    moved = _carry(center, R, pb, pt[anchor_rows])
+    best = distinct_poses(R, moved, scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
+    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
 
     log.info("refining the best hypotheses")
     schedule = np.outer(COARSE_SCHEDULE, sd)
@@ -191,16 +196,29 @@ def distinct_poses(
     (k,) int array
         Rows, best first.
     """
-    kept: list[int] = []
-    for row in np.argsort(-scores, kind="stable"):
-        R_kept = rotations[kept]
-        cosine = (np.einsum("nij,ij->n", R_kept, rotations[row]) - 1) / 2
-        is_near = np.linalg.norm(centers[kept] - centers[row], axis=1) < distance
-        if not np.any((cosine > np.cos(angle)) & is_near):
-            kept.append(int(row))
-        if len(kept) >= limit:
-            break
-    return np.asarray(kept, dtype=np.int64)
+    order = np.argsort(-scores, kind="stable")
+    kept = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, limit)
+    return np.asarray(order[kept], dtype=np.int64)
+
+
+@njit(cache=True)
+def _first_distinct(R, centers, trace, distance2, limit):  # type: ignore[no-untyped-def]
+    """Rows in order that no kept row before them resembles: trace of the relative rotation, squared distance."""
+    kept = np.zeros(min(limit, len(R)), dtype=np.int64)
+    n = 0
+    for row in range(len(R)):
+        is_new = True
+        for k in range(n):
+            d2 = ((centers[kept[k]] - centers[row]) ** 2).sum()
+            if d2 < distance2 and (R[kept[k]] * R[row]).sum() > trace:
+                is_new = False
+                break
+        if is_new:
+            kept[n] = row
+            n += 1
+            if n == len(kept):
+                break
+    return kept[:n]
 
 
 def align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.lib.stride_tricks import sliding_window_view
 
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
@@ -15,6 +16,9 @@ from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 MAX_POINTS = 1_500_000
 # Least share of the map's own samples that its raster must know.
 MIN_COVERED = 0.95
+# Of the raster's cells that touch what the map knows, the share whose corners are all known: around a line most are
+# not, and half of what the map knows would be lost. Rasters are made finer for that up to so many known points.
+MIN_WHOLE, FEW_POINTS = 0.7, 20_000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,6 +43,12 @@ class Raster:
     def volume(self) -> float:
         """Volume of the region that the map knows, m^3."""
         return float((self.sd >= 0).sum() * self.spacing**3)
+
+    @property
+    def whole_share(self) -> float:
+        """Of the cells with a known corner, the share that can be looked up."""
+        corners = sliding_window_view(self.sd >= 0, (2, 2, 2)).sum(axis=(3, 4, 5))
+        return float((corners == 8).sum() / max((corners > 0).sum(), 1))
 
     def lookup(self, points: Points) -> tuple[Vectors, Scalars, Tensors, Mask]:
         """Field, spread and gradient at points, by trilinear interpolation.
@@ -82,8 +92,10 @@ def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Rast
     while True:
         raster = _rasterize(field_map, samples, spacing, draws)
         *_, is_known = raster.lookup(samples)
-        # A thin layer of known field may fall between the points of a coarse grid.
-        if is_known.mean() > MIN_COVERED or raster.spacing > spacing or raster.sd.size > MAX_POINTS / 8:
+        # A thin layer of known field may fall between the points of a coarse grid, a line lose its surroundings.
+        is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_POINTS / 8
+        is_ragged = raster.whole_share < MIN_WHOLE and 8 * (raster.sd >= 0).sum() < FEW_POINTS
+        if raster.spacing > spacing or not (is_lost or is_ragged):
             return raster
         spacing /= 2
 

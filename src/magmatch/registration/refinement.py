@@ -42,8 +42,10 @@ class RefinementConfig(BaseModel):
     n_samples: int = Field(default=1200, ge=MIN_SAMPLES)
     # Most Gauss-Newton steps.
     n_steps: int = Field(default=20, ge=1)
-    # Best candidates to refine and compare.
+    # Best candidates to refine and compare, and more of them while none has this much evidence, nats.
     n_candidates: int = Field(default=4, ge=1)
+    n_more_candidates: int = Field(default=4, ge=0)
+    clear_log_evidence: float = 50.0
     # What may differ between the two magnetometers.
     sensor: SensorConfig = Field(default_factory=SensorConfig)
 

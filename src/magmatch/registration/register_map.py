@@ -142,17 +142,22 @@ def _refine_and_rank(
     seed: int,
 ) -> list[PoseEvidence]:
     """Refine the best candidates and order them by their evidence."""
-    starts: list[RigidTransform] = [c.T_base_target for c in found.candidates[: config.refinement.n_candidates]]
+    settings = config.refinement
+    starts: list[RigidTransform] = [c.T_base_target for c in found.candidates]
     unrelated = unrelated_field(base, target)
-    tightest, *wider = levels_to_try(config.refinement.sensor)
+    tightest, *wider = levels_to_try(settings.sensor)
 
     def weigh(start: RigidTransform, level: int) -> PoseEvidence:
-        pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)
+        pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
         return weigh_pose(base, target, pose, unrelated, prior)
 
-    ranked = sorted((weigh(start, tightest) for start in starts), key=lambda e: -e.log_evidence)
+    ranked = [weigh(start, tightest) for start in starts[: settings.n_candidates]]
+    if max((e.log_evidence for e in ranked), default=-np.inf) < settings.clear_log_evidence:
+        more = starts[settings.n_candidates : settings.n_candidates + settings.n_more_candidates]
+        ranked += [weigh(start, tightest) for start in more]
+    ranked.sort(key=lambda e: -e.log_evidence)
     for level in wider if ranked else ():
         best = weigh(ranked[0].pose.T_base_target, level)
-        if best.log_evidence > ranked[0].log_evidence + config.refinement.sensor.min_gain:
+        if best.log_evidence > ranked[0].log_evidence + settings.sensor.min_gain:
             ranked[0] = best
     return ranked

@@ -1,0 +1,224 @@
+"""Match surveys of one place and of different places; fit or check the probability that results state.
+
+    python benchmarks/experiments/calibrate_probability.py --out DIR [--first 2000] [--seeds 3] [--cross 400]
+        [--from RECORDINGS] [--fit]
+
+Rooms of many kinds (overlaps, noises, sample counts, furniture, moved furniture, planes, hand-held and robot surveys)
+are simulated, areas of a building and robots' runs are cut from public recordings, and all are mapped. Each pair of
+one place is registered, and so are ``--cross`` pairs of surveys of different places: every map meets many others, so
+wrong answers are cheap to look for. Maps and rows stay in DIR; a second run goes on where the first ended. Prints how
+many
+wrong answers were accepted and how often poses of each stated probability were right; with ``--fit``, the weights for
+`magmatch.registration.probability` (then report on other seeds).
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+
+import magmatch as mm
+from magmatch.data.recordings import load_recordings
+from magmatch.data.survey import Survey
+from magmatch.geometry import random_transform, transform_error
+from magmatch.registration.config import PRESETS
+from magmatch.registration.probability import features
+from magmatch.simulation.config import SimulationConfig
+
+LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+ROOM = SimulationConfig(room_size=(3.0, 3.0, 0.6))
+CONDITIONS: dict[str, tuple[str, dict[str, object]]] = {
+    "full": ("office-random", {}),
+    "overlap-50": ("office-random", {"overlap": 0.5}),
+    "overlap-30": ("office-random", {"overlap": 0.3}),
+    "overlap-15": ("office-random", {"overlap": 0.15}),
+    "noise-5uT": ("office-random", {"noise_sd": 5e-6}),
+    "samples-400": ("office-random", {"n_samples": 400}),
+    "pose-3cm": ("office-random", {"pose_noise_sd": 0.03}),
+    "pose-10cm": ("office-random", {"pose_noise_sd": 0.1}),
+    "sensor": ("office-random", {"bias": (1.2e-6, -1.2e-6, 1e-6), "scale": 0.03}),
+    "moved": ("office-random", {"moved_sources": 0.15}),
+    "inside": ("office-inside", {}),
+    "planar": ("planar", {}),
+    "hand-held": ("office-hand-held", {}),
+    "robot": ("office-robot", {}),
+    "uniform": ("uniform", {}),
+}
+# A pose is right within this of the truth.
+MAX_DEG = 3.0
+# Decoys are tried from here on, so that the model sees what they say of doubtful poses.
+SETTINGS = PRESETS["default"].model_copy(
+    update={"decision": PRESETS["default"].decision.model_copy(update={"min_log_evidence": 5.0})}
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Two surveys of one place: what they are called, where they are, and how far an answer may be off."""
+
+    name: str
+    site: str  # surveys of one site may overlap
+    pair: tuple[Survey, Survey]
+    T_base_target: object
+    max_m: float
+
+
+def simulated(first: int, n: int) -> Iterator[Place]:
+    """Rooms of every kind; rooms of one seed share their structures."""
+    for seed in range(first, first + n):
+        for name, (scenario, changes) in CONDITIONS.items():
+            pair = mm.simulate(scenario, seed, ROOM.model_copy(update=changes))
+            yield Place(f"{name}-{seed}", f"room {seed}", (pair.base, pair.target), pair.T_base_target, 0.06)
+
+
+def recorded(source: Path | None, n_areas: int, seed: int) -> Iterator[Place]:
+    """Areas of two walks through a building, a robot's runs, halves of a hand-held survey."""
+    rng = np.random.default_rng(seed)
+    cea, aalto, jidling = (load_recordings(name, source) for name in ("cea", "aalto", "jidling"))
+    pairs = []
+    for floor in (1, 2):
+        one, two = cea[f"training-floor{floor}"], cea[f"test-floor{floor}"]
+        while sum(site == f"cea {floor}" for _, site, *_ in pairs) < n_areas:
+            center, side = two.positions[rng.integers(len(two)), :2], rng.uniform(8, 18)
+            cut = [s.subset(np.all(np.abs(s.positions[:, :2] - center) < side / 2, axis=1)) for s in (one, two)]
+            if min(len(c) for c in cut) >= 300:
+                pairs.append((f"cea-{floor}-{len(pairs)}-{seed}", f"cea {floor}", *cut, 0.25))
+    for one, two in (
+        ("invensense-1", "invensense-2"),
+        ("invensense-1", "trivisio-2"),
+        ("invensense-2", "invensense-4"),
+    ):
+        pairs.append((f"aalto-{one}-{two}", "motion capture", aalto[one], aalto[two], 0.1))
+    half = np.arange(len(jidling["volume"])) < len(jidling["volume"]) // 2
+    pairs.append(("jidling", "motion capture", *(jidling["volume"].subset(h) for h in (half, ~half)), 0.06))
+    for name, site, base, target, max_m in pairs:
+        T = random_transform(rng)
+        yield Place(name, site, (base, target.transformed(T.inv())), T, max_m)
+
+
+def mapped(place: Place, folder: Path) -> tuple[mm.FieldMap, mm.FieldMap]:
+    """Maps of both surveys, made once."""
+    found = []
+    for side, survey in zip(("base", "target"), place.pair, strict=True):
+        path = folder / f"{place.name}.{side}.map"
+        if not path.exists():
+            mm.build_map(survey).save(path)
+        found.append(mm.FieldMap.load(path))
+    return found[0], found[1]
+
+
+def row_of(name: str, result: mm.RegistrationResult, is_right: bool) -> dict[str, object]:
+    """What is kept of one registration."""
+    return {
+        "name": name,
+        "is_right": bool(is_right),
+        "status": result.status.value,
+        "probability": result.probability,
+        **{key: value for key, value in result.evidence.items() if value is None or np.isfinite(value)},
+    }
+
+
+def rows(places: list[Place], n_cross: int, seed: int, folder: Path) -> list[dict[str, object]]:
+    """Register pairs of one place, then of different ones; rows already in the folder are not made again."""
+    path = folder / "rows.jsonl"
+    known = {r["name"]: r for r in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
+    rng, found, maps = np.random.default_rng(seed), [], {}
+
+    def keep(name: str, register: object) -> None:
+        if name not in known:
+            known[name] = register()  # type: ignore[operator]
+            with path.open("a") as stream:
+                stream.write(json.dumps(known[name]) + "\n")
+        found.append(known[name])
+
+    def true_pair(place: Place) -> dict[str, object]:
+        result = mm.register(*maps[place.name], SETTINGS)
+        best = result.T_base_target
+        if best is None and result.alternatives:
+            best = result.alternatives[0].T_base_target
+        distance, angle = (
+            (np.inf, np.inf) if best is None else transform_error(best, place.T_base_target, place.pair[1].centroid)
+        )
+        return row_of(place.name, result, distance < place.max_m and np.degrees(angle) < MAX_DEG)
+
+    for place in places:
+        maps[place.name] = mapped(place, folder)
+        if not place.name.startswith("uniform"):
+            keep(place.name, lambda place=place: true_pair(place))
+    for _ in range(n_cross):
+        while True:
+            i, j = rng.choice(len(places), 2)
+            if places[i].site != places[j].site:
+                break
+        a, b = rng.integers(2, size=2)
+        name = f"{places[i].name}[{a}] / {places[j].name}[{b}]"
+        pair = maps[places[i].name][a], maps[places[j].name][b]
+        keep(name, lambda name=name, pair=pair: row_of(name, mm.register(*pair, SETTINGS), False))
+    return found
+
+
+def fit(data: list[dict[str, object]]) -> np.ndarray:
+    """Weights of the logistic model, by maximum likelihood with a weak Gaussian prior (standard deviation 5)."""
+    X = np.array([features(*statistics(r)) for r in data])
+    y = np.array([r["is_right"] for r in data], dtype=float)
+
+    def loss(w: np.ndarray) -> float:
+        z = X @ w
+        return float((np.logaddexp(0, z) - y * z).sum() + 0.5 * (w**2).sum() / 25)
+
+    return np.asarray(minimize(loss, np.zeros(X.shape[1]), method="BFGS").x)
+
+
+def statistics(row: dict[str, object]) -> tuple[float, float | None, float, float]:
+    """Arguments of `features` in a row."""
+    return row["log_odds"], row["decoy_log_odds"], row["misfit"], row["agreeing_share"]  # type: ignore[return-value]
+
+
+def report(data: list[dict[str, object]]) -> None:
+    """Counts of right and wrong, accepted or not, and how often each stated probability was right."""
+    cross = [r for r in data if " / " in str(r["name"])]
+    same = [r for r in data if " / " not in str(r["name"])]
+    accepted = [r for r in cross if r["status"] == "accepted"]
+    print(f"different places: {len(cross)} pairs, {len(accepted)} accepted {[r['name'] for r in accepted]}")
+    right = sum(bool(r["is_right"]) for r in same)
+    both = sum(bool(r["is_right"]) and r["status"] == "accepted" for r in same)
+    wrong = [r["name"] for r in same if not r["is_right"] and r["status"] == "accepted"]
+    print(f"one place: {len(same)} pairs, {right} right, {both} of them accepted; accepted and not right: {wrong}")
+    print("stated probability   pairs   right   mean stated")
+    p = np.array([r["probability"] for r in data], dtype=float)
+    y = np.array([r["is_right"] for r in data])
+    for low, high in ((0, 0.02), (0.02, 0.1), (0.1, 0.3), (0.3, 0.7), (0.7, 0.9), (0.9, 0.98), (0.98, 1.0001)):
+        rows = (p >= low) & (p < high)
+        if rows.any():
+            means = y[rows].mean(), p[rows].mean()
+            print(f"{low:5.2f} to {min(high, 1):4.2f}       {rows.sum():5d}   {means[0]:5.3f}   {means[1]:5.3f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--first", type=int, default=2000)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--areas", type=int, default=5)
+    parser.add_argument("--cross", type=int, default=400)
+    parser.add_argument("--from", dest="source", type=Path, default=LOCAL if LOCAL.is_dir() else None)
+    parser.add_argument("--fit", action="store_true")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    places = [
+        *simulated(arguments.first, arguments.seeds),
+        *recorded(arguments.source, arguments.areas, arguments.first),
+    ]
+    data = rows(places, arguments.cross, arguments.first, arguments.out)
+    data = [r for r in data if r.get("log_odds") is not None and r.get("misfit") is not None]
+    report(data)
+    if arguments.fit:
+        print("weights", np.round(fit(data), 2).tolist())
+
+
+if __name__ == "__main__":
+    main()
