@@ -11,20 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magmatch.field.box import Box
-from magmatch.field.held_out import has_path_order, path_segments, space_blocks
+from magmatch.field.held_out import folds_of, has_path_order, path_stretches, space_blocks
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior, Prior
 from magmatch.field.marginal_likelihood import choose_samples
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
-# Groups of parts; as many folds are judged.
-_N_GROUPS = 5
-_FOLDS = (1, 3)
 # Fewer samples are not divided.
 FEWEST_SAMPLES = 40
 # Size of what is left out, in lengthscales; a slice off the end holds at most this share of the samples.
-_STRETCH, _CUBE, _SLICE, _SLICE_SHARE = 4.0, 0.5, 0.5, 0.15
-_STRETCH_IN_EXTENTS = 0.25
+_CUBE, _SLICE, _SLICE_SHARE = 0.5, 0.5, 0.15
 # Samples that are used, all folds together.
 _N_USED = 2000
 # Samples of one fold at which the covariance is computed.
@@ -75,17 +71,14 @@ def divide(points: Points, lengthscale: float) -> Parts:
     if len(points) < FEWEST_SAMPLES or not extent.max() > 0:
         return Parts(np.zeros(len(points), dtype=np.int64), (), is_path)
     if is_path:
-        length = min(_STRETCH * lengthscale, _STRETCH_IN_EXTENTS * float(extent.max()))
-        number = path_segments(points, length)
-    else:
-        size = max(_CUBE * lengthscale, float(extent.max()) / 200)
-        number = space_blocks(points, size, np.random.default_rng(0))
-    folds = [number % _N_GROUPS == fold for fold in _FOLDS]
-    if not is_path:
-        along = points[:, int(np.argmax(extent))]
-        limit = max(float(along.max()) - _SLICE * lengthscale, float(np.quantile(along, 1 - _SLICE_SHARE)))
-        folds.append(along > limit)
-    return Parts(number, tuple(fold for fold in folds if fold.any() and not fold.all()), is_path)
+        number = path_stretches(points, lengthscale)
+        return Parts(number, tuple(folds_of(number)), is_path)
+    size = max(_CUBE * lengthscale, float(extent.max()) / 200)
+    number = space_blocks(points, size, np.random.default_rng(0))
+    along = points[:, int(np.argmax(extent))]
+    limit = max(float(along.max()) - _SLICE * lengthscale, float(np.quantile(along, 1 - _SLICE_SHARE)))
+    end = along > limit
+    return Parts(number, (*folds_of(number), *([end] if end.any() and not end.all() else [])), is_path)
 
 
 def calibrated(

@@ -12,6 +12,10 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 SHARE_AT_LENGTHSCALE = 0.6
 SMALLEST_STRUCTURE = 0.1
 
+# Size of stretches that are left out, and how many of how many groups of parts are.
+STRETCH_IN_LENGTHSCALES, STRETCH_IN_EXTENTS = 4.0, 0.25
+N_GROUPS, FOLDS = 5, (1, 3)
+
 # Samples of a large survey that are asked how far they are from the places chosen so far.
 MOST_CANDIDATES = 20_000
 
@@ -99,6 +103,40 @@ def path_segments(points: Points, length: float) -> Indices:
     n_segments = max(10, int(along[-1] / max(length, 1e-12)))
     segment = (along / max(along[-1], 1e-300) * n_segments).astype(np.int64)
     return np.asarray(np.minimum(segment, n_segments - 1))
+
+
+def path_stretches(points: Points, lengthscale: float) -> Indices:
+    """Number the stretches of a path: long against the lengthscale, short against the region.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        In the order of the path.
+    lengthscale : float, m
+        Over which the field changes.
+
+    Returns
+    -------
+    (n,) int array
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    return path_segments(points, min(STRETCH_IN_LENGTHSCALES * lengthscale, STRETCH_IN_EXTENTS * extent))
+
+
+def folds_of(number: Indices) -> list[Mask]:
+    """What to leave out, one set at a time: two of five groups of parts.
+
+    Parameters
+    ----------
+    number : (n,) int array
+        Which part each sample is in.
+
+    Returns
+    -------
+    list of (n,) bool arrays
+        Only sets that leave something out and something in.
+    """
+    return [fold for fold in (number % N_GROUPS == k for k in FOLDS) if fold.any() and not fold.all()]
 
 
 def space_blocks(points: Points, size: float, rng: np.random.Generator) -> Indices:

@@ -10,15 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.held_out import path_segments
+from magmatch.field.held_out import folds_of, path_stretches
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline_model import SplineModel, SplinePosterior
 from magmatch.typing import Points, Vectors
 
-# Two fifths are left out, one fifth at a time.
-N_GROUPS, FOLDS = 5, (1, 3)
-# Stretches left out: long against the lengthscale, short against the region.
-SEGMENT_IN_LENGTHSCALES, SEGMENT_IN_EXTENTS = 4.0, 0.25
 # Half of what is left out, nearest to other passes, counts; the rest crosses none and tells nothing. Of their errors
 # the mean of the roots is taken, so that the few that nothing could predict do not drown the others.
 SHARE, POWER = 0.5, 0.5
@@ -39,10 +35,7 @@ class OtherPasses:
 
     def __init__(self, points: Points, field: Vectors, lengthscale: float) -> None:
         self.points, self.field = points, field
-        extent = float(np.ptp(points, axis=0).max())
-        group = path_segments(points, min(SEGMENT_IN_LENGTHSCALES * lengthscale, SEGMENT_IN_EXTENTS * extent))
-        folds = [group % N_GROUPS == k for k in FOLDS]
-        self._folds = [fold for fold in folds if fold.any() and not fold.all()]
+        self._folds = folds_of(path_stretches(points, lengthscale))
         distance = [cKDTree(points[~fold]).query(points[fold])[0] for fold in self._folds]
         together = np.concatenate([*distance, np.zeros(0)])
         self._is_near = together <= (np.quantile(together, SHARE) if len(together) else 0.0)
