@@ -80,10 +80,9 @@ def held_out_error(points: Points, field: Vectors, hyperparameters: Hyperparamet
         misses, however well it follows itself along the path.
     """
     stretch = path_segments(points, STRETCH_IN_LENGTHSCALES * hyperparameters.lengthscale)
-    misses = []
+    model, misses = SplineModel.over(points, hyperparameters), []
     for fold in range(2):
         out = stretch % 3 == fold
-        model = SplineModel.over(points, hyperparameters)
         posterior = model.infer(model.observe(points[~out], field[~out]))
         misses.append(np.linalg.norm(posterior.evaluate(points[out]).field - field[out], axis=1))
     return float(np.median(np.concatenate(misses)))
