@@ -31,28 +31,8 @@ CONSTANT_SD = 1e-4
 PRIOR = DivergenceFreePrior()
 
 
-def dipoles_at(points, seed=0, box=(2.0, 1.5, 0.8)):
-    """Field of a few dipoles outside a box, about 15 uT, on top of the Earth's."""
-    rng = np.random.default_rng(seed)
-    box = np.asarray(box)
-    sources = rng.uniform(-1.2, box + 1.2, size=(40, 3))
-    is_outside = np.linalg.norm(np.maximum(np.maximum(-sources, sources - box), 0), axis=1) > 0.5
-    field = np.zeros_like(points)
-    for source, moment in zip(sources[is_outside], rng.normal(size=(is_outside.sum(), 3)), strict=True):
-        r = points - source
-        d = np.linalg.norm(r, axis=1)[:, None]
-        field += 4e-6 * (3 * r * (r @ moment)[:, None] / d**5 - moment / d**3)
-    return EARTH + field
-
-
-def room(seed=0, n=300, noise_sd=0.5e-6, box=(2.0, 1.5, 0.8)):
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(0, box, size=(n, 3))
-    return points, dipoles_at(points, seed, box) + rng.normal(scale=noise_sd, size=(n, 3))
-
-
 @pytest.fixture(scope="module")
-def samples():
+def samples(room):
     return room()
 
 
@@ -130,7 +110,7 @@ def model_at_nodes(seed=0):
     )
 
 
-def test_inducing_points_at_all_samples_give_the_exact_model():
+def test_inducing_points_at_all_samples_give_the_exact_model(dipoles_at):
     model = model_at_nodes()
     points = model.basis.grid.nodes
     field = dipoles_at(points)
@@ -245,7 +225,7 @@ def test_draws_scatter_as_the_posterior_says(posterior):
     np.testing.assert_allclose(sampled, sor, atol=0.15 * np.abs(sor).max())
 
 
-def test_spread_fits_the_errors():
+def test_spread_fits_the_errors(dipoles_at, room):
     points, field = room(seed=2, n=600)
     h = PRIOR.choose_hyperparameters(points, field)
     model = PRIOR.build(points, field, h)
@@ -277,7 +257,7 @@ def test_hyperparameters_of_a_drawn_field_are_found(length):
     assert h == PRIOR.choose_hyperparameters(points, field)
 
 
-def test_a_few_spikes_hardly_change_the_hyperparameters():
+def test_a_few_spikes_hardly_change_the_hyperparameters(room):
     points, field = room(n=500)
     clean = PRIOR.choose_hyperparameters(points, field)
     spiked = field.copy()
@@ -287,7 +267,7 @@ def test_a_few_spikes_hardly_change_the_hyperparameters():
     assert h.noise_sd == pytest.approx(clean.noise_sd, rel=0.5)
 
 
-def test_hyperparameters_follow_the_units_of_length_and_field():
+def test_hyperparameters_follow_the_units_of_length_and_field(room):
     points, field = room(n=200)
     # Weak enough for the constant field's prior, which has a unit of its own, to be as good as flat.
     field = field * 1e-3
@@ -299,7 +279,7 @@ def test_hyperparameters_follow_the_units_of_length_and_field():
     )
 
 
-def test_wide_surveys_get_the_finest_nodes_the_cap_allows(caplog):
+def test_wide_surveys_get_the_finest_nodes_the_cap_allows(caplog, room):
     points, field = room(seed=1, n=400, box=(12.0, 9.0, 1.0))
     prior = DivergenceFreePrior(DivergenceFreeConfig(max_inducing_points=100))
     h = prior.choose_hyperparameters(points, field)
@@ -354,7 +334,7 @@ GEOMETRIES = {
 @pytest.mark.parametrize("shape", GEOMETRIES)
 @pytest.mark.parametrize("fill", ["dipoles", "constant", "zero"])
 @pytest.mark.parametrize("n", [4, 40])
-def test_singular_surveys_give_bounded_answers(shape, fill, n):
+def test_singular_surveys_give_bounded_answers(shape, fill, n, dipoles_at):
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 1.5, size=(n, 3)) * GEOMETRIES[shape]
     points[1] = points[0]
@@ -372,7 +352,7 @@ def posterior_of(points, field):
     return model.infer(model.observe(points, field))
 
 
-def test_a_turned_survey_gives_the_turned_field():
+def test_a_turned_survey_gives_the_turned_field(room):
     points, field = room(n=200)
     T = RigidTransform.from_components([1.0, 2.0, 3.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 2]))
     turned = posterior_of(T.apply(points), field @ T.rotation.as_matrix().T)
@@ -382,7 +362,7 @@ def test_a_turned_survey_gives_the_turned_field():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_numbers_that_are_none_are_refused(bad):
+def test_numbers_that_are_none_are_refused(bad, room):
     points, field = room(n=20)
     field[3, 1] = bad
     with pytest.raises(SurveyError, match="finite"):
@@ -391,7 +371,7 @@ def test_numbers_that_are_none_are_refused(bad):
         PRIOR.build(points, field, H)
 
 
-def test_too_few_samples_are_refused():
+def test_too_few_samples_are_refused(room):
     with pytest.raises(SurveyError, match="at least 4 samples to fit a field, got 3"):
         PRIOR.choose_hyperparameters(*room(n=3))
 

@@ -26,27 +26,12 @@ CURL_FREE = {"spline", "curl_free", "harmonic"} & PRIORS.keys()
 DIVERGENCE_FREE = {"divergence_free", "harmonic"} & PRIORS.keys()
 
 
-def dipoles_at(points, seed=0):
-    """Field of dipoles at least half a metre outside of the box, about 15 uT, on top of the Earth's."""
-    rng = np.random.default_rng(seed)
-    sources = rng.uniform(-1.2, BOX + 1.2, size=(40, 3))
-    is_outside = np.linalg.norm(np.maximum(np.maximum(-sources, sources - BOX), 0), axis=1) > 0.5
-    field = np.zeros_like(points)
-    for source, moment in zip(sources[is_outside], rng.normal(size=(is_outside.sum(), 3)), strict=True):
-        r = points - source
-        d = np.linalg.norm(r, axis=1)[:, None]
-        field += 4e-6 * (3 * r * (r @ moment)[:, None] / d**5 - moment / d**3)
-    return EARTH + field
-
-
-def room(seed=0, n=300, noise_sd=0.5e-6):
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(0, BOX, size=(n, 3))
-    return points, dipoles_at(points, seed) + rng.normal(scale=noise_sd, size=(n, 3))
-
-
 QUERIES = np.random.default_rng(9).uniform(0.1, BOX - 0.1, size=(12, 3))
-SAMPLES = room()
+
+
+@pytest.fixture(scope="module")
+def samples(room):
+    return room()
 
 
 @pytest.fixture(scope="module", params=sorted(PRIORS))
@@ -55,13 +40,13 @@ def name(request):
 
 
 @pytest.fixture(scope="module")
-def model(name):
-    return PRIORS[name].build(*SAMPLES, H)
+def model(name, samples):
+    return PRIORS[name].build(*samples, H)
 
 
 @pytest.fixture(scope="module")
-def posterior(model):
-    return model.infer(model.observe(*SAMPLES))
+def posterior(model, samples):
+    return model.infer(model.observe(*samples))
 
 
 def assert_same_posterior(one, other):
@@ -76,8 +61,8 @@ def assert_same_posterior(one, other):
 
 @laws
 @given(st.integers(0, 1000), st.lists(st.integers(0, 300), max_size=4))
-def test_any_order_any_split_and_any_merge_give_the_same_posterior(model, posterior, seed, cuts):
-    points, field = SAMPLES
+def test_any_order_any_split_and_any_merge_give_the_same_posterior(samples, model, posterior, seed, cuts):
+    points, field = samples
     rng = np.random.default_rng(seed)
     parts = [model.observe(points[rows], field[rows]) for rows in np.split(rng.permutation(300), sorted(cuts))]
     while len(parts) > 1:
@@ -86,14 +71,14 @@ def test_any_order_any_split_and_any_merge_give_the_same_posterior(model, poster
     assert_same_posterior(model.infer(parts[0]), posterior)
 
 
-def test_information_taken_off_is_as_if_never_added(model):
-    points, field = SAMPLES
+def test_information_taken_off_is_as_if_never_added(model, samples):
+    points, field = samples
     first, second = model.observe(points[:200], field[:200]), model.observe(points[200:], field[200:])
     assert_same_posterior(model.infer(first + second - second), model.infer(first))
 
 
-def test_weights_count_samples(model):
-    points, field = SAMPLES
+def test_weights_count_samples(model, samples):
+    points, field = samples
     twice = model.observe(np.concatenate([points, points[:50]]), np.concatenate([field, field[:50]]))
     weighted = model.observe(points, field, np.where(np.arange(300) < 50, 2.0, 1.0))
     assert_same_posterior(model.infer(twice), model.infer(weighted))
@@ -158,8 +143,8 @@ def test_far_away_the_prior_returns(posterior):
     assert np.abs(posterior.evaluate(far, 0).field - EARTH).max() < 30e-6
 
 
-def test_more_samples_never_make_it_less_certain(model):
-    points, field = SAMPLES
+def test_more_samples_never_make_it_less_certain(model, samples):
+    points, field = samples
     few, more = (model.infer(model.observe(points[:n], field[:n])).covariance(QUERIES) for n in (100, 300))
     assert np.linalg.eigvalsh(few - more).min() > -1e-9 * H.signal_sd**2
 
@@ -172,9 +157,9 @@ def mapped(survey, name):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_map_turns_and_moves_with_its_survey(name, seed):
+def test_the_map_turns_and_moves_with_its_survey(name, seed, samples):
     T = random_transform(np.random.default_rng(seed))
-    turned, expected = mapped(Survey(*SAMPLES).transformed(T), name), mapped(Survey(*SAMPLES), name)
+    turned, expected = mapped(Survey(*samples).transformed(T), name), mapped(Survey(*samples), name)
     there = turned.evaluate(transform_points(QUERIES, T), 1)
     here = expected.evaluate(QUERIES, 1).rotated(T)
     np.testing.assert_allclose(there.field, here.field, rtol=0, atol=1e-6 * np.abs(here.field).max())
@@ -183,8 +168,8 @@ def test_the_map_turns_and_moves_with_its_survey(name, seed):
     np.testing.assert_allclose(spread, np.trace(expected.covariance(QUERIES), axis1=1, axis2=2), rtol=1e-5)
 
 
-def test_a_map_of_any_prior_is_saved_and_loaded_bit_for_bit(name, tmp_path):
-    built = mapped(Survey(*SAMPLES), name)
+def test_a_map_of_any_prior_is_saved_and_loaded_bit_for_bit(name, tmp_path, samples):
+    built = mapped(Survey(*samples), name)
     built.save(tmp_path / "room.map")
     loaded = FieldMap.load(tmp_path / "room.map")
     assert loaded.hyperparameters == built.hyperparameters
@@ -192,7 +177,7 @@ def test_a_map_of_any_prior_is_saved_and_loaded_bit_for_bit(name, tmp_path):
     np.testing.assert_array_equal(loaded.covariance(QUERIES), built.covariance(QUERIES))
 
 
-def test_numbers_that_are_none_are_refused(name):
+def test_numbers_that_are_none_are_refused(name, room):
     points, field = room(n=20)
     field[3, 1] = np.nan
     with pytest.raises(SurveyError):
@@ -200,7 +185,7 @@ def test_numbers_that_are_none_are_refused(name):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_very_few_samples_are_refused_or_bounded(name, n):
+def test_very_few_samples_are_refused_or_bounded(name, n, room):
     points, field = room(n=n)
     try:
         built = build_map(Survey(points, field), FieldConfig(prior=name))
@@ -212,18 +197,18 @@ def test_very_few_samples_are_refused_or_bounded(name, n):
 
 
 FILLS = {
-    "coincident": lambda: (np.ones((30, 3)), dipoles_at(np.ones((30, 3)))),
-    "coincident, different": lambda: (np.ones((30, 3)), room(n=30)[1]),
-    "constant": lambda: (room(n=30)[0], np.tile(EARTH, (30, 1))),
-    "zero": lambda: (room(n=30)[0], np.zeros((30, 3))),
-    "line": lambda: (room(n=30)[0] * [1, 0, 0], dipoles_at(room(n=30)[0] * [1, 0, 0])),
-    "four": lambda: room(n=4),
+    "coincident": lambda room, dipoles_at: (np.ones((30, 3)), dipoles_at(np.ones((30, 3)))),
+    "coincident, different": lambda room, dipoles_at: (np.ones((30, 3)), room(n=30)[1]),
+    "constant": lambda room, dipoles_at: (room(n=30)[0], np.tile(EARTH, (30, 1))),
+    "zero": lambda room, dipoles_at: (room(n=30)[0], np.zeros((30, 3))),
+    "line": lambda room, dipoles_at: (room(n=30)[0] * [1, 0, 0], dipoles_at(room(n=30)[0] * [1, 0, 0])),
+    "four": lambda room, dipoles_at: room(n=4),
 }
 
 
 @pytest.mark.parametrize("fill", FILLS)
-def test_singular_surveys_give_bounded_answers(name, fill):
-    points, field = FILLS[fill]()
+def test_singular_surveys_give_bounded_answers(name, fill, room, dipoles_at):
+    points, field = FILLS[fill](room, dipoles_at)
     survey = Survey(points, field)
     built = build_map(survey, FieldConfig(prior=name))
     at = np.concatenate([points, points + 0.2])
@@ -245,7 +230,7 @@ def test_singular_surveys_give_bounded_answers(name, fill):
     ],
     ids=lambda d: "-".join(map(str, next(iter(d.items())))),
 )
-def test_absurd_hyperparameters_give_one_clear_error_or_a_bounded_answer(name, absurd):
+def test_absurd_hyperparameters_give_one_clear_error_or_a_bounded_answer(name, absurd, room):
     points, field = room(n=60)
     h = replace(H, **absurd)
     try:

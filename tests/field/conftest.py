@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Samples of a field that has no source where it is measured."""
+
+import numpy as np
+import pytest
+
+EARTH = np.array([18e-6, 2e-6, -44e-6])
+
+
+def field_of_dipoles(points, seed=0, box=(2.0, 1.5, 0.8)):
+    """Field of a few dipoles outside a box, about 15 uT, on top of the Earth's."""
+    rng = np.random.default_rng(seed)
+    box = np.asarray(box)
+    sources = rng.uniform(-1.2, box + 1.2, size=(40, 3))
+    is_outside = np.linalg.norm(np.maximum(np.maximum(-sources, sources - box), 0), axis=1) > 0.5
+    field = np.zeros_like(points)
+    for source, moment in zip(sources[is_outside], rng.normal(size=(is_outside.sum(), 3)), strict=True):
+        r = points - source
+        d = np.linalg.norm(r, axis=1)[:, None]
+        field += 4e-6 * (3 * r * (r @ moment)[:, None] / d**5 - moment / d**3)
+    return EARTH + field
+
+
+def samples_of_dipoles(seed=0, n=300, noise_sd=0.5e-6, box=(2.0, 1.5, 0.8)):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, box, size=(n, 3))
+    return points, field_of_dipoles(points, seed, box) + rng.normal(scale=noise_sd, size=(n, 3))
+
+
+@pytest.fixture(scope="session")
+def dipoles_at():
+    """Function of points: a field with sources around them only."""
+    return field_of_dipoles
+
+
+@pytest.fixture(scope="session")
+def room():
+    """Function that gives positions in a box and a noisy field there."""
+    return samples_of_dipoles
