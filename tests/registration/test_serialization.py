@@ -78,7 +78,7 @@ def saved(tmp_path):
 
 def test_file_has_the_keys_of_the_interface_in_order(saved):
     document = json.loads(saved.read_text())
-    assert list(document) == [*KEYS, "checksum"]
+    assert list(document) == [KEYS[0], "checksum", *KEYS[1:]]
     assert document["schema"] == "magmatch.registration/1"
     assert np.shape(document["T_base_target"]) == (4, 4)
     assert np.shape(document["covariance"]) == (6, 6)
@@ -308,6 +308,19 @@ def test_matrix_written_with_ten_digits_becomes_a_rotation():
     assert np.abs(R @ R.T - np.eye(3)).max() < 1e-14
     assert np.abs(T.as_matrix() - matrix).max() < 1e-9
     assert np.array_equal(transform_from_matrix(T.as_matrix()).as_matrix(), T.as_matrix())
+
+
+def test_damage_that_takes_the_end_or_renames_the_checksum_is_noticed(saved):
+    whole = saved.read_text()
+    saved.write_text(whole[: whole.index("],", whole.index('"T_base_target"')) + 1] + "]}")
+    with pytest.raises(DataFormatError, match=r"not a registration result|changed after"):
+        RegistrationResult.load(saved)
+    saved.write_text(whole[: whole.index(',\n  "covariance"')] + "\n}\n")
+    with pytest.raises(DataFormatError, match="changed after it was written"):
+        RegistrationResult.load(saved)
+    saved.write_text(whole.replace('"checksum"', '"check_um"'))
+    with pytest.raises(DataFormatError, match="'check_um' seems to be a damaged 'checksum'"):
+        RegistrationResult.load(saved)
 
 
 def test_checksum_does_not_count_itself():

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,14 @@ from magmatch.data.text import read_bytes
 from magmatch.errors import DataFormatError
 
 _DIGEST = re.compile("[0-9a-fA-F]{16,}")
+# Keys whose value may look like one.
+_WORDS = {"version", "base", "reason", "name"}
 
 
 def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
     """Write a document with its checksum, one key a line, whole or not at all.
+
+    The checksum stands second: damage that takes the end of the file, and closes it again, cannot take it along.
 
     Parameters
     ----------
@@ -28,7 +31,7 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
         What JSON can hold, without NaN and infinity.
     """
     lines = [f'  "{key}": {json.dumps(value, allow_nan=False)}' for key, value in document.items()]
-    lines.append(f'  "checksum": "{checksum(document)}"')
+    lines.insert(1, f'  "checksum": "{checksum(document)}"')
     with atomic_write(path) as stream:
         stream.write(("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
@@ -89,16 +92,11 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
     if is_changed:
         advice = "make it again, or delete the key 'checksum' if the change is meant"
         raise DataFormatError(path, f"key 'checksum': the file was changed after it was written; {advice}")
-    damaged = None if "checksum" in document else _damaged_checksum(document)
-    if damaged is not None:
+    told = {key: value for key, value in document.items() if isinstance(value, str) and key not in _WORDS}
+    damaged = next((key for key, value in told.items() if _DIGEST.fullmatch(value)), None)
+    if damaged is not None and "checksum" not in document:
         raise DataFormatError(path, f"key {damaged[:40]!r} seems to be a damaged 'checksum'; make the file again")
     return document
-
-
-def _damaged_checksum(document: Mapping[str, Any]) -> str | None:
-    """A key that looks like the checksum that is not there, name and value."""
-    alike = get_close_matches("checksum", document, cutoff=0.5)
-    return next((key for key in alike if _DIGEST.search(str(document[key]))), None)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
