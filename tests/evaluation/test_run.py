@@ -143,3 +143,28 @@ def test_rows_of_other_code_are_not_taken(tmp_path, monkeypatch):
     monkeypatch.setattr("magmatch.evaluation.fingerprint.code_digest", lambda: "another")
     evaluate(toy.toy_plan(str(calls)), tmp_path)
     assert len(calls.read_text().splitlines()) == 80
+
+
+def test_workers_of_a_scheduler_give_the_same_table(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    plan = toy.toy_plan()
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, silence_logs=50
+    )
+    with cluster:
+        there = evaluate(plan, tmp_path / "there", scheduler=cluster.scheduler_address)
+    assert toy.tables(plan, there) == toy.tables(plan, evaluate(plan, tmp_path / "here"))
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("tcp://127.0.0.1:9", "no Dask scheduler answers at tcp://127.0.0.1:9"),
+        ("there", "expected an address such as"),
+    ],
+)
+def test_scheduler_that_is_none_is_named(tmp_path, monkeypatch, address, words):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("magmatch.evaluation.workers.CONNECT_SECONDS", 0.3)
+    with pytest.raises(ConfigurationError, match=words):
+        evaluate(toy.toy_plan(), tmp_path, scheduler=address)
