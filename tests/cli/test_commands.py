@@ -313,3 +313,11 @@ def test_what_a_report_says_to_run_gives_the_same_result(place, run, tmp_path, m
     again = json.loads(run(*shlex.split(command)[1:], "--json").out)
     for key in ("T_base_target", "covariance", "config", "seed", "reason"):
         assert again[key] == first[key]
+
+
+def test_command_is_recorded_without_where_files_lie(monkeypatch):
+    from magmatch.cli.evaluate import _command
+
+    words = ["magmatch", "evaluate", "office", "--out", "/home/me", "--seeds", "3", "--from=/data", "--minutes", "5"]
+    monkeypatch.setattr(sys, "argv", words)
+    assert _command() == "magmatch evaluate office --seeds 3"

@@ -3,6 +3,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 import toy
@@ -88,6 +89,12 @@ def test_page_says_what_was_left_out_and_what_was_typed(findings):
     text = markdown(findings)
     assert "Left out: experiment cea-floor1: not here." in text
     assert text.startswith("`magmatch evaluate`")
+
+
+def test_page_says_how_much_of_the_run_is_in_it(findings):
+    n = len(findings.rows) + len(findings.map_rows)
+    assert "Not the whole run" not in markdown(findings)
+    assert f"Not the whole run: {n} of {n + 5} trials." in markdown(replace(findings, n_planned=n + 5))
 
 
 def test_costs_do_not_touch_the_tables_of_results(findings):

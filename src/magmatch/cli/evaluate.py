@@ -26,8 +26,8 @@ EXAMPLES = (
 )
 # Where stderr is no terminal, a line of progress now and then.
 TELL_SECONDS = 30.0
-# Options that say where files lie, which is nobody else's business.
-PLACES = ("--out", "--from", "--write-results", "--scheduler")
+# Options that say where files lie and how long this machine was free: the same results come out without them.
+PLACES = ("--out", "--from", "--write-results", "--scheduler", "--minutes")
 
 
 def add_to(app: typer.Typer) -> None:

@@ -83,7 +83,8 @@ def run_benchmark(
     rows = evaluate(plan, folder, jobs=jobs, scheduler=scheduler, tell=tell, deadline=end) if plan.batches else []
     map_rows = evaluate_maps(tasks, folder, jobs=jobs, scheduler=scheduler, deadline=end) if tasks else []
     titles = {case.name: case.title for case in cases}
-    return Findings(plan.experiments, rows, map_rows, titles, left_out, command)
+    n_planned = len(plan.keys()) + sum(len(task.predictors) for task in tasks)
+    return Findings(plan.experiments, rows, map_rows, titles, left_out, command, n_planned)
 
 
 def _map_tasks(case: MappingCase, settings: Settings) -> list[MapTask]:

@@ -24,7 +24,7 @@ METHODS: dict[str, Method] = {
         ),
         Baseline(
             "sift-best", "SIFT on layers in 31 directions, of this package's maps",
-            OUR_FIELD, SiftConfig(directions="many", layer_gap=4.0, max_layers=8), register_by_sift, "cv2",
+            OUR_FIELD, SiftConfig(directions="many", layer_gap=3.0, max_layers=12), register_by_sift, "cv2",
         ),
         Baseline(
             "kiss", "KISS-Matcher's solver on the published keypoints",

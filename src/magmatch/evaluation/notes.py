@@ -43,7 +43,10 @@ GROUP_NOTES = {
         "RMSE of 3-vectors in uT (of the gradient in uT/m, where the truth is simulated), share of components within "
         "the stated 95 %."
     ),
-    "costs": "Seconds of the processor on one core, maps included; the largest memory of the process.",
+    "costs": (
+        "Seconds of the processor on one core, maps included (in a first trial also what is compiled on first use); "
+        "the largest memory of the process."
+    ),
 }
 # Why another method is ahead, by experiment, where it is known.
 REASONS: dict[str, str] = {}

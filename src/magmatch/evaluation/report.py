@@ -48,6 +48,8 @@ class Findings:
         Words for the cases of the mapping table.
     left_out : dict of str to str
     command : str
+    n_planned : int
+        Trials of the whole run, mapping included; fewer rows were not run yet.
     """
 
     experiments: tuple[Experiment, ...]
@@ -56,6 +58,7 @@ class Findings:
     case_titles: Mapping[str, str]
     left_out: Mapping[str, str]
     command: str
+    n_planned: int = 0
 
     def of(self, group: str) -> tuple[list[Experiment], Mapping[tuple[str, str], Summary]]:
         """Experiments of a group and their summaries."""
@@ -108,7 +111,8 @@ def short_markdown(findings: Findings) -> str:
     rows = tuple(tuple(row[k] for k in columns) for row in whole.rows)
     names = "; ".join(f"`{e.name}`: {e.title}" for e in experiments)
     text = TextTable("", tuple(whole.header[k] for k in columns), rows).markdown().partition("\n\n")[2]
-    return f"{text.strip()}\n\n{names}. `{findings.command}`, {date.today().isoformat()}.\n"
+    gaps = " ".join(_gaps(findings)[:1]) if findings.n_planned else ""
+    return f"{text.strip()}\n\n{names}. `{findings.command}`, {date.today().isoformat()}. {gaps}".rstrip() + "\n"
 
 
 def write_html(path: Path, findings: Findings) -> None:
@@ -142,15 +146,14 @@ def write_html(path: Path, findings: Findings) -> None:
     sections += [
         Section(costs.title, [paragraph(costs.note), table(costs.rows, costs.header)]),
         Section("Where default is not ahead", [bullets(behind) if behind else paragraph("Nowhere in this run.")]),
-        Section("Run it again", [to_copy("command", findings.command), note(_versions()), *_left_out(findings)]),
+        Section("Run it again", [to_copy("command", findings.command), note(_versions()), bullets(_gaps(findings))]),
     ]
     write_page(path, "magmatch: evaluation", sections)
 
 
 def provenance(findings: Findings) -> str:
     """Say what gave the figures: command, versions, machine, date, and what was left out."""
-    text = f"`{findings.command}`. {_versions()}"
-    return text + "".join(f"\nLeft out: {what}: {why}." for what, why in findings.left_out.items())
+    return "\n".join([f"`{findings.command}`. {_versions()}", *_gaps(findings)])
 
 
 def replace_between_marks(path: Path, findings: Findings) -> None:
@@ -191,12 +194,11 @@ def _shortfalls(findings: Findings) -> list[str]:
     return shortfalls(summaries(experiments, findings.rows), REASONS)
 
 
-def _left_out(findings: Findings) -> list[str]:
-    return (
-        [bullets([f"Left out: {what}: {why}" for what, why in findings.left_out.items()])]
-        if findings.left_out
-        else []
-    )
+def _gaps(findings: Findings) -> list[str]:
+    """Say what is not in the tables: trials not run yet, and what could not be run here."""
+    n_run = len(findings.rows) + len(findings.map_rows)
+    unfinished = [f"Not the whole run: {n_run} of {findings.n_planned} trials."] if n_run < findings.n_planned else []
+    return unfinished + [f"Left out: {what}: {why}." for what, why in findings.left_out.items()]
 
 
 def _versions() -> str:
