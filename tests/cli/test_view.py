@@ -71,3 +71,12 @@ def test_the_live_viewer_answers_until_it_is_interrupted(place):
             "Open this address in a browser; Ctrl-C ends the viewer",
             "Viewer closed",
         ]
+
+
+def test_surveys_that_come_with_a_result_are_mapped(place, run, tmp_path):
+    pytest.importorskip("plotly")
+    page = tmp_path / "v.html"
+    files = [place / name for name in ("result.json", "base.csv", "target.csv")]
+    assert run("view", *files, "--out", page).code == 0
+    for words in ("The field of both maps", "Residual at every sample", "Where the target lies"):
+        assert words in page.read_text()

@@ -19,17 +19,19 @@ from magmatch.registration.result import Alternative, DegenerateDirection, Links
 from magmatch.viz.map_report import write_map_report
 from magmatch.viz.pages import write_view
 from magmatch.viz.plotting import require_plotly
+from magmatch.viz.registration_figures import shown_pose
 from magmatch.viz.report import write_report
 from magmatch.viz.words import MEANING, NEXT_STEPS, percent
 
 LIMIT = 5e6
 
 
-@pytest.fixture
-def report(pair, tmp_path):
+@pytest.fixture(scope="module")
+def report(pair, tmp_path_factory):
     pytest.importorskip("plotly")
-    write_report(tmp_path / "r.html", pair.base_map, pair.target_map, pair.accepted)
-    return (tmp_path / "r.html").read_text()
+    path = tmp_path_factory.mktemp("report") / "r.html"
+    write_report(path, pair.base_map, pair.target_map, pair.accepted)
+    return path.read_text()
 
 
 def figures_in(page):
@@ -102,6 +104,30 @@ def test_other_poses_are_listed_with_their_numbers(pair, tmp_path):
     assert "60.0 %" in section
     assert "5 more stand in the result file" in section
     assert "<th scope='col'>residual</th>" in section
+
+
+def test_poses_in_other_maps_of_a_folder_are_named_but_not_drawn_in_this_one(pair, tmp_path):
+    pytest.importorskip("plotly")
+    T = pair.accepted.T_base_target
+    others = (Alternative(T, 0.4, "cellar.map", 12.5), Alternative(T * T, 0.3, None, 11.0))
+    result = replace(pair.refused, alternatives=others, base="hall.map")
+    assert shown_pose(result) is others[1].T_base_target
+    write_report(tmp_path / "r.html", pair.base_map, pair.target_map, result)
+    section = (tmp_path / "r.html").read_text().split("Other poses</h2>")[1].split("</section>")[0]
+    first, second = re.findall("<tr>(.*?)</tr>", section)[1:]
+    assert first.count("<td></td>") == 2  # overlap and residual are those of this map
+    for words, row in (("cellar.map", first), ("12.5", first), ("hall.map", second), ("11.0", second)):
+        assert words in row
+
+
+def test_what_the_decision_was_weighed_from_is_shown(pair, tmp_path):
+    pytest.importorskip("plotly")
+    result = replace(pair.accepted, evidence={"log_odds": 221.5, "lead": None, "something_new": 3.0})
+    write_report(tmp_path / "r.html", None, None, result)
+    page = (tmp_path / "r.html").read_text()
+    for words in ("log odds of the best pose (nats)", "221.5", "something new"):
+        assert words in page
+    assert "lead over" not in page
 
 
 def test_a_probability_is_never_rounded_to_certainty():

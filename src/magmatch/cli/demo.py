@@ -52,7 +52,7 @@ def demo(
     try:
         from magmatch.viz.report import write_report
 
-        write_report(out / "report.html", base_map, target_map, result)
+        write_report(out / "report.html", base_map, target_map, result, f"magmatch demo --seed {seed}")
     except MissingExtraError as error:
         report = None
         say(f"No picture: {error}")

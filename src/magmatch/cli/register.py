@@ -88,15 +88,16 @@ def register(
     base_map, result = _register(base, read, layouts, settings, seed)
     if out is not None:
         result.save(out)
-    if report is not None and base_map is not None:
+    if report is not None:
         from magmatch.registration.register import as_map
         from magmatch.viz.report import write_report
 
-        again = command_again(base, target, layouts, seed)
-        write_report(report, base_map, as_map(read, settings), result, again)
+        # Of a folder where no map fits there is nothing to draw, but all the words.
+        target_map = None if base_map is None else as_map(read, settings)
+        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
     if json:
         put(as_json(result.to_dict()))
-    say(tell_result(result, out, report if base_map is not None else None))
+    say(tell_result(result, out, report))
     return DONE if result.is_accepted else NOT_ACCEPTED
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from pydantic import ValidationError
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_result, read_survey_or_map
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "magmatch view survey.csv --field-unit uT --out survey.html",
     "magmatch view room.map --out room.html",
-    "magmatch view result.json base.map target.map --out result.html",
+    "magmatch view result.json base.csv target.csv --out result.html",
     "magmatch view result.json base.map target.map --live",
     "magmatch view room.map walk.csv --rerun room.rrd",
 )
@@ -53,7 +54,8 @@ def view(
     """Draw surveys, maps or a registration.
 
     One HTML page that works offline; its path goes to stdout. With --live a 3-D viewer instead, whose address goes to
-    stdout; with --rerun a recording. With --out as well, both.
+    stdout; with --rerun a recording. With --out as well, both. Surveys that come with a result are mapped as its
+    settings say.
     """
     from magmatch.data.sniff import sniff
 
@@ -72,6 +74,8 @@ def view(
         msg = "a registration result alone has nothing in space; give its base and target too"
         raise ConfigurationError(msg)
     result = read_result(results[0]) if results else None
+    if result is not None:
+        drawn = [_mapped(item, result) for item in drawn]
     if goal is not None:
         _write_page(goal, drawn, result)
         put(str(goal))
@@ -96,6 +100,18 @@ def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
         from magmatch.viz.viewer import require_viser
 
         require_viser()
+
+
+def _mapped(item: "Survey | FieldMap", result: "RegistrationResult") -> "Survey | FieldMap":
+    """A survey's map as the registration made it, since residuals and cuts need one; the survey where none can be."""
+    from magmatch.errors import SurveyError
+    from magmatch.registration.config import RegistrationConfig
+    from magmatch.registration.register import as_map
+
+    try:
+        return as_map(item, RegistrationConfig.model_validate(result.config))
+    except (SurveyError, ValidationError):
+        return item
 
 
 def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:

@@ -10,6 +10,7 @@ import gzip
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -160,7 +161,9 @@ def _figure(figure: "Figure") -> str:
     return f'<figure>{caption}<div {place} aria-label="{escape(alt + keys)}">{data}</div></figure>'
 
 
+@cache
 def _packed_plotly() -> str:
+    """The plotting script, compressed; half a second's work that several pages share."""
     from plotly.offline import get_plotlyjs
 
     # Without a time stamp, so that the same result gives the same page.

@@ -55,10 +55,11 @@ MAX_SCENE_SAMPLES = 3000
 
 
 def shown_pose(result: RegistrationResult) -> RigidTransform | None:
-    """Pose that pictures show: the accepted one, else the best candidate, else none."""
+    """Pose that pictures show: the accepted one, else the best candidate in the base, else none."""
     if result.T_base_target is not None:
         return result.T_base_target
-    return result.alternatives[0].T_base_target if result.alternatives else None
+    # Poses in other maps of a folder cannot be drawn in this one.
+    return next((other.T_base_target for other in result.alternatives if other.base is None), None)
 
 
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":

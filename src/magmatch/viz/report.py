@@ -102,10 +102,7 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
         return []
     title = "Overlap and residuals"
     if not isinstance(base, FieldMap):
-        words = (
-            "Needs the map of the base: make the report with 'magmatch register ... --report', or give a saved map "
-            "to 'magmatch view'."
-        )
+        words = "Needs the map of the base, and none could be made: too few samples, or settings of another version."
         return [Section(title, [note(words)])]
     compared = compare(base, target, T_base_target, result)
     n, n_all = len(compared.rows), len(_survey(target))

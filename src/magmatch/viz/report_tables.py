@@ -14,13 +14,22 @@ from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.certainty import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure
-from magmatch.viz.page import Section, figure_row, note, paragraph, subheading, table, to_copy
+from magmatch.viz.page import Section, details, figure_row, note, paragraph, subheading, table, to_copy
 from magmatch.viz.registration_figures import shown_pose
 from magmatch.viz.residuals import compare
 from magmatch.viz.words import percent
 
 # Other poses that are listed, and samples that give their numbers.
 MAX_LISTED, N_COMPARED = 10, 500
+# What the numbers of a result's evidence are called; others by their own names.
+EVIDENCE = {
+    "log_odds": "log odds of the best pose (nats)",
+    "lead": "lead over the best pose elsewhere (nats)",
+    "decoy_log_odds": "log odds reached in places that do not exist (nats)",
+    "unexplained": "share of the field's variance left unexplained",
+    "agreeing_share": "share of informative cells that agree",
+    "n_informative": "informative cells",
+}
 MM, DEG = 1e3, 180 / np.pi
 
 
@@ -33,11 +42,13 @@ def figures_table(result: RegistrationResult) -> str:
         rows.append(["Fitness", f"{result.fitness:.3g} (cross product of aligned vectors)"])
     rows.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
     rows.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
-    if result.probability is None:
-        rows.append(["Probability", "not computed"])
+    if result.base is not None:
+        rows.insert(0, ["Map", result.base])
+    rows.append(["Probability", "not computed" if result.probability is None else percent(result.probability)])
     rows += _sensor(result.sensor or {})
     rows += [["Free direction", d.words] for d in result.degenerate_directions]
-    return table(rows)
+    weighed = _weighed(result)
+    return table(rows) + (details("What the decision was weighed from", table(weighed)) if weighed else "")
 
 
 def transform_table(result: RegistrationResult) -> str:
@@ -96,35 +107,35 @@ def other_poses(
     """Rival poses with their numbers; the best candidate first where nothing was accepted."""
     if not result.alternatives:
         return []
-    first = shown_pose(result)
-    center = np.zeros(3)
-    if target is not None:
-        center = target.survey.centroid if isinstance(target, FieldMap) else target.centroid
-    header = [
-        "",
-        "probability",
-        "turned by",
-        "moved by (m)",
-        "from the first" if not result.is_accepted else "from it",
-    ]
-    is_mapped = isinstance(base, FieldMap) and target is not None
-    header += ["overlap", "residual"] if is_mapped else []
-    rows = []
-    for k, other in enumerate(result.alternatives[:MAX_LISTED]):
-        T = other.T_base_target
-        row = [str(k + 1), "-" if other.probability is None else percent(other.probability), turn_words(T)]
-        row += [", ".join(f"{t:.3f}" for t in T.translation), _apart(first, T, center)]
-        if isinstance(base, FieldMap) and target is not None:
-            compared = compare(base, target, T, result, N_COMPARED)
-            row += [f"{compared.overlap:.0%}", "-" if compared.rms is None else f"{compared.rms:.2f}"]
-        rows.append(row)
-    left = len(result.alternatives) - len(rows)
-    words = (
-        "Poses that were considered, best first. " if not result.is_accepted else "Poses that fit nearly as well. "
-    )
+    survey = target.survey if isinstance(target, FieldMap) else target
+    center = np.zeros(3) if survey is None else survey.centroid
+    listed = result.alternatives[:MAX_LISTED]
+    columns: dict[str, list[str]] = {
+        "": [str(k + 1) for k in range(len(listed))],
+        "map": [other.base or result.base or "" for other in listed],
+        "probability": ["" if other.probability is None else percent(other.probability) for other in listed],
+        "log odds (nats)": ["" if other.log_odds is None else f"{other.log_odds:.1f}" for other in listed],
+        "turned by": [turn_words(other.T_base_target) for other in listed],
+        "moved by (m)": [", ".join(f"{t:.3f}" for t in other.T_base_target.translation) for other in listed],
+        "from the answer" if result.is_accepted else "from the first": [
+            "" if other.base is not None else _apart(shown_pose(result), other.T_base_target, center)
+            for other in listed
+        ],
+    }
+    if isinstance(base, FieldMap) and target is not None:
+        compared = [
+            compare(base, target, other.T_base_target, result, N_COMPARED) if other.base is None else None
+            for other in listed
+        ]
+        columns["overlap"] = ["" if c is None else f"{c.overlap:.0%}" for c in compared]
+        columns["residual"] = ["" if c is None or c.rms is None else f"{c.rms:.2f}" for c in compared]
+    told = {name: cells for name, cells in columns.items() if any(cells)}
+    left = len(result.alternatives) - len(listed)
+    words = "Poses that fit nearly as well. " if result.is_accepted else "Poses that were considered, best first. "
     words += "Distances are those of the target's centroid. " if target is not None else ""
     words += f"{left} more stand in the result file." if left else ""
-    return [Section("Other poses", [paragraph(words), table(rows, header)])]
+    rows = [list(row) for row in zip(*told.values(), strict=True)]
+    return [Section("Other poses", [paragraph(words), table(rows, list(told))])]
 
 
 def again(result: RegistrationResult, command: str | None) -> Section:
@@ -182,9 +193,18 @@ def _deviations(result: RegistrationResult) -> list[list[str]]:
     return [["where the data fix it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
 
 
+def _weighed(result: RegistrationResult) -> list[list[str]]:
+    """What the probability was computed from, as far as there is a number."""
+    return [
+        [EVIDENCE.get(name, name.replace("_", " ")), f"{value:.4g}"]
+        for name, value in result.evidence.items()
+        if value is not None
+    ]
+
+
 def _apart(first: RigidTransform | None, T: RigidTransform, center: np.ndarray) -> str:
     if first is None or first is T:
-        return "-"
+        return ""
     angle = np.rad2deg((first.rotation.inv() * T.rotation).magnitude())
     return f"{np.linalg.norm(first.apply(center) - T.apply(center)):.3g} m, {angle:.1f} deg"
 

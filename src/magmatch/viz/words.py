@@ -59,7 +59,8 @@ def headline(result: RegistrationResult) -> str:
     """The answer in a line."""
     words = "Accepted" if result.is_accepted else f"Not accepted: {result.status.replace('_', ' ')}"
     if result.probability is not None:
-        words += f" (probability of being right {percent(result.probability)})"
+        of = "" if result.is_accepted else "best candidate: "
+        words += f" ({of}probability of being right {percent(result.probability)})"
     return words
 
 
