@@ -64,10 +64,11 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
 
 def _outliers(field_map: FieldMap) -> Mask:
     """Samples of a map that contradict those around them."""
-    samples = field_map.survey.transformed(field_map.T_map_model.inv())
-    box = declared_box(field_map.config, field_map.T_domain_model)
-    model = PRIORS[field_map.config.prior].build(samples.positions, samples.field, field_map.hyperparameters, box)
-    return find_outliers(samples, field_map.posterior, model)
+    samples, config = field_map.fitted_samples, field_map.config
+    assert samples is not None  # a map that was just made holds them
+    box = declared_box(config, field_map.T_domain_model)
+    prior, h = PRIORS[config.prior], field_map.hyperparameters
+    return find_outliers(samples, field_map.posterior, lambda: prior.build(samples.positions, samples.field, h, box))
 
 
 def _fitted(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner) -> FieldMap:

@@ -6,7 +6,7 @@ do not (magnets among the samples, walks of any length), and it costs least.
 """
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from magmatch.errors import MagmatchError
 from magmatch.field.calibration import Parts, divide
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import declared_box
-from magmatch.field.held_out import typical_length
+from magmatch.field.held_out import choose_part, typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.typing import Scalars
@@ -25,8 +25,8 @@ from magmatch.typing import Scalars
 log = logging.getLogger(__name__)
 
 PREFERRED = "spline"
-# Samples that the comparison uses.
-_N_COMPARED = 2500
+# Samples that the comparison uses; of a part of the survey, where most that would lose have lost already.
+_N_COMPARED, _N_QUALIFYING = 2500, 800
 # Another prior must miss by this share less (noise included, which no prior predicts), and by this many standard
 # errors of the parts' mean.
 _LEAST_GAIN, _LEAST_T = 0.01, 3.0
@@ -36,7 +36,7 @@ _FEWEST_IN_PART, _FEWEST_PARTS = 3, 6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Rival:
-    """A prior with its numbers, and how it does on each left-out part.
+    """A prior with its numbers, not yet calibrated, and how it does on each left-out part.
 
     Attributes
     ----------
@@ -77,17 +77,35 @@ def choose_prior(
     hyperparameters : Hyperparameters
         Of that prior.
     """
-    parts = divide(samples.positions, typical_length(samples.positions, samples.field))
-    some = np.arange(0, len(samples), -(-len(samples) // _N_COMPARED))
-    few = Parts(parts.number[some], tuple(fold[some] for fold in parts.folds), parts.is_path)
-    rivals = list(_rivals(samples, samples.subset(some), few, config, T_domain_model))
-    taken = _best(rivals)
+    points, field = samples.positions, samples.field
+    length = typical_length(points, field)
+    parts = divide(points, length)
+    names = [
+        PREFERRED,
+        *(name for name in sorted(PRIORS) if name != PREFERRED and _is_possible(name, samples, parts)),
+    ]
+    rivals: list[Rival] = []
+    if len(samples) > 2 * _N_QUALIFYING and len(names) > 1:
+        part = samples.subset(choose_part(points, _N_QUALIFYING, 3))
+        rivals = _compared(names, part, divide(part.positions, length), config, T_domain_model)
+        names = [PREFERRED, *(rival.name for rival in rivals[1:] if _may_be_better(rival, rivals[0]))]
+    if len(names) > 1 or not rivals:
+        rivals = _compared(names, samples, parts, config, T_domain_model)
+        taken = _best(rivals)
+    else:
+        named = config.model_copy(update={"prior": PREFERRED})
+        taken = replace(rivals[0], hyperparameters=resolved_hyperparameters(samples, named, T_domain_model))
     comparison = {rival.name: rival.error for rival in rivals if len(rival.log_errors)}
     _tell(taken, comparison)
-    return config.model_copy(update={"prior": taken.name, "comparison": comparison}), taken.hyperparameters
+    config = config.model_copy(update={"prior": taken.name, "comparison": comparison})
+    box = declared_box(config, T_domain_model)
+    h = PRIORS[taken.name].calibrated(points, field, taken.hyperparameters, box)
+    return config, replace(h, **_given(config))
 
 
-def resolved_hyperparameters(samples: Survey, config: FieldConfig, T_domain_model: RigidTransform) -> Hyperparameters:
+def resolved_hyperparameters(
+    samples: Survey, config: FieldConfig, T_domain_model: RigidTransform, calibrate: bool = True
+) -> Hyperparameters:
     """Numbers from the configuration where given, from the data otherwise.
 
     Parameters
@@ -98,35 +116,51 @@ def resolved_hyperparameters(samples: Survey, config: FieldConfig, T_domain_mode
         Names its prior.
     T_domain_model : RigidTransform
         Takes model coordinates to the frame of ``config.domain``.
+    calibrate : bool
+        As `Prior.choose_hyperparameters` says.
 
     Returns
     -------
     Hyperparameters
     """
-    names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
-    given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
     log.info("choosing hyperparameters of prior %s", config.prior)
     box = declared_box(config, T_domain_model)
-    chosen = PRIORS[config.prior].choose_hyperparameters(samples.positions, samples.field, box)
-    return replace(chosen, **given)
+    chosen = PRIORS[config.prior].choose_hyperparameters(samples.positions, samples.field, box, calibrate)
+    return replace(chosen, **_given(config))
 
 
-def _rivals(
-    samples: Survey, few: Survey, parts: Parts, config: FieldConfig, T_domain_model: RigidTransform
-) -> Iterator[Rival]:
-    """Every prior that can be afforded, the preferred one first and always."""
-    for name, prior in sorted(PRIORS.items(), key=lambda item: item[0] != PREFERRED):
-        if name != PREFERRED and not (parts.folds and prior.is_affordable(samples.positions, samples.field)):
-            log.info("prior %s is not compared: too few samples to leave any out, or too wide a survey", name)
-            continue
+def _given(config: FieldConfig) -> dict[str, float]:
+    """Numbers that are not left to the data."""
+    names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
+    return {name: getattr(config, name) for name in names if getattr(config, name) is not None}
+
+
+def _is_possible(name: str, samples: Survey, parts: Parts) -> bool:
+    """Whether a prior can be compared and afforded."""
+    if parts.folds and PRIORS[name].is_affordable(samples.positions, samples.field):
+        return True
+    log.info("prior %s is not compared: too few samples to leave any out, or too wide a survey", name)
+    return False
+
+
+def _compared(
+    names: list[str], samples: Survey, parts: Parts, config: FieldConfig, T_domain_model: RigidTransform
+) -> list[Rival]:
+    """How priors do on the same samples, the preferred one first and always."""
+    some = np.arange(0, len(samples), -(-len(samples) // _N_COMPARED))
+    few, folds = samples.subset(some), tuple(fold[some] for fold in parts.folds)
+    thinned = Parts(parts.number[some], folds, parts.is_path)
+    rivals = []
+    for name in names:
         named = config.model_copy(update={"prior": name})
         try:
-            h = resolved_hyperparameters(samples, named, T_domain_model)
-            yield Rival(name, h, _log_errors(few, parts, h, named, T_domain_model))
+            h = resolved_hyperparameters(samples, named, T_domain_model, calibrate=False)
+            rivals.append(Rival(name, h, _log_errors(few, thinned, h, named, T_domain_model)))
         except (MagmatchError, ValueError, np.linalg.LinAlgError) as error:
             if name == PREFERRED:
                 raise
             log.info("prior %s is not compared: %s", name, error)
+    return rivals
 
 
 def _log_errors(
@@ -161,6 +195,14 @@ def _is_clearly_better(rival: Rival, preferred: Rival) -> bool:
         return False
     standard_error = float(gain.std(ddof=1)) / np.sqrt(len(gain))
     return bool(gain.mean() > max(_LEAST_GAIN, _LEAST_T * standard_error))
+
+
+def _may_be_better(rival: Rival, preferred: Rival) -> bool:
+    """Whether a rival does not lose by more than chance on few samples."""
+    gain = preferred.log_errors - rival.log_errors
+    if len(gain) < _FEWEST_PARTS:
+        return True
+    return bool(gain.mean() + gain.std(ddof=1) / np.sqrt(len(gain)) > 0)
 
 
 def _tell(taken: Rival, comparison: Mapping[str, float]) -> None:

@@ -78,10 +78,9 @@ class InducingPrior:
         points: Points,
         field: Vectors,
         box: Box | None = None,  # noqa: ARG002
+        calibrate: bool = True,
     ) -> Hyperparameters:
         """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows.
-
-        Noise and spread are then widened as held-out samples ask for.
 
         Parameters
         ----------
@@ -89,6 +88,8 @@ class InducingPrior:
         field : (n, 3) array, T
         box : Box, optional
             Not used: beyond the inducing points the kernel speaks.
+        calibrate : bool
+            Widen noise and spread as held-out samples ask for.
 
         Returns
         -------
@@ -117,7 +118,14 @@ class InducingPrior:
             )  # fmt: skip
             rows = choose_samples(points, field, n)
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
-        return calibrated(self, points, field, self._resolved(points, fit))
+        h = self._resolved(points, fit)
+        return self.calibrated(points, field, h) if calibrate else h
+
+    def calibrated(
+        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+    ) -> Hyperparameters:
+        """Chosen numbers with the noise and the spread that held-out samples ask for."""
+        return calibrated(self, points, field, hyperparameters, box)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether the inducing points allowed follow the field's typical length."""

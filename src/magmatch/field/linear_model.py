@@ -103,8 +103,19 @@ class Prior(Protocol):
         """What configuration calls it."""
         ...
 
-    def choose_hyperparameters(self, points: Points, field: Vectors, box: Box | None = None) -> Hyperparameters:
-        """Numbers that fit the data; deterministic. ``box``: where else the field will be asked for."""
+    def choose_hyperparameters(
+        self, points: Points, field: Vectors, box: Box | None = None, calibrate: bool = True
+    ) -> Hyperparameters:
+        """Numbers that fit the data; deterministic. ``box``: where else the field will be asked for.
+
+        The mean does without `calibrated`, which takes its time.
+        """
+        ...
+
+    def calibrated(
+        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+    ) -> Hyperparameters:
+        """Chosen numbers with the noise and the spread that held-out samples ask for."""
         ...
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:

@@ -6,6 +6,7 @@ its neighbours deny is an outlier.
 """
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ FEWEST_SAMPLES = 100
 LARGEST_SHARE = 0.05
 
 
-def find_outliers(samples: Survey, posterior: Posterior, model: LinearModel[Any]) -> Mask:
+def find_outliers(samples: Survey, posterior: Posterior, lay: Callable[[], LinearModel[Any]]) -> Mask:
     """Samples whose residual is large and unlike those of the samples around.
 
     Parameters
@@ -49,8 +50,9 @@ def find_outliers(samples: Survey, posterior: Posterior, model: LinearModel[Any]
         In the model's frame.
     posterior : Posterior
         Fitted to all of them alike.
-    model : LinearModel
-        To fit again, with those that stand out weighed down so that they do not pull the map to them.
+    lay : function
+        Gives the model, to fit again with those that stand out weighed down so that they do not pull the map to them;
+        asked only if any do.
 
     Returns
     -------
@@ -61,10 +63,11 @@ def find_outliers(samples: Survey, posterior: Posterior, model: LinearModel[Any]
     if len(samples) < FEWEST_SAMPLES:
         return np.zeros(len(samples), dtype=bool)
     residual = field - posterior.evaluate(points).field
-    noise = _noise(residual, posterior)
+    noise, model = _noise(residual, posterior), None
     for _ in range(ROUNDS):
         if not (np.linalg.norm(residual, axis=1) > THRESHOLD * noise).any():
             return np.zeros(len(samples), dtype=bool)
+        model = lay() if model is None else model
         # Geman-McClure: what lies far outside hardly counts, so that it cannot hide behind what it did to the fit.
         weights = 1 / (1 + (residual**2).sum(axis=1) / (SOFT * noise) ** 2) ** 2
         residual = field - model.infer(model.observe(points, field, weights)).evaluate(points).field

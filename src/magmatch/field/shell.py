@@ -73,7 +73,11 @@ class SourceShell:
     def design(self, points: Points, order: int = 0) -> Matrix:
         """Field and derivatives per unit of each weight, component-major rows: (rows n, m)."""
         n, is_near = len(points), self.is_whole(points)
-        distinct = self.scale * charge_design(np.ascontiguousarray(points[is_near]), self.sources, order)
+        distinct = charge_design(np.ascontiguousarray(points[is_near]), self.sources, order)
+        distinct *= self.scale
+        if order == 0 and is_near.all():
+            # Nothing to sort out: a large survey's matrix need not be copied.
+            return distinct.reshape(-1, self.n_weights)
         out = np.zeros((N_ROWS[order], n, self.n_weights))
         out[:, is_near] = distinct[_row_index(order)]
         return out.reshape(-1, self.n_weights)

@@ -52,7 +52,9 @@ class HarmonicPrior:
     def __init__(self, config: HarmonicConfig | None = None) -> None:
         self.config = config or HarmonicConfig()
 
-    def choose_hyperparameters(self, points: Points, field: Vectors, box: Box | None = None) -> Hyperparameters:
+    def choose_hyperparameters(
+        self, points: Points, field: Vectors, box: Box | None = None, calibrate: bool = True
+    ) -> Hyperparameters:
         """Distance of the layer, signal and noise from the data, and the spread that held-out samples ask for.
 
         Parameters
@@ -61,6 +63,8 @@ class HarmonicPrior:
         field : (n, 3) array, T
         box : Box, optional
             What must be free of sources beside the samples' surroundings.
+        calibrate : bool
+            Widen noise and spread as held-out samples ask for.
 
         Returns
         -------
@@ -83,7 +87,13 @@ class HarmonicPrior:
         some = slice(None, None, -(-len(points) // self.config.n_search_samples))
         fit = self._search(points, field, some, length, box)
         h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
-        return calibrated(self, points, field, h, box)
+        return self.calibrated(points, field, h, box) if calibrate else h
+
+    def calibrated(
+        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+    ) -> Hyperparameters:
+        """Chosen numbers with the noise and the spread that held-out samples ask for."""
+        return calibrated(self, points, field, hyperparameters, box)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether the charges allowed can stand as near as the field's typical length asks for."""

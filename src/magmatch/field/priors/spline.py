@@ -20,9 +20,20 @@ class SplinePrior:
         points: Points,
         field: Vectors,
         box: Box | None = None,  # noqa: ARG002
+        calibrate: bool = True,  # noqa: ARG002
     ) -> Hyperparameters:
         """Numbers under which the survey is most likely; deterministic."""
         return choose_spline_hyperparameters(points, field)
+
+    def calibrated(
+        self,
+        points: Points,  # noqa: ARG002
+        field: Vectors,  # noqa: ARG002
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,  # noqa: ARG002
+    ) -> Hyperparameters:
+        """As they are: the choice holds their calibration."""
+        return hyperparameters
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:  # noqa: ARG002
         """Any survey is."""
