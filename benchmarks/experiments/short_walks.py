@@ -2,9 +2,9 @@
 """Short stretches of one walk through a two-floor building, found in the map of the whole building from another walk.
 
     python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20,10,5] [--tries 100] [--seed 100]
-        [--floor 2] [--cut-out] [--spacing M --lengthscale M]
+        [--floors 1,2] [--cut-out] [--spacing M --lengthscale M]
 
-CEA: base = walk one, both floors; targets = stretches of walk two on one floor, moved by a random SE(3) of their own.
+CEA: base = walk one, both floors; targets = stretches of walk two on either floor, moved by a random SE(3) of their own.
 Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
 (its pairs of points and its known region), so that nothing is right. Prints the counts, the error, the consistency of
 the covariance (NEES per degree of freedom) and the seconds per query with the map and its index built.
@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +136,7 @@ def main() -> None:
     parser.add_argument("--lengths", default="20,10,5")
     parser.add_argument("--tries", type=int, default=100)
     parser.add_argument("--seed", type=int, default=100)
-    parser.add_argument("--floor", type=int, choices=(1, 2), default=2)
+    parser.add_argument("--floors", default="1,2")
     parser.add_argument("--cut-out", action="store_true")
     parser.add_argument("--spacing", type=float, default=None)
     parser.add_argument("--lengthscale", type=float, default=None)
@@ -153,13 +154,14 @@ def main() -> None:
         f"base: {len(walks['training'])} samples, map {built - start:.1f} s, index {indexed - built:.1f} s "
         f"({len(index.table.first)} pairs of points), field length {index.length:.2f} m\n{index.noise}"
     )
-    for length in map(float, arguments.lengths.split(",")):
+    for floor, length in product(arguments.floors.split(","), map(float, arguments.lengths.split(","))):
         rng = np.random.default_rng([arguments.seed, int(length)])
         outcomes = []
-        for stretch in stretches(walks[f"test-floor{arguments.floor}"], length, arguments.tries, rng):
+        for stretch in stretches(walks[f"test-floor{floor}"], length, arguments.tries, rng):
             path_model = transform_points(stretch.positions, base_map.T_map_model.inv())
             seen = cut_out(index, path_model, 3.0, config) if arguments.cut_out else index
             outcomes.append(try_one(seen, stretch, rng, config))
+        print(f"floor {floor}")
         report(length, outcomes)
 
 

@@ -17,7 +17,7 @@ from magmatch.registration.prepared import prepare
 from magmatch.registration.refinement import perturbation
 from magmatch.registration.register_walk import WalkConfig, index_walks, register_walk
 from magmatch.registration.result import Status
-from magmatch.registration.walk import bin_along_path, choose_search, field_length, walk_of
+from magmatch.registration.walk import bin_along_path, choose_search, walk_of
 
 NOISE_SD = 0.3e-6
 CORNERS = np.array([[0.3, 0.4, 0.3], [2.6, 0.7, 0.2], [2.4, 2.5, 0.35], [0.6, 2.2, 0.3]])
@@ -214,5 +214,5 @@ def test_bins_follow_the_path_and_do_not_join_separate_passes():
 
 def test_the_field_length_of_a_map_does_not_depend_on_its_frame(rooms):
     T = random_transform(np.random.default_rng(3))
-    lengths = [field_length(prepare(m, 4, np.random.default_rng(0))) for m in (rooms[0], rooms[0].transformed(T))]
+    lengths = [prepare(m, 4, np.random.default_rng(0)).lengthscale for m in (rooms[0], rooms[0].transformed(T))]
     assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)

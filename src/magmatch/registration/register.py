@@ -21,7 +21,7 @@ from magmatch.registration.register_walk import register_walk
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
-from magmatch.registration.walk import choose_search, field_length
+from magmatch.registration.walk import choose_search
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ def register_by_field(
     prepared = base.base if isinstance(base, MapIndex) else clock.time("prepare", prepare_base, base, config)
     survey, search = survey_of(target), config.search
     if search == "auto":
-        search = choose_search(survey, field_length(prepared))
+        search = choose_search(survey, prepared.lengthscale)
     if search == "pairs":
         log.info("searching for the walk by pairs of points")
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)

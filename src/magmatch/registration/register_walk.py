@@ -14,7 +14,7 @@ from magmatch.registration.path_noise import PathNoise, learn_path_noise
 from magmatch.registration.pose_prior import PosePriorConfig, pose_prior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.walk import Walk, field_length, walk_of
+from magmatch.registration.walk import Walk, walk_of
 from magmatch.registration.walk_answer import WalkDecisionConfig, by_line_evidence
 
 
@@ -62,7 +62,7 @@ def index_walks(base: PreparedMap, config: WalkConfig, rng: np.random.Generator)
     -------
     WalkIndex
     """
-    length = field_length(base)
+    length = base.lengthscale
     noise = learn_path_noise(base.field_map, length, rng)
     return WalkIndex(base, length, noise, tabulate_pairs(base, length, noise.total_sd, config.search))
 

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
-from magmatch.registration.prepared import PreparedMap
 from magmatch.typing import Points, Scalars, Vectors
 
 # Length of a bin, in the base's field length: short against the field's changes, long against the samples' noise.
@@ -55,16 +54,6 @@ class Walk:
         """Path per bin, m."""
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
         return float(np.median(steps)) if len(steps) else 0.0
-
-
-def field_length(base: PreparedMap) -> float:
-    """Distance over which a map's field changes by as much as it varies: its spread over its gradient, m.
-
-    A property of the field rather than of the prior that fitted it; all lengths of a walk's registration count in it.
-    """
-    spread = float(np.sqrt(np.mean((base.point_field - base.point_field.mean(axis=0)) ** 2)))
-    gradient = float(np.sqrt(np.mean(base.point_gradient**2)))
-    return spread / gradient if gradient > 0 else base.lengthscale
 
 
 def walk_of(survey: Survey, length: float) -> Walk:
