@@ -4,7 +4,7 @@
     python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20,10,5] [--tries 100] [--seed 100]
         [--floors 1,2] [--cut-out] [--spacing M --lengthscale M]
 
-CEA: base = walk one, both floors; targets = stretches of walk two on either floor, moved by a random SE(3) of their own.
+CEA: base = walk one, both floors; targets = stretches of walk two on either floor, each moved by a random SE(3).
 Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
 (its pairs of points and its known region), so that nothing is right. Prints the counts, the error, the consistency of
 the covariance (NEES per degree of freedom) and the seconds per query with the map and its index built.

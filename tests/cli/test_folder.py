@@ -94,3 +94,11 @@ def test_priors_that_say_nothing_are_refused_in_one_line(place, run, words, name
     assert outcome.code == 2
     assert len(outcome.err.strip().splitlines()) == 1
     assert named in outcome.err
+
+
+def test_what_may_differ_between_the_sensors_is_as_asked(place, run):
+    words = ("register", place / "base.map", place / "target.map", "--json", "--sensor")
+    found = {mode: json.loads(run(*words, mode).out)["sensor"] for mode in ("none", "bias", "full")}
+    assert found["none"] is None
+    assert found["bias"]["scale"] == 1.0
+    assert len({round(number, 9) for row in found["full"]["gain"] for number in row}) > 3

@@ -16,21 +16,25 @@ from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import prepare
 from magmatch.registration.raster import rasterize
 from magmatch.registration.refinement import RefinementConfig, look_up, perturbation, refine, residual_jacobian
-from magmatch.registration.sensors import identical_sensors
+from magmatch.registration.sensors import TIED_SD, SensorConfig, identical_sensors, levels_to_try, prior_sd
 
 
 @dataclass(frozen=True)
 class BiasedPosterior:
-    """What a map says when its sensor was biased: everything scaled, a constant added."""
+    """What a map says when its sensor was biased: everything scaled or bent, a constant added."""
 
     honest: object
-    scale: float
+    scale: float | np.ndarray
     bias: np.ndarray
+
+    @property
+    def gain(self):
+        return self.scale * np.eye(3) if np.ndim(self.scale) == 0 else self.scale
 
     def evaluate(self, points, order=0, weights=None):
         v = self.honest.evaluate(points, order, weights)
-        gradient = None if v.gradient is None else self.scale * v.gradient
-        return FieldValues(self.scale * v.field + self.bias, gradient)
+        gradient = None if v.gradient is None else self.gain @ v.gradient
+        return FieldValues(v.field @ self.gain.T + self.bias, gradient)
 
     def __getattr__(self, name):
         return getattr(self.honest, name)
@@ -83,7 +87,7 @@ def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
 
 def test_jacobian_is_the_derivative_of_the_residual(prepared_pair):
     base, target, T_true = prepared_pair
-    center, sensor = target.samples.mean(axis=0), identical_sensors("scale")
+    center, sensor = target.samples.mean(axis=0), identical_sensors(SensorConfig(mode="scale"), 2)
     rows = np.arange(0, 800, 8), np.arange(0, 800, 8)
 
     def residuals(xi):
@@ -114,6 +118,33 @@ def test_a_biased_sensor_is_noticed_and_taken_off(make_exact_pair):
     np.testing.assert_allclose(target.T_map_model.rotation.apply(pose.sensor.bias), bias, atol=0.2e-6)
     np.testing.assert_allclose(pose.sensor.gain[0, 0], scale, atol=0.003)
     assert error(pose.T_base_target, T_model, target)[1] < np.radians(0.1)
+
+
+def test_soft_iron_is_noticed_where_bias_and_scale_do_not_explain_it(make_exact_pair):
+    T_true = random_transform(np.random.default_rng(8))
+    base_map, target_map = make_exact_pair(8, T_true)
+    iron = np.array([[1.03, 0.02, -0.01], [0.015, 0.98, 0.02], [-0.02, 0.01, 1.0]])
+    bias, R = np.array([2e-6, -1e-6, 1.5e-6]), target_map.T_map_model.rotation.as_matrix()
+    survey = replace(target_map.survey, field=target_map.survey.field @ iron.T + bias)
+    posterior = BiasedPosterior(target_map.posterior, R.T @ iron @ R, R.T @ bias)
+    rng = np.random.default_rng(0)
+    base, target = prepare(base_map, 4, rng), prepare(replace(target_map, survey=survey, posterior=posterior), 4, rng)
+    T_model = base.T_map_model.inv() * T_true * target.T_map_model
+    config, unrelated = RefinementConfig(), unrelated_field(base, target)
+    scaled, full = (refine(base, target, T_model, FLAT, config, np.random.default_rng(0), level) for level in (2, 3))
+    gain = weigh_pose(base, target, full, unrelated, FLAT).log_evidence
+    assert gain > weigh_pose(base, target, scaled, unrelated, FLAT).log_evidence + config.sensor.min_gain
+    assert error(full.T_base_target, T_model, target)[1] < np.radians(0.3)
+    np.testing.assert_allclose(R @ full.sensor.gain @ R.T, iron, atol=0.01)
+
+
+def test_each_mode_moves_its_own_parameters():
+    n_tried = {}
+    for mode in ("auto", "none", "bias", "scale", "full"):
+        config = SensorConfig(mode=mode)
+        n_tried[mode] = [identical_sensors(config, level).n_parameters for level in levels_to_try(config)]
+    assert n_tried == {"auto": [4, 4, 4, 12], "none": [3], "bias": [3], "scale": [4], "full": [12]}
+    assert prior_sd(SensorConfig(mode="none"), -1, 3).max() == TIED_SD
 
 
 def test_like_sensors_are_left_alike(prepared_pair):

@@ -15,6 +15,7 @@ from magmatch.registration.fitness import Fitness, mean_misalignment
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.probability import pose_probability, shares
 from magmatch.registration.result import Alternative, Links, RegistrationResult, Status
+from magmatch.registration.sensors import TIED_SD
 
 # Poses nearer than this are one answer: rad, and in lengthscales.
 SAME_ROTATION = 0.14
@@ -180,7 +181,7 @@ def _fitness(base: PreparedMap, target: PreparedMap, best: PoseEvidence) -> floa
 def _sensor(best: PoseEvidence, target: PreparedMap) -> dict[str, Any] | None:
     """Estimated difference of the magnetometers in the target's survey axes; None where it was not estimated."""
     sensor = best.pose.sensor
-    if not len(sensor.shapes) and not sensor.bias.any():
+    if best.pose.sensor_sd.max() <= TIED_SD:
         return None
     R = target.T_map_model.rotation.as_matrix()
     gain = R @ sensor.gain @ R.T

@@ -132,7 +132,7 @@ def refine(
         _some_rows(len(base.samples), config.n_samples, rng),
     )
     T, center = T_base_target, target.samples.mean(axis=0)
-    sensor = identical_sensors(config.sensor.mode)
+    sensor = identical_sensors(config.sensor, level)
     sd = prior_sd(config.sensor, level, sensor.n_parameters)
     lengthscale = min(base.lengthscale, target.lengthscale)
     for _ in range(config.n_steps):

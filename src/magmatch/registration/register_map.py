@@ -18,7 +18,7 @@ from magmatch.registration.pose_prior import PosePrior, pose_prior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.refinement import refine
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.sensors import levels_to_try
+from magmatch.registration.sensors import is_soft_iron, levels_to_try
 from magmatch.registration.stopwatch import Stopwatch
 
 log = logging.getLogger(__name__)
@@ -156,7 +156,10 @@ def _refine_and_rank(
         more = starts[settings.n_candidates : settings.n_candidates + settings.n_more_candidates]
         ranked += [weigh(start, tightest) for start in more]
     ranked.sort(key=lambda e: -e.log_evidence)
+    alike = settings.sensor.bias_levels[0]
     for level in wider if ranked else ():
+        if is_soft_iron(settings.sensor, level) and ranked[0].pose.sensor_sd[0] == alike:
+            break  # sensors that differ in no bias and no scale
         best = weigh(ranked[0].pose.T_base_target, level)
         if best.log_evidence > ranked[0].log_evidence + settings.sensor.min_gain:
             ranked[0] = best

@@ -17,14 +17,17 @@ from magmatch.typing import Matrix, Vectors
 
 SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 
+# Prior standard deviation of what must not differ.
+TIED_SD = 1e-12
+
 
 class SensorConfig(BaseModel):
     """What may differ between the two magnetometers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # 'auto': bias and scale, at the level the evidence asks for; 'none': identical sensors; 'bias', 'scale' (and
-    # bias) and 'full' (soft iron and bias): free at the widest level.
+    # 'auto': bias and scale at the level the evidence asks for, and soft iron where it asks for that; 'none':
+    # identical sensors; 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
     mode: SensorMode = "auto"
     # Prior standard deviations of bias (T) and scale, tightest first: same sensor, same kind, uncalibrated.
     bias_levels: tuple[float, ...] = (0.2e-6, 0.7e-6, 3e-6)
@@ -83,24 +86,33 @@ class SensorModel:
 
 
 def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
-    """Prior levels in the order they are tried; a later one must explain the data better by ``min_gain``."""
-    widest = len(config.bias_levels) - 1
-    return {"auto": tuple(range(widest + 1)), "none": (-1,)}.get(config.mode, (widest,))
+    """Prior levels in the order they are tried; a later one must explain the data better by ``min_gain``.
+
+    Beyond the widest level of bias and scale lies soft iron, for 'auto' to try where the sensors differ at all.
+    """
+    n = len(config.bias_levels)
+    return {"auto": tuple(range(n + 1)), "none": (-1,)}.get(config.mode, (n - 1,))
 
 
-def identical_sensors(mode: SensorMode) -> SensorModel:
-    """Start of the estimation: no difference, with the parameters that a mode may move."""
+def is_soft_iron(config: SensorConfig, level: int) -> bool:
+    """Whether all nine numbers of the gain are free."""
+    return config.mode == "full" or level >= len(config.bias_levels)
+
+
+def identical_sensors(config: SensorConfig, level: int) -> SensorModel:
+    """Start of the estimation: no difference, with the parameters that a level may move."""
     shapes = np.zeros((0, 3, 3))
-    if mode in ("auto", "scale"):
-        shapes = np.eye(3)[None]
-    elif mode == "full":
+    if is_soft_iron(config, level):
         shapes = np.eye(9).reshape(9, 3, 3)
+    elif config.mode in ("auto", "scale"):
+        shapes = np.eye(3)[None]
     return SensorModel(np.zeros(3), np.eye(3), shapes)
 
 
 def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
     """Prior standard deviations of the parameters at a level; a negative level ties them to zero."""
     if level < 0:
-        return np.full(n_parameters, 1e-12)
+        return np.full(n_parameters, TIED_SD)
+    level = min(level, len(config.bias_levels) - 1)
     gain = np.full(n_parameters - 3, config.scale_levels[level])
     return np.concatenate([np.full(3, config.bias_levels[level]), gain])
