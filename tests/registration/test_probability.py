@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magmatch.registration.probability import pose_probability, shares
+from magmatch.registration.probability import pose_probability, shares, walk_probability
 
 odds = st.floats(-100, 1000)
 
@@ -14,6 +14,13 @@ odds = st.floats(-100, 1000)
 def test_more_evidence_is_never_less_probable(low, high, misfit, share):
     low, high = sorted((low, high))
     assert pose_probability(low, None, misfit, share) <= pose_probability(high, None, misfit, share)
+
+
+@given(low=odds, high=odds, residual=st.floats(0, 10), coverage=st.floats(0, 1))
+def test_more_evidence_of_a_walk_is_never_less_probable(low, high, residual, coverage):
+    low, high = sorted((low, high))
+    assert 0 <= walk_probability(low, residual, coverage) <= walk_probability(high, residual, coverage) <= 1
+    assert walk_probability(-np.inf, residual, coverage) == 0
 
 
 @given(log_odds=odds, chance=st.floats(-50, 200), misfit=st.floats(0.2, 30))

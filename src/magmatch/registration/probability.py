@@ -8,6 +8,9 @@ known, and its report on other pairs is in ``benchmarks/RESULTS.md``.
 
 import numpy as np
 
+# Of walks: one; asinh(log odds / 10); ln of the normalised residual; the share of the walk inside the map. Right is
+# the right place here, within a field length: how far the pose may be off there is the covariance's to say.
+WALK_WEIGHTS = np.array([-1.9, 7.3, -0.3, 2.9])
 # Of: one; the margin over chance, asinh(nats / 10); how far residuals exceed what noise explains, ln; the share of
 # informative cells that agree.
 WEIGHTS = np.array([-3.0, 3.5, -2.3, 0.3])
@@ -55,6 +58,27 @@ def pose_probability(log_odds: float, chance: float | None, misfit: float, agree
         return 0.0
     z = float(features(log_odds, chance, misfit, agreeing_share) @ WEIGHTS)
     return float(1 / (1 + np.exp(-z)))
+
+
+def walk_probability(log_odds: float, residual: float, coverage: float) -> float:
+    """Probability that a walk's pose is in the right place, were there no other like it.
+
+    Parameters
+    ----------
+    log_odds : float, nats
+    residual : float
+        Normalised rms residual along the walk.
+    coverage : float
+        Share of the walk inside the base map.
+
+    Returns
+    -------
+    float
+    """
+    if not np.isfinite(log_odds):
+        return 0.0
+    seen = np.array([1.0, np.arcsinh(log_odds / 10), np.log(np.clip(residual, 0.3, 20.0)), coverage])
+    return float(1 / (1 + np.exp(-seen @ WALK_WEIGHTS)))
 
 
 def shares(log_odds: list[float]) -> list[float]:

@@ -13,6 +13,7 @@ from magmatch.registration.covariance import free_directions, to_survey_axes
 from magmatch.registration.decision import Verdict
 from magmatch.registration.line_evidence import LineEvidence
 from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.probability import shares, walk_probability
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
 from magmatch.registration.walk import Walk
 
@@ -75,6 +76,9 @@ def by_line_evidence(
         return RegistrationResult(Status.UNINFORMATIVE, reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
     rivals = _distinct(ranked, SAME_PLACE * length)[1:]
+    explained = walk_probability(best.log_evidence, best.residual, best.coverage)
+    odds = [best.log_evidence, *(e.log_evidence for e in rivals), best.log_evidence - lead]
+    probabilities = [explained * share for share in shares(odds)]
     lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [base.T_map_model * e.T_base_walk * walk.T_survey_walk.inv() for e in (best, *rivals)]
     # The base's own stretches show how its poses drift, not how far the walk's frame is off as a whole.
@@ -99,10 +103,14 @@ def by_line_evidence(
         reason=verdict.reason,
         T_base_target=poses[0] if is_accepted else None,
         covariance=to_survey_axes(covariance, best.center, walk.T_survey_walk) if is_accepted else None,
+        probability=probabilities[0],
         overlap=best.coverage,
         alternatives=()
         if is_accepted
-        else tuple(Alternative(T, log_odds=e.log_evidence) for T, e in zip(poses, [best, *rivals], strict=True)),
+        else tuple(
+            Alternative(T, p, log_odds=e.log_evidence)
+            for T, p, e in zip(poses, probabilities, [best, *rivals], strict=False)
+        ),
         evidence={"log_odds": best.log_evidence, "lead": lead if np.isfinite(lead) else None},
         degenerate_directions=free,
         residual=best.residual,
