@@ -2,7 +2,7 @@
 """A method: two surveys in, a registration result out, whatever happens in between."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pydantic import BaseModel
@@ -90,23 +90,23 @@ class Baseline:
     ----------
     name, title, module
         See `Method`.
-    field : FieldConfig
+    prior : FieldConfig
         How the maps are made.
     settings : BaseModel
     solve : callable
-        ``solve(base_map, target_map, settings, seed)``.
+        ``solve(base_map, target_map, settings, seed)``; not in the ``repr``, where it would show an address.
     """
 
     name: str
     title: str
-    field: FieldConfig
+    prior: FieldConfig
     settings: BaseModel
-    solve: Callable[[FieldMap, FieldMap, Any, int], RegistrationResult]
+    solve: Callable[[FieldMap, FieldMap, Any, int], RegistrationResult] = field(repr=False)
     module: str | None = None
 
     def __call__(self, task: Task) -> RegistrationResult:
         """Register the pair."""
-        maps = (task.build(task.base, self.field), task.build(task.target, self.field))
+        maps = (task.build(task.base, self.prior), task.build(task.target, self.prior))
         return self.solve(*maps, self.settings, task.seed)
 
 
@@ -116,7 +116,7 @@ class Refiner:
 
     Attributes
     ----------
-    name, title, module, field, settings
+    name, title, module, prior, settings
         See `Baseline`.
     solve : callable
         ``solve(base_map, target_map, start, settings, seed)``.
@@ -126,14 +126,14 @@ class Refiner:
 
     name: str
     title: str
-    field: FieldConfig
+    prior: FieldConfig
     settings: BaseModel
-    solve: Callable[[FieldMap, FieldMap, RigidTransform, Any, int], RegistrationResult]
-    is_rough: bool
+    solve: Callable[[FieldMap, FieldMap, RigidTransform, Any, int], RegistrationResult] = field(repr=False)
+    is_rough: bool = True
     module: str | None = None
 
     def __call__(self, task: Task) -> RegistrationResult:
         """Register the pair."""
         start = task.rough_start if self.is_rough else RigidTransform.identity()
-        maps = (task.build(task.base, self.field), task.build(task.target, self.field))
+        maps = (task.build(task.base, self.prior), task.build(task.target, self.prior))
         return self.solve(*maps, start, self.settings, task.seed)
