@@ -13,6 +13,7 @@ from magmatch.registration.result import Links
 pytest.importorskip("plotly")
 
 from magmatch.viz.agreement_figures import along_figure
+from magmatch.viz.certainty_figures import poses_figure
 from magmatch.viz.map_figures import field_figures, spread_figure
 from magmatch.viz.plotting import thinned
 from magmatch.viz.registration_figures import scene_figures, slice_figures
@@ -135,3 +136,20 @@ def test_the_band_is_not_drawn_across_gaps(pair):
         rows = set(piece[np.isfinite(piece)].tolist())
         assert rows <= known
         assert not rows or max(rows) - min(rows) + 1 == len(rows)
+
+
+def test_rival_poses_are_drawn_where_the_target_would_lie(pair):
+    T = pair.accepted.T_base_target
+    away = RigidTransform.from_translation([5.0, 0, 0]) * T
+    figure = poses_figure(pair.base, pair.target, [T, away])
+    outlines = [trace for trace in figure.data if trace.mode == "lines"]
+    assert [trace.name for trace in outlines] == ["pose 1", "pose 2"]
+    np.testing.assert_allclose(np.sort(outlines[1].x) - np.sort(outlines[0].x), 5.0, atol=1e-5)
+    assert outlines[0].line.dash != outlines[1].line.dash
+    assert [trace.text[0] for trace in figure.data if trace.mode == "text"] == ["<b>1</b>", "<b>2</b>"]
+
+
+def test_a_straight_line_has_an_outline_too(pair):
+    p = np.column_stack([np.linspace(0, 2, 50), np.zeros(50), np.zeros(50)])
+    line = replace(pair.target, positions=p[::-1], field=np.full(p.shape, 3e-5))
+    assert len(poses_figure(pair.base, line, [RigidTransform.identity()]).data[1].x) == 50

@@ -43,7 +43,7 @@ def shown(browser, report):
 
 
 def test_all_pictures_are_drawn_without_an_error(shown):
-    assert shown.evaluate(N_PLOTS) == 12
+    assert shown.evaluate(N_PLOTS) == 13
     assert shown.evaluate(UNDRAWN) == 0
     assert shown.errors() == []
     assert shown.evaluate("document.getElementById('trouble').hidden")

@@ -62,7 +62,8 @@ def test_a_report_draws_all_there_is(report):
     kinds = [figure["data"][0]["type"] for figure in figures_in(report)]
     in_space, slices, matches = ["scatter3d"] * 2, ["heatmap"] * 3, ["heatmap"]
     agreement, sureness, time = ["heatmap", "scatter3d", "bar"], ["scatter3d"] * 2, ["bar"]
-    assert kinds == in_space + slices + matches + agreement + sureness + time
+    others = ["scatter"]
+    assert kinds == in_space + slices + matches + agreement + sureness + others + time
 
 
 def test_every_picture_has_words_that_stand_for_it(report):
@@ -146,7 +147,7 @@ def test_a_refusal_says_why_and_gives_no_transform(pair, tmp_path):
     page = (tmp_path / "r.html").read_text()
     for words in ("Not accepted: degenerate", "sliding along base x", "No transform is given"):
         assert words in page
-    assert len(figures_in(page)) == 4  # surveys, what is left free, and time, since there are no maps
+    assert len(figures_in(page)) == 5  # surveys, what is left free, other poses, and time, since there are no maps
 
 
 def test_the_same_result_gives_the_same_page(pair, tmp_path):

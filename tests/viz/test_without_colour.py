@@ -12,7 +12,7 @@ from plotly.colors import get_colorscale, hex_to_rgb, sample_colorscale, unlabel
 
 from magmatch.viz.agreement_figures import agreement_figures, along_figure
 from magmatch.viz.certainty import ellipsoids_at
-from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure
+from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure, poses_figure
 from magmatch.viz.plotting import BASE_COLOR, FIELD_SCALE, SPREAD_SCALE, TARGET_COLOR
 from magmatch.viz.registration_figures import match_figure, scene_figures, shown_pose
 from magmatch.viz.residuals import compare
@@ -65,6 +65,7 @@ def test_no_series_is_told_by_hue_alone(pair):
         along_figure(compared),
         profile_figure(pair.base),
         ellipsoid_figure(place, "place", "mm", 1e3, ""),
+        poses_figure(pair.base, pair.target, [T, T.inv(), T * T, T, T, T]),
         free_figure(pair.base, pair.target, shown_pose(refused), refused.degenerate_directions[0]),
     ]
     for figure in figures:

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of how sure a pose is: where the target may lie, how it may be turned, and what the data leave free."""
+"""Pictures of how sure a pose is: ellipsoids of place and turn, what the data leave free, and rival poses."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.geometry import transform_points
 from magmatch.registration.result import DegenerateDirection
@@ -21,16 +24,19 @@ from magmatch.viz.plotting import (
     for_display,
     label,
     lines3d,
+    new_plane,
     new_scene,
     points3d,
     require_plotly,
     thinned,
 )
+from magmatch.viz.slices import cut_through
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 DASHES = ("solid", "dash", "dot")
+POSE_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 # How far the farthest sample is drawn to go along a free direction, in the target's extent.
 SWEEP = 0.2
 MAX_ARROWS, MAX_SWEPT = 40, 1500
@@ -117,3 +123,51 @@ def _curves(curves: list[Points], name: str, color: str) -> Any:
     x, y, z = for_display(np.concatenate([part for curve in curves for part in (curve, gap)])).T
     line = {"color": color, "width": 1.5}
     return require_plotly().Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line, hoverinfo="skip")
+
+
+def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":
+    """Where the target would lie under each of several poses: numbered outlines, or paths, in plan view.
+
+    Parameters
+    ----------
+    base, target : Survey
+        Each in its own frame.
+    poses : sequence of RigidTransform
+        ``T_base_target``, best first; the first is drawn heavier.
+
+    Returns
+    -------
+    plotly Figure
+    """
+    p_target = target.positions[thinned(len(target), MAX_SWEPT)]
+    lain = [transform_points(p_target, T) for T in poses]
+    cut = cut_through(np.concatenate([base.positions, *lain]))
+    axes = list(cut.axes[:2])
+    draw = require_plotly().Scatter
+    x, y = for_display(base.positions[thinned(len(base), MAX_SWEPT)][:, axes]).T
+    dots = {"size": 3, "color": BASE_COLOR, "opacity": 0.35}
+    traces = [draw(x=x, y=y, mode="markers", marker=dots, name=f"base: {label(base.name)}", hoverinfo="skip")]
+    for k, p in enumerate(lain):
+        line = {"color": TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": POSE_DASHES[k % len(POSE_DASHES)]}
+        x, y = for_display(_outline(p[:, axes], is_path=has_order(target))).T
+        traces.append(draw(x=x, y=y, mode="lines", line=line, name=f"pose {k + 1}", hoverinfo="name"))
+        x, y = for_display(p[:, axes].mean(axis=0)[None]).T
+        text = {"mode": "text", "text": [f"<b>{k + 1}</b>"], "textfont": {"size": 18, "color": INK}}
+        traces.append(draw(x=x, y=y, hoverinfo="skip", showlegend=False, **text))
+    a, b, c = ("xyz"[axis] for axis in cut.axes)
+    figure = new_plane(
+        f"The target under each pose<br><sub>base frame, seen along {c}; numbers as in the table</sub>",
+        traces, f"{a} (m)", f"{b} (m)",
+    )  # fmt: skip
+    places = "; ".join(
+        f"{k + 1} around {a} {p[:, axes[0]].mean():.2f}, {b} {p[:, axes[1]].mean():.2f} m" for k, p in enumerate(lain)
+    )
+    return described(figure, f"Plan of the base with the outline of the target under each pose: {places}.")
+
+
+def _outline(p: np.ndarray, *, is_path: bool) -> np.ndarray:
+    """The way itself, or the hull of what has no order."""
+    if is_path or np.linalg.matrix_rank(p - p[0], tol=1e-6) < 2:
+        return p
+    corners = ConvexHull(p).vertices
+    return np.asarray(p[[*corners, corners[0]]])

@@ -13,14 +13,14 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.certainty import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
-from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure
+from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure, poses_figure
 from magmatch.viz.page import Section, details, figure_row, note, paragraph, subheading, table, to_copy
 from magmatch.viz.registration_figures import shown_pose
 from magmatch.viz.residuals import compare
 from magmatch.viz.words import percent
 
 # Other poses that are listed, and samples that give their numbers.
-MAX_LISTED, N_COMPARED = 10, 500
+MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500
 # What the numbers of a result's evidence are called; others by their own names.
 EVIDENCE = {
     "log_odds": "log odds of the best pose (nats)",
@@ -135,7 +135,12 @@ def other_poses(
     words += "Distances are those of the target's centroid. " if target is not None else ""
     words += f"{left} more stand in the result file." if left else ""
     rows = [list(row) for row in zip(*told.values(), strict=True)]
-    return [Section("Other poses", [paragraph(words), table(rows, list(told))])]
+    blocks = [paragraph(words), table(rows, list(told))]
+    drawn = [other.T_base_target for other in listed[:MAX_DRAWN_POSES] if other.base is None]
+    if base is not None and survey is not None and drawn and not any(other.base for other in listed):
+        base_survey = base.survey if isinstance(base, FieldMap) else base
+        blocks.append(figure_row([poses_figure(base_survey, survey, drawn)]))
+    return [Section("Other poses", blocks)]
 
 
 def again(result: RegistrationResult, command: str | None) -> Section:

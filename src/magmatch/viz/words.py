@@ -25,15 +25,16 @@ NEXT_STEPS = {
         "iron that was moved between the surveys, or a gap in the base.",
     ),
     Status.AMBIGUOUS: (
-        "Look at the other poses below: if you know roughly where the target was, you can tell which one it is. Cut "
-        "the base to that region and register again.",
+        "Look at the other poses below: if you know roughly where the target was, say so with --prior-pose and "
+        "register again.",
+        "If z points up in both surveys, say --gravity-aligned: it leaves fewer poses to tell apart.",
         "Survey more of the surroundings, in base or target, until something is included that does not repeat (a "
         "door, a pillar, an end of the row of racks).",
     ),
     Status.DEGENERATE: (
         "Survey across the free direction drawn below: turn a corner, add a second line beside the first, or a "
         "second height.",
-        "If another sensor fixes that direction (wheel odometry, a floor plan), combine it with the best candidate.",
+        "If another sensor fixes that direction (wheel odometry, a floor plan), say so with --prior-pose.",
     ),
     Status.NO_OVERLAP: (
         "Survey a region in common: at least a few field lengths across, in both surveys.",
@@ -41,6 +42,8 @@ NEXT_STEPS = {
         "If the base was made with --domain, see whether the box holds the place.",
     ),
     Status.UNINFORMATIVE: (
+        "If z points up in both surveys, or the pose is known roughly, say --gravity-aligned or --prior-pose: less "
+        "has to be found out from the field.",
         "Survey nearer to iron (walls, floors with rebar, furniture), or a larger region.",
         "Check the units and the resolution of the field: 'magmatch info' shows how much it varies in each survey.",
     ),
