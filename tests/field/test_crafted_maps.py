@@ -128,6 +128,12 @@ CRAFTED = {
     "attributes a list": (edit_json("zarr.json", "attributes", []), "entry 'zarr.json' has no attributes"),
     "survey a number": (edit_json("zarr.json", "attributes", "surveys", 1), "expected a list"),
     "shape huge": (edit_json("tile.0.0.0/zarr.json", "shape", [10**12]), "expected a shape"),
+    "shape empty and endless": (
+        lambda e: edit_json("times.0/zarr.json", "shape", [0, 2**31])(e)
+        or edit_json("times.0/zarr.json", "chunk_grid", "configuration", "chunk_shape", [1, 1])(e)
+        or e.pop("times.0/c/0"),
+        "entry 'times.0': expected an array of shape (n,), found (0, 2147483648)",
+    ),
     "shape of many chunks": (edit_json("tile.0.0.0/zarr.json", "shape", [2**31]), "chunks, found 1"),
     "chunk grid odd": (edit_json("tile.0.0.0/zarr.json", "chunk_grid", []), "expected a shape"),
     "objects": (edit_json("tile.0.0.0/zarr.json", "data_type", "object"), "expected a float64 array"),
@@ -162,6 +168,10 @@ CRAFTED = {
     "number a word": (edit_json("zarr.json", "attributes", "hyperparameters", "spacing", "x"), "expected numbers"),
     "noise zero": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", 0), "expected positive"),
     "noise NaN": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", np.nan), "finite noise_sd"),
+    "stiffness negative": (
+        edit_json("zarr.json", "attributes", "hyperparameters", "stiffness", -1), "stiffness that is not negative",
+    ),
+    "reach without end": (edit_json("zarr.json", "attributes", "hyperparameters", "reach", 2000), "at most 32"),
     "nodes beyond counting": (
         edit_json("zarr.json", "attributes", "hyperparameters", "spacing", 1e-9), "too large for a spacing",
     ),

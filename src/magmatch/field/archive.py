@@ -285,7 +285,8 @@ def _check_array(path: str | Path, name: str, entries: Mapping[str, bytes]) -> N
     held = {n for n in entries if n.startswith(f"{name}/c/")}
     if math.prod(n_chunks) != len(held):
         raise DataFormatError(path, f"{where}: expected {math.prod(n_chunks)} chunks, found {len(held)}")
-    for index in product(*map(range, n_chunks)):
+    # Of an empty array another axis may be declared of any length, which `product` would write out first.
+    for index in product(*map(range, n_chunks)) if held else ():
         key = f"{name}/c/" + "/".join(map(str, index))
         if key not in held or len(entries[key]) != math.prod(chunk) * 8 + CRC_BYTES:
             raise DataFormatError(path, f"entry '{key}' is missing or of the wrong length")

@@ -4,6 +4,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+# Spacings; each one more costs a layer of cells around all samples.
+MAX_REACH = 32.0
+
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
@@ -39,6 +44,16 @@ class Hyperparameters:
     looseness: float = 1.0
     inflation: float = 1.0
     reach: float = 2.0
+
+    def check(self) -> None:
+        """Raise ValueError where no field has such numbers: those of a file are anyone's."""
+        positive = (self.lengthscale, self.signal_sd, self.noise_sd, self.spacing, self.looseness, self.inflation)
+        if not all(0 < value < np.inf for value in positive):
+            msg = f"expected positive lengthscale, signal_sd, noise_sd and spacing, got {self}"
+            raise ValueError(msg)
+        if not (0 <= self.stiffness < np.inf and 0 <= self.reach <= MAX_REACH):
+            msg = f"expected a stiffness that is not negative and a reach of at most {MAX_REACH}, got {self}"
+            raise ValueError(msg)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, for saving."""

@@ -129,11 +129,10 @@ class LiveRecord:
             if array.ndim != 2 or array.shape[1] != n_columns or not np.isfinite(array).all():
                 msg = f"entry '{name}': expected finite numbers, (n, {n_columns}), got {array.shape}"
                 raise ValueError(msg)
-        self._check_samples()
         h = self.hyperparameters
-        if h is not None and not all(0 < x < np.inf for x in (h.lengthscale, h.signal_sd, h.noise_sd, h.spacing)):
-            msg = f"entry 'zarr.json', hyperparameters: expected positive numbers, got {h}"
-            raise ValueError(msg)
+        if h is not None:
+            h.check()
+        self._check_samples()
         if "kept" not in self.arrays:
             return
         sums, cells, moments = (self.arrays[name] for name in ("sums", "summed_cells", "moments"))

@@ -87,9 +87,7 @@ class MapRecord:
                 msg = f"expected finite {name}, got NaN or infinity"
                 raise ValueError(msg)
         h = self.hyperparameters
-        if min(h.lengthscale, h.signal_sd, h.noise_sd, h.spacing) <= 0:
-            msg = f"expected positive lengthscale, signal_sd, noise_sd and spacing, got {h}"
-            raise ValueError(msg)
+        h.check()
         with np.errstate(over="ignore", invalid="ignore"):
             extent = np.ptp(self.fitted_samples.positions, axis=0)
             n_nodes = float(np.prod(extent / h.spacing + 2 * MARGIN_NODES))
