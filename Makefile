@@ -42,9 +42,9 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Under two hours on two cores; an interrupted run goes on where it stood.
 bench: setup
-	$(BIN)/python benchmarks/experiments/simulated_pairs.py
-	$(BIN)/python benchmarks/experiments/real_pairs.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/magmatch evaluate --jobs $(WORKERS) --out evaluation-output
 
 docs: setup
 	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch
@@ -59,4 +59,4 @@ screenshots: setup
 	$(BIN)/python tests/take_screenshots.py
 
 clean:
-	rm -rf $(VENV) build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist site demo-output evaluation-output .mypy_cache .ruff_cache .pytest_cache .hypothesis
