@@ -18,6 +18,7 @@ T = TypeVar("T")
 A = TypeVar("A")
 
 _is_worker: ContextVar[bool] = ContextVar("is_worker", default=False)
+_is_limited: ContextVar[bool] = ContextVar("is_limited", default=False)
 
 
 def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
@@ -35,8 +36,15 @@ def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(task)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        with threadpool_limits(limits=1):
+        # To set the limit takes a millisecond or two: once is enough.
+        if _is_limited.get():
             return task(*args, **kwargs)
+        token = _is_limited.set(True)
+        try:
+            with threadpool_limits(limits=1):
+                return task(*args, **kwargs)
+        finally:
+            _is_limited.reset(token)
 
     return limited
 

@@ -13,7 +13,7 @@ from magmatch.field.blas import cholesky, divide_right_transposed, subtract_squa
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.nested_dissection import Elimination
 from magmatch.field.stencil_matrix import StencilMatrix
-from magmatch.threads import side_by_side
+from magmatch.threads import side_by_side, single_threaded
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -130,6 +130,7 @@ class FactorMemory:
         return self._spaces.setdefault(fronts, self._new_space())
 
 
+@single_threaded
 def factorise(elimination: Elimination, matrix: StencilMatrix, memory: FactorMemory | None = None) -> CholeskyFactor:
     """Factorise a positive definite matrix.
 

@@ -14,9 +14,10 @@ from magmatch.field.blas import (
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.multifrontal import CholeskyFactor, Workspace
 from magmatch.field.stencil_matrix import StencilMatrix
-from magmatch.threads import side_by_side
+from magmatch.threads import side_by_side, single_threaded
 
 
+@single_threaded
 def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     """Exact entries of ``A^-1`` on the stencil, from the root of the elimination down.
 

@@ -102,8 +102,14 @@ def _start(points: Points, field: Vectors, length: float) -> Hyperparameters:
     start = Hyperparameters(
         length / 1.5, signal, signal / ratio, length / LENGTHSCALE_IN_SPACINGS, stiffness, reach=reach
     )
-    spacing = affordable_spacing(points, start)
-    return replace(start, spacing=spacing, lengthscale=max(start.lengthscale, 2 * spacing))
+    spacing = _rounded(affordable_spacing(points, start))
+    lengthscale = _rounded(max(start.lengthscale, 2 * spacing))
+    return replace(start, spacing=spacing, lengthscale=lengthscale, noise_sd=_rounded(start.noise_sd))
+
+
+def _rounded(value: float) -> float:
+    """A number that is the same again after a move there and back, so that nothing is computed twice."""
+    return float(f"{value:.10g}")
 
 
 def _without_evidence(points: Points, field: Vectors, length: float, floor: float) -> Hyperparameters:
@@ -152,7 +158,7 @@ def _along(search: EvidenceSearch, start: Trial, name: str, factors: Sequence[fl
     best = start
     for factor in factors:
         for _ in range(MOST_STEPS):
-            h = replace(best.hyperparameters, **{name: getattr(best.hyperparameters, name) * factor})
+            h = replace(best.hyperparameters, **{name: _rounded(getattr(best.hyperparameters, name) * factor)})
             if not _is_allowed(h) or (name == "spacing" and not is_affordable(whole, h)):
                 break
             evidence = search.log_evidence(h)
