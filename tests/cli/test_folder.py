@@ -102,3 +102,9 @@ def test_what_may_differ_between_the_sensors_is_as_asked(place, run):
     assert found["none"] is None
     assert found["bias"]["scale"] == 1.0
     assert len({round(number, 9) for row in found["full"]["gain"] for number in row}) > 3
+
+
+def test_the_published_decision_cannot_compare_maps(place, folder, run):
+    outcome = run("register", folder, place / "target.csv", "--preset", "paper")
+    assert outcome.code == 2
+    assert "fitness" in outcome.err

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from magmatch.data.sniff import sniff
 from magmatch.data.text import is_folder
-from magmatch.errors import DataFormatError
+from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
@@ -111,8 +111,13 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
     ------
     DataFormatError
         No such folder, or no map in it, or one that is damaged.
+    ConfigurationError
+        Settings that decide by fitness alone (preset ``paper``), which cannot compare maps.
     """
     config, folder = config or PRESETS["default"], Path(folder)
+    if config.decision.rule == "fitness":
+        msg = "a folder of maps as the base: these settings decide by fitness, which does not compare maps"
+        raise ConfigurationError(msg)
     paths = list(maps_in(folder))
     if not paths:
         message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
