@@ -189,8 +189,9 @@ def report(data: list[dict[str, object]]) -> None:
     wrong = [r["name"] for r in same if not r["is_right"] and r["status"] == "accepted"]
     print(f"one place: {len(same)} pairs, {right} right, {both} of them accepted; accepted and not right: {wrong}")
     print("stated probability   pairs   right   mean stated")
-    p = np.array([r["probability"] for r in data], dtype=float)
-    y = np.array([r["is_right"] for r in data])
+    stated = [r for r in data if r["probability"] is not None]
+    p = np.array([r["probability"] for r in stated], dtype=float)
+    y = np.array([r["is_right"] for r in stated])
     for low, high in ((0, 0.02), (0.02, 0.1), (0.1, 0.3), (0.3, 0.7), (0.7, 0.9), (0.9, 0.98), (0.98, 1.0001)):
         rows = (p >= low) & (p < high)
         if rows.any():
@@ -214,10 +215,10 @@ def main() -> None:
         *recorded(arguments.source, arguments.areas, arguments.first),
     ]
     data = rows(places, arguments.cross, arguments.first, arguments.out)
-    data = [r for r in data if r.get("log_odds") is not None and r.get("misfit") is not None]
     report(data)
     if arguments.fit:
-        print("weights", np.round(fit(data), 2).tolist())
+        weighed = [r for r in data if r.get("log_odds") is not None and r.get("misfit") is not None]
+        print("weights", np.round(fit(weighed), 2).tolist())
 
 
 if __name__ == "__main__":

@@ -36,9 +36,10 @@ class RegistrationConfig(BaseModel):
 
 PRESETS: dict[str, RegistrationConfig] = {
     "default": RegistrationConfig(),
-    # The published method with the corrections of docs/theory.md: no dense refinement, decided by fitness alone.
+    # The published method with the corrections of docs/theory.md: every sample used, no dense refinement, decided by
+    # fitness alone.
     "paper": RegistrationConfig(
-        field=FieldConfig(prior="divergence_free"),
+        field=FieldConfig(prior="divergence_free", leave_out_outliers=False),
         search="keypoints",
         refinement=RefinementConfig(is_enabled=False),
         decision=DecisionConfig(rule="fitness"),

@@ -37,7 +37,7 @@ class DecisionConfig(BaseModel):
     min_decoy_lead: float = 15.0
     # How much more where the cells' residuals exceed what noise and maps explain, nats per factor e: residuals that
     # nothing explains may hide a wrong pose.
-    misfit_price: float = Field(default=10.0, ge=0)
+    misfit_price: float = Field(default=20.0, ge=0)
     certain_log_evidence: float = 150.0
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
     max_sd_rotation: float = Field(default=0.06, gt=0)
