@@ -52,6 +52,21 @@ def test_spikes_are_left_out_and_told(caplog):
     assert rmse(trusting, q) > 2 * rmse(clean, q)
 
 
+def test_numbers_are_chosen_again_only_where_what_is_left_out_shaped_them():
+    x, b, rng = room(600, seed=4)
+    config = FieldConfig(spacing=0.25)
+    everything = config.model_copy(update={"leave_out_outliers": False})
+    faint, strong = b.copy(), b.copy()
+    faint[7] += np.array([4, 0, 0]) * UT
+    hit = rng.choice(len(x), 8, replace=False)
+    strong[hit] += 40 * UT * rng.normal(size=(8, 3))
+    for spiked, is_kept in ((faint, True), (strong, False)):
+        cleaned = build_map(Survey(x, spiked), config)
+        assert len(cleaned.survey) < len(x)
+        kept = cleaned.hyperparameters == build_map(Survey(x, spiked), everything).hyperparameters
+        assert kept == is_kept
+
+
 def test_clean_rooms_and_steep_fields_keep_all_but_a_thousandth():
     x, b, _ = room(seed=1)
     assert len(build_map(Survey(x, b), SETTINGS).survey) >= 0.999 * len(x)

@@ -11,6 +11,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.comparison import choose_prior, resolved_hyperparameters
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import check_finite, declared_box, fit_posterior
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.outliers import find_outliers
 from magmatch.field.priors import PRIORS
@@ -19,6 +20,9 @@ from magmatch.threads import single_threaded
 from magmatch.typing import Mask
 
 log = logging.getLogger(__name__)
+
+# Samples left out that had less than this share of the squared residuals did not shape the numbers either.
+LITTLE_POWER = 0.2
 
 
 @single_threaded
@@ -59,7 +63,18 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     )  # fmt: skip
     ends = np.cumsum([0, *(len(part) for part in surveys)])
     kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(surveys, pairwise(ends), strict=True)]
-    return _fitted(tuple(part for part in kept if len(part)), config, run)
+    # What hardly moved the fit hardly moved the numbers it was fitted with.
+    numbers = field_map.hyperparameters if _power_share(field_map, is_out) < LITTLE_POWER else None
+    chosen = field_map.config if numbers else config
+    return _fitted(tuple(part for part in kept if len(part)), chosen, run, numbers)
+
+
+def _power_share(field_map: FieldMap, rows: Mask) -> float:
+    """Share of the squared residuals that some samples have."""
+    samples = field_map.fitted_samples
+    assert samples is not None  # a map that was just made holds them
+    power = ((samples.field - field_map.posterior.evaluate(samples.positions).field) ** 2).sum(axis=1)
+    return float(power[rows].sum() / max(power.sum(), np.finfo(float).tiny))
 
 
 def _outliers(field_map: FieldMap) -> Mask:
@@ -71,15 +86,17 @@ def _outliers(field_map: FieldMap) -> Mask:
     return find_outliers(samples, field_map.posterior, lambda: prior.build(samples.positions, samples.field, h, box))
 
 
-def _fitted(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner) -> FieldMap:
-    """Map of all samples of some surveys."""
+def _fitted(
+    surveys: tuple[Survey, ...], config: FieldConfig, run: Runner, hyperparameters: Hyperparameters | None = None
+) -> FieldMap:
+    """Map of all samples of some surveys; numbers are chosen where none are given."""
     merged = surveys[0].merged(*surveys[1:])
     check_finite(merged)
     T_map_model = merged.principal_frame()
     samples = merged.transformed(T_map_model.inv())
-    if config.prior == "auto":
+    if hyperparameters is None and config.prior == "auto":
         config, hyperparameters = choose_prior(samples, config, T_map_model)
-    else:
+    elif hyperparameters is None:
         hyperparameters = resolved_hyperparameters(samples, config, T_map_model)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), config.prior)
     posterior = fit_posterior(samples, hyperparameters, config, T_map_model, run=run)

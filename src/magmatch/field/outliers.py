@@ -64,15 +64,18 @@ def find_outliers(samples: Survey, posterior: Posterior, lay: Callable[[], Linea
         return np.zeros(len(samples), dtype=bool)
     residual = field - posterior.evaluate(points).field
     noise, model = _noise(residual, posterior), None
+    is_large: Mask = np.linalg.norm(residual, axis=1) > THRESHOLD * noise
     for _ in range(ROUNDS):
-        if not (np.linalg.norm(residual, axis=1) > THRESHOLD * noise).any():
-            return np.zeros(len(samples), dtype=bool)
+        if not is_large.any():
+            return is_large
         model = lay() if model is None else model
         # Geman-McClure: what lies far outside hardly counts, so that it cannot hide behind what it did to the fit.
         weights = 1 / (1 + (residual**2).sum(axis=1) / (SOFT * noise) ** 2) ** 2
         residual = field - model.infer(model.observe(points, field, weights)).evaluate(points).field
-        noise = _noise(residual, posterior)
-    is_large = np.linalg.norm(residual, axis=1) > THRESHOLD * noise
+        noise, before = _noise(residual, posterior), is_large
+        is_large = np.linalg.norm(residual, axis=1) > THRESHOLD * noise
+        if np.array_equal(is_large, before):
+            break
     is_out = np.zeros(len(samples), dtype=bool)
     if is_large.any():
         reach = FARTHEST * posterior.hyperparameters.spacing
