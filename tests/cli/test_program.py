@@ -12,7 +12,8 @@ from magmatch import __version__
 from magmatch.cli import boundary, main
 
 COMMANDS = (
-    "register", "transform", "prepare", "map", "query", "info", "view", "convert", "simulate", "datasets", "demo",
+    "register", "transform", "prepare", "map", "index", "query", "info", "view", "convert", "simulate", "datasets",
+    "demo", "evaluate",
 )  # fmt: skip
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from magmatch.atomic import atomic_write
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import check_folder
@@ -74,15 +73,14 @@ def evaluate(
         return
     check_folder(out)
     from magmatch.evaluation.benchmark import Settings, run_benchmark
-    from magmatch.evaluation.report import markdown, replace_between_marks, write_html
+    from magmatch.evaluation.report import markdown, replace_between_marks, write_html, write_markdown
 
     seconds = math.inf if minutes is None else 60 * minutes
     settings = Settings(tuple(names or ()), methods, quick, seeds, first, recordings, seconds)
     findings = run_benchmark(settings, out, jobs=jobs, scheduler=scheduler, tell=_Teller(), command=_command())
     for what, why in findings.left_out.items():
         say(f"Left out: {what}: {why}")
-    with atomic_write(out / "results.md") as stream:
-        stream.write(markdown(findings).encode())
+    write_markdown(out / "results.md", findings)
     for page in write_results or ():
         replace_between_marks(page, findings)
     put(markdown(findings))

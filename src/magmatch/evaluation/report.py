@@ -115,6 +115,18 @@ def short_markdown(findings: Findings) -> str:
     return f"{text.strip()}\n\n{names}. `{findings.command}`, {date.today().isoformat()}. {gaps}".rstrip() + "\n"
 
 
+def write_markdown(path: Path, findings: Findings) -> None:
+    """Write the whole evaluation as a page of Markdown.
+
+    Parameters
+    ----------
+    path : Path
+    findings : Findings
+    """
+    with atomic_write(path) as stream:
+        stream.write(markdown(findings).encode())
+
+
 def write_html(path: Path, findings: Findings) -> None:
     """Write one self-contained page with all tables and figures.
 
