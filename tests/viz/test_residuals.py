@@ -26,11 +26,23 @@ def test_a_wrong_pose_leaves_large_ones(pair):
     assert wrong.is_large.mean() > 0.3
 
 
+def test_few_bad_samples_spoil_the_root_mean_square_and_not_the_typical_residual(pair):
+    field = pair.target.field.copy()
+    field[::20] += 3e-5
+    spoiled = replace(pair.target, field=field)
+    clean, bad = (
+        compare(pair.base_map, s, pair.accepted.T_base_target, pair.accepted) for s in (pair.target, spoiled)
+    )
+    assert bad.rms > 3 * clean.rms
+    assert bad.typical < 1.3 * clean.typical
+
+
 def test_far_away_nothing_overlaps_and_nothing_is_claimed(pair):
     T = RigidTransform.from_translation([100.0, 0, 0])
     compared = compare(pair.base_map, pair.target_map, T, pair.accepted)
     assert compared.overlap == 0
     assert compared.rms is None
+    assert compared.typical is None
     assert not compared.is_large.any()
 
 

@@ -107,7 +107,7 @@ def _motion(result: "RegistrationResult") -> str:
 
 def _figures(result: "RegistrationResult") -> str:
     """Certainty, overlap, residual and counts on one line."""
-    parts = [] if result.probability is None else [f"probability {result.probability:.3f}"]
+    parts = [] if result.probability is None else [f"probability {_probability(result.probability)}"]
     parts += [f"overlap {result.overlap:.0%}"]
     parts += [] if result.residual is None else [f"normalised residual {result.residual:.2f}"]
     parts += [] if result.fitness is None else [f"fitness {result.fitness:.3g}"]
@@ -115,3 +115,12 @@ def _figures(result: "RegistrationResult") -> str:
     if not result.is_accepted and result.alternatives:
         parts += ["best candidate under 'alternatives' of the JSON"]
     return ", ".join(parts)
+
+
+def _probability(value: float) -> str:
+    """Three digits, never rounded to certainty."""
+    if 0 < value < 0.001:
+        return "below 0.001"
+    if 0.999 < value < 1:
+        return "above 0.999"
+    return f"{value:.3f}"

@@ -112,10 +112,12 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
     if compared.rms is None:
         words += "None of them lies where the base knows the field."
     else:
+        n_large, n_known = compared.is_large.sum(), compared.is_known.sum()
         words += (
-            f"In the overlap the residual is {compared.rms:.2f} times what noise and both maps' own spread explain "
-            f"(root mean square); {compared.is_large.sum()} of {compared.is_known.sum()} samples differ by more than "
-            f"{LARGEST_ORDINARY:.1f}, which chance gives 1 in 1000."
+            f"In the overlap the residual is {compared.typical:.2f} times what noise and the base map's own spread "
+            "explain, by the median; the figure at the top is the registration's own, from its grid and samples. "
+            f"The root mean square, in which single bad samples count in full, is {compared.rms:.2f}; {n_large} of "
+            f"{n_known} samples differ by more than {LARGEST_ORDINARY:.1f}, which chance gives 1 in 1000."
         )
     blocks = [paragraph(words), figure_row(agreement_figures(base, compared))]
     if compared.rms is not None and has_order(_survey(target)):

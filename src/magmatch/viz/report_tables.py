@@ -128,7 +128,7 @@ def other_poses(
             for other in listed
         ]
         columns["overlap"] = ["" if c is None else f"{c.overlap:.0%}" for c in compared]
-        columns["residual"] = ["" if c is None or c.rms is None else f"{c.rms:.2f}" for c in compared]
+        columns["residual"] = ["" if c is None or c.typical is None else f"{c.typical:.2f}" for c in compared]
     told = {name: cells for name, cells in columns.items() if any(cells)}
     left = len(result.alternatives) - len(listed)
     words = "Poses that fit nearly as well. " if result.is_accepted else "Poses that were considered, best first. "

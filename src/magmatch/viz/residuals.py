@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.stats import chi2
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
@@ -51,8 +52,14 @@ class Comparison:
         return float(self.is_known.mean())
 
     @property
+    def typical(self) -> float | None:
+        """Robust root mean square, from the median, as a result's ``residual`` is; None where nothing overlaps."""
+        values = self.normalised[self.is_known]
+        return float(np.median(values) / np.sqrt(chi2.median(3) / 3)) if len(values) else None
+
+    @property
     def rms(self) -> float | None:
-        """Root mean square of the normalised residual over the overlap; None where there is none."""
+        """Root mean square of the normalised residual over the overlap, where bad samples count in full; or None."""
         values = self.normalised[self.is_known]
         return float(np.sqrt((values**2).mean())) if len(values) else None
 
