@@ -6,10 +6,9 @@
 Rooms of many kinds (overlaps, noises, sample counts, furniture, moved furniture, planes, hand-held and robot surveys)
 are simulated, areas of a building and robots' runs are cut from public recordings, and all are mapped. Each pair of
 one place is registered, and so are ``--cross`` pairs of surveys of different places: every map meets many others, so
-wrong answers are cheap to look for. Maps and rows stay in DIR; a second run goes on where the first ended. Prints how
-many
-wrong answers were accepted and how often poses of each stated probability were right; with ``--fit``, the weights for
-`magmatch.registration.probability` (then report on other seeds).
+wrong answers are cheap to look for. Maps and rows stay in DIR; a second run goes on where the first ended. Prints a
+table by kind of pair, how many wrong answers were accepted and how often poses of each stated probability were right;
+with ``--fit``, the weights for `magmatch.registration.probability` (then report on other seeds).
 """
 
 import argparse
@@ -24,6 +23,7 @@ from scipy.optimize import minimize
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
+from magmatch.evaluation.trial import nees_of
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.probability import features
@@ -33,6 +33,7 @@ LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 ROOM = SimulationConfig(room_size=(3.0, 3.0, 0.6))
 CONDITIONS: dict[str, tuple[str, dict[str, object]]] = {
     "full": ("office-random", {}),
+    "overlap-75": ("office-random", {"overlap": 0.75}),
     "overlap-50": ("office-random", {"overlap": 0.5}),
     "overlap-30": ("office-random", {"overlap": 0.3}),
     "overlap-15": ("office-random", {"overlap": 0.15}),
@@ -46,6 +47,7 @@ CONDITIONS: dict[str, tuple[str, dict[str, object]]] = {
     "planar": ("planar", {}),
     "hand-held": ("office-hand-held", {}),
     "robot": ("office-robot", {}),
+    "drift": ("corridor", {"pose_drift": 0.02}),
     "uniform": ("uniform", {}),
 }
 # A pose is right within this of the truth.
@@ -72,7 +74,8 @@ def simulated(first: int, n: int) -> Iterator[Place]:
     for seed in range(first, first + n):
         for name, (scenario, changes) in CONDITIONS.items():
             pair = mm.simulate(scenario, seed, ROOM.model_copy(update=changes))
-            yield Place(f"{name}-{seed}", f"room {seed}", (pair.base, pair.target), pair.T_base_target, 0.06)
+            max_m = 0.25 if name == "drift" else 0.06
+            yield Place(f"{name}-{seed}", f"room {seed}", (pair.base, pair.target), pair.T_base_target, max_m)
 
 
 def recorded(source: Path | None, n_areas: int, seed: int) -> Iterator[Place]:
@@ -111,11 +114,14 @@ def mapped(place: Place, folder: Path) -> tuple[mm.FieldMap, mm.FieldMap]:
     return found[0], found[1]
 
 
-def row_of(name: str, result: mm.RegistrationResult, is_right: bool) -> dict[str, object]:
-    """What is kept of one registration."""
+def row_of(
+    name: str, result: mm.RegistrationResult, is_right: bool, error: tuple[float, float, float] = (np.inf,) * 3
+) -> dict[str, object]:
+    """What is kept of one registration: among others the error in m and rad, and squared over its covariance."""
     return {
         "name": name,
         "is_right": bool(is_right),
+        "error": error,
         "status": result.status.value,
         "probability": result.probability,
         **{key: value for key, value in result.evidence.items() if value is None or np.isfinite(value)},
@@ -143,7 +149,9 @@ def rows(places: list[Place], n_cross: int, seed: int, folder: Path) -> list[dic
         distance, angle = (
             (np.inf, np.inf) if best is None else transform_error(best, place.T_base_target, place.pair[1].centroid)
         )
-        return row_of(place.name, result, distance < place.max_m and np.degrees(angle) < MAX_DEG)
+        nees = nees_of(result, place.T_base_target)
+        is_right = distance < place.max_m and np.degrees(angle) < MAX_DEG
+        return row_of(place.name, result, is_right, (distance, angle, nees))
 
     for place in places:
         maps[place.name] = mapped(place, folder)
@@ -178,16 +186,48 @@ def statistics(row: dict[str, object]) -> tuple[float, float | None, float, floa
     return row["log_odds"], row["decoy_log_odds"], row["misfit"], row["agreeing_share"]  # type: ignore[return-value]
 
 
+def kind_of(row: dict[str, object]) -> str:
+    """Rooms by what is done to them, recordings by their name."""
+    words = str(row["name"]).split("-")
+    return words[0] if words[0] in ("cea", "aalto", "jidling") else "-".join(words[:-1])
+
+
+def print_kind(kind: str, rows: list[dict[str, object]]) -> None:
+    """One line: successes, the best pose's error over all pairs, and mean NEES of what is accepted."""
+    distance, angle, nees = np.array([r["error"] for r in rows], dtype=float).T
+    is_right, is_in = (np.array([test(r) for r in rows]) for test in (_is_right, _is_accepted))
+    errors = [
+        [np.quantile(values, q, method="higher") for values in (1e3 * distance, np.degrees(angle))]
+        for q in (0.5, 0.95)
+    ]
+    columns = " ".join(f"{mm:8.1f} / {deg:6.2f}" for mm, deg in errors)
+    counts = f"{len(rows):5d} {is_right.sum():6d} {(is_right & is_in).sum():13d} {(~is_right & is_in).sum():8d}"
+    mean = nees[is_in].mean() if is_in.any() else np.nan
+    print(f"{kind:20} {counts}  {columns} {mean:6.2f}")
+
+
+def _is_right(row: dict[str, object]) -> bool:
+    return bool(row["is_right"])
+
+
+def _is_accepted(row: dict[str, object]) -> bool:
+    return row["status"] == "accepted"
+
+
 def report(data: list[dict[str, object]]) -> None:
     """Counts of right and wrong, accepted or not, and how often each stated probability was right."""
     cross = [r for r in data if " / " in str(r["name"])]
     same = [r for r in data if " / " not in str(r["name"])]
-    accepted = [r for r in cross if r["status"] == "accepted"]
-    print(f"different places: {len(cross)} pairs, {len(accepted)} accepted {[r['name'] for r in accepted]}")
-    right = sum(bool(r["is_right"]) for r in same)
-    both = sum(bool(r["is_right"]) and r["status"] == "accepted" for r in same)
-    wrong = [r["name"] for r in same if not r["is_right"] and r["status"] == "accepted"]
-    print(f"one place: {len(same)} pairs, {right} right, {both} of them accepted; accepted and not right: {wrong}")
+    accepted = [r["name"] for r in cross if _is_accepted(r)]
+    print(f"different places: {len(cross)} pairs, {len(accepted)} accepted {accepted}")
+    print("kind                 pairs  right  and accepted  wrongly  median mm / deg    95 % mm / deg   NEES")
+    for kind in dict.fromkeys(kind_of(r) for r in same):
+        print_kind(kind, [r for r in same if kind_of(r) == kind])
+    wrong = [r["name"] for r in same if _is_accepted(r) and not _is_right(r)]
+    both = sum(_is_right(r) and _is_accepted(r) for r in same)
+    print(
+        f"one place: {len(same)} pairs, {sum(map(_is_right, same))} right, {both} of them accepted; wrongly: {wrong}"
+    )
     print("stated probability   pairs   right   mean stated")
     stated = [r for r in data if r["probability"] is not None]
     p = np.array([r["probability"] for r in stated], dtype=float)
