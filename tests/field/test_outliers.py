@@ -7,6 +7,11 @@ import pytest
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.outliers import reweighted_residuals
+from magmatch.field.priors import PRIORS
+from magmatch.field.tiled_model import TiledModel
+from magmatch.field.tiles import Tiling
 
 UT = 1e-6
 SETTINGS = FieldConfig(lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
@@ -115,3 +120,36 @@ def test_few_samples_are_all_kept(n):
     x, b, _ = room(n, seed=5)
     b[0] += 1e-3
     assert len(build_map(Survey(x, b), SETTINGS).survey) == n
+
+
+@pytest.mark.parametrize("name", ["spline", "divergence_free", "curl_free", "harmonic"])
+def test_counting_samples_less_is_as_good_as_fitting_again(name):
+    x, b, rng = room(150, seed=6)
+    h = Hyperparameters(0.8, 8 * UT, 0.5 * UT, 0.4, 100.0 if name == "spline" else 0.0, inflation=1.7, reach=2.0)
+    model = PRIORS[name].build(x, b, h)
+    rows, weights = rng.choice(150, 20, replace=False), np.ones(150)
+    weights[rows] = rng.uniform(0.01, 1.0, 20)
+    fit = model.infer(model.observe(x, b))
+    again = b - model.infer(model.observe(x, b, weights)).evaluate(x).field
+    residual = b - fit.evaluate(x).field
+    assert np.abs(again[rows] - residual[rows]).max() > 0.05 * UT
+    left = reweighted_residuals(fit.influence(x[rows]), residual[rows], weights[rows])
+    assert np.abs(left - again[rows]).max() < 1e-8 * np.abs(again[rows]).max()
+
+
+def test_in_tiles_counting_samples_less_is_nearly_as_good_as_fitting_again():
+    rng = np.random.default_rng(7)
+    x = rng.uniform(0, [4, 2, 0.4], (900, 3))
+    b = field_at(x) + 0.3 * UT * rng.normal(size=x.shape)
+    hit = rng.choice(900, 20, replace=False)
+    b[hit] += 20 * UT * rng.normal(size=(20, 3))
+    h = Hyperparameters(0.6, 8 * UT, 0.5 * UT, 0.2, 100.0)
+    model = TiledModel.over(x, h, Tiling(0.2, margin=4, reach=2, core=8, blend=2))
+    weights = np.ones(900)
+    weights[hit] = 0.01
+    fit = model.infer(model.observe(x, b))
+    before = b[hit] - fit.evaluate(x[hit]).field
+    again = b[hit] - model.infer(model.observe(x, b, weights)).evaluate(x[hit]).field
+    left = reweighted_residuals(fit.influence(x[hit]), before, weights[hit])
+    assert len(model.tiles) > 3
+    assert np.linalg.norm(left - again) < 0.05 * np.linalg.norm(again - before)

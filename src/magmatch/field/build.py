@@ -10,11 +10,11 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.comparison import choose_prior, resolved_hyperparameters
 from magmatch.field.config import FieldConfig
-from magmatch.field.fit import check_finite, declared_box, fit_posterior
+from magmatch.field.domain import BoundedPosterior
+from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.outliers import find_outliers
-from magmatch.field.priors import PRIORS
 from magmatch.field.tiled_model import Runner
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask
@@ -54,7 +54,11 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     field_map = _fitted(surveys, config, run)
     if not config.leave_out_outliers:
         return field_map
-    is_out = _outliers(field_map)
+    assert field_map.fitted_samples is not None  # a map that was just made holds them
+    # Samples outside of a declared box inform what lies inside, and are judged like all others.
+    posterior = field_map.posterior
+    unbounded = posterior.inner if isinstance(posterior, BoundedPosterior) else posterior
+    is_out = find_outliers(field_map.fitted_samples, unbounded)
     if not is_out.any():
         return field_map
     log.warning(
@@ -75,15 +79,6 @@ def _power_share(field_map: FieldMap, rows: Mask) -> float:
     assert samples is not None  # a map that was just made holds them
     power = ((samples.field - field_map.posterior.evaluate(samples.positions).field) ** 2).sum(axis=1)
     return float(power[rows].sum() / max(power.sum(), np.finfo(float).tiny))
-
-
-def _outliers(field_map: FieldMap) -> Mask:
-    """Samples of a map that contradict those around them."""
-    samples, config = field_map.fitted_samples, field_map.config
-    assert samples is not None  # a map that was just made holds them
-    box = declared_box(config, field_map.T_domain_model)
-    prior, h = PRIORS[config.prior], field_map.hyperparameters
-    return find_outliers(samples, field_map.posterior, lambda: prior.build(samples.positions, samples.field, h, box))
 
 
 def _fitted(

@@ -75,6 +75,10 @@ class BoundedPosterior:
         moved[outside] *= 1 + np.arange(len(outside))[:, None]
         return self.inner.joint_covariance(moved)
 
+    def influence(self, points: Points) -> np.ndarray:
+        """See `Posterior.influence`: samples outside the box inform what lies inside."""
+        return self.inner.influence(points)
+
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """See `Posterior.draw_weights`."""
         return self.inner.draw_weights(n_draws, rng)

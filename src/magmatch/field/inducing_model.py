@@ -261,9 +261,15 @@ class InducingPosterior:
         is_whole = np.tile(self.model.basis.is_whole(points), 3)
         beside[is_whole] = 0.0
         beside[:, is_whole] = 0.0
-        half = blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1)
-        covariance = h.inflation**2 * (beside + h.noise_sd**2 * (half.T @ half))
-        return np.asarray(covariance.reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
+        return h.inflation**2 * (_by_point(beside) + h.noise_sd**2 * self._influence(A))
+
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``."""
+        return self._influence(self.model.features(np.asarray(points, dtype=np.float64), 0))
+
+    def _influence(self, features: Matrix) -> np.ndarray:
+        half = blas.dtrsm(1.0, self.factor, features, lower=1, overwrite_b=1)
+        return _by_point(half.T @ half)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m)."""
@@ -283,6 +289,12 @@ def _blocks(n: int, numbers_per_point: int) -> Iterator[slice]:
     """Ranges of points whose design matrices stay bounded."""
     step = max(1, _BLOCK_NUMBERS // numbers_per_point)
     return (slice(start, min(start + step, n)) for start in range(0, n, step))
+
+
+def _by_point(covariance: np.ndarray) -> np.ndarray:
+    """From rows ``a n + i``, component by component, to rows ``3 i + a``."""
+    n = len(covariance) // 3
+    return np.asarray(covariance.reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
 
 
 def _squares(A: Matrix, k: int) -> np.ndarray:

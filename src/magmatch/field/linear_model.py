@@ -86,6 +86,13 @@ class Posterior(Protocol):
         """Posterior covariance of the field at all points together: (3 n, 3 n), T^2, row ``3 i + a``."""
         ...
 
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
+
+        The derivative of the one by the other, in units of the noise the posterior covariance of what was fitted.
+        """
+        ...
+
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """Posterior samples for `evaluate`, n_draws of them; what one looks like is the model's own affair."""
         ...

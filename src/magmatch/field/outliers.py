@@ -6,23 +6,23 @@ its neighbours deny is an outlier.
 """
 
 import logging
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
 from magmatch.field.held_out import has_path_order
-from magmatch.field.linear_model import LinearModel, Posterior
-from magmatch.typing import Mask, Points, Vectors
+from magmatch.field.linear_model import Posterior
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
 # Residuals this many times the typical one are looked at.
 THRESHOLD = 6.0
-# What counts half in a robust fit, in the same measure, and how often it is fitted.
+# In the same measure, where a robust fit begins to doubt a sample, and in how many rounds its doubts settle.
 SOFT, ROUNDS = 3.0, 4
+# Doubtful samples count less only so near to a large residual, in lengthscales; how many are weighed together.
+NEARBY, MOST_TOGETHER = 1.0, 400
 # The map's own noise may be larger than its residuals say, where it follows them closely; this much of it they are.
 LEAST_SHARE_OF_NOISE = 0.5
 # What is small beside the field itself does no harm, however exact the rest.
@@ -39,9 +39,11 @@ LARGEST_AGREEMENT, MOST_AGREEING = 0.25, 0.1
 FEWEST_SAMPLES = 100
 # A map of which more is in doubt does not fit its survey: then nothing is left out.
 LARGEST_SHARE = 0.05
+# Nor does one of which so much stands out at first, before those that pulled the map to them count less.
+LARGEST_SHARE_AT_FIRST = 0.3
 
 
-def find_outliers(samples: Survey, posterior: Posterior, lay: Callable[[], LinearModel[Any]]) -> Mask:
+def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
     """Samples whose residual is large and unlike those of the samples around.
 
     Parameters
@@ -50,9 +52,6 @@ def find_outliers(samples: Survey, posterior: Posterior, lay: Callable[[], Linea
         In the model's frame.
     posterior : Posterior
         Fitted to all of them alike.
-    lay : function
-        Gives the model, to fit again with those that stand out weighed down so that they do not pull the map to them;
-        asked only if any do.
 
     Returns
     -------
@@ -60,24 +59,18 @@ def find_outliers(samples: Survey, posterior: Posterior, lay: Callable[[], Linea
         None where more than 5 % would be out.
     """
     points, field = samples.positions, samples.field
-    if len(samples) < FEWEST_SAMPLES:
-        return np.zeros(len(samples), dtype=bool)
-    residual = field - posterior.evaluate(points).field
-    noise, model = _noise(residual, posterior), None
-    is_large: Mask = np.linalg.norm(residual, axis=1) > THRESHOLD * noise
-    for _ in range(ROUNDS):
-        if not is_large.any():
-            return is_large
-        model = lay() if model is None else model
-        # Geman-McClure: what lies far outside hardly counts, so that it cannot hide behind what it did to the fit.
-        weights = 1 / (1 + (residual**2).sum(axis=1) / (SOFT * noise) ** 2) ** 2
-        residual = field - model.infer(model.observe(points, field, weights)).evaluate(points).field
-        noise, before = _noise(residual, posterior), is_large
-        is_large = np.linalg.norm(residual, axis=1) > THRESHOLD * noise
-        if np.array_equal(is_large, before):
-            break
     is_out = np.zeros(len(samples), dtype=bool)
-    if is_large.any():
+    if len(samples) < FEWEST_SAMPLES:
+        return is_out
+    residual = field - posterior.evaluate(points).field
+    noise = _noise(residual, posterior)
+    is_large = _sizes(residual) > THRESHOLD * noise
+    if not is_large.any():
+        return is_out
+    if is_large.mean() <= LARGEST_SHARE_AT_FIRST:
+        for rows in _doubtful(points, residual, is_large, noise, posterior):
+            residual[rows] = robust_residuals(posterior, points[rows], residual[rows], noise)
+        is_large = _sizes(residual) > THRESHOLD * noise
         reach = FARTHEST * posterior.hyperparameters.spacing
         is_out[is_large] = _are_denied(points, residual, is_large, reach)
     if is_out.mean() > LARGEST_SHARE or is_large.mean() > 2 * LARGEST_SHARE:
@@ -89,9 +82,76 @@ def find_outliers(samples: Survey, posterior: Posterior, lay: Callable[[], Linea
     return is_out
 
 
+def robust_residuals(posterior: Posterior, points: Points, residual: Vectors, noise: float) -> Vectors:
+    """Residuals of samples once those that stand out no longer pull the map to them: no fit is made again.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Fitted to these samples, among others, all alike.
+    points : (m, 3) array, m
+    residual : (m, 3) array, T
+    noise : float, T
+        Spread of ordinary residuals of one component.
+
+    Returns
+    -------
+    (m, 3) array, T
+    """
+    influence, left = posterior.influence(points), residual
+    for _ in range(ROUNDS):
+        # Geman-McClure: what lies far outside hardly counts, so that it cannot hide behind what it did to the fit.
+        weights = 1 / (1 + (_sizes(left) / (SOFT * noise)) ** 2) ** 2
+        left = reweighted_residuals(influence, residual, weights)
+    return left
+
+
+def reweighted_residuals(influence: Matrix, residual: Vectors, weights: Scalars) -> Vectors:
+    """What a fit leaves of samples once these count less, by what it left while all counted alike.
+
+    With A the posterior precision in units of the noise, Phi the samples' rows and D = 1 - weights, the basis' new
+    weights w' obey ``A (w' - w) = -Phi^T D (b - Phi w')``; with ``C = Phi A^-1 Phi^T`` hence ``r' = r + C D r'``.
+
+    Parameters
+    ----------
+    influence : (3 m, 3 m) array
+        C, as `Posterior.influence` says.
+    residual : (m, 3) array
+    weights : (m,) array
+        New factor on each sample's inverse noise variance, above 0.
+
+    Returns
+    -------
+    (m, 3) array
+    """
+    D = np.repeat(1 - weights, 3)
+    left: Vectors = np.linalg.solve(np.eye(len(D)) - influence * D, residual.ravel()).reshape(-1, 3)
+    return left
+
+
+def _doubtful(points: Points, residual: Vectors, is_large: Mask, noise: float, posterior: Posterior) -> list[Indices]:
+    """Samples in doubt around large residuals, in groups that bear on one another and are small enough."""
+    doubtful = np.flatnonzero(_sizes(residual) > SOFT * noise)
+    distance = cKDTree(points[is_large]).query(points[doubtful])[0]
+    return _halved(points, doubtful[distance <= NEARBY * posterior.hyperparameters.lengthscale])
+
+
+def _halved(points: Points, rows: Indices) -> list[Indices]:
+    """Rows in groups of neighbours, each of at most `MOST_TOGETHER`."""
+    if len(rows) <= MOST_TOGETHER:
+        return [rows]
+    along = points[rows, np.argmax(np.ptp(points[rows], axis=0))]
+    order = np.argsort(along, kind="stable")
+    return [part for half in np.array_split(rows[order], 2) for part in _halved(points, half)]
+
+
+def _sizes(residual: Vectors) -> Scalars:
+    return np.asarray(np.linalg.norm(residual, axis=1))
+
+
 def _noise(residual: Vectors, posterior: Posterior) -> float:
     """Spread of ordinary residuals of one component, T."""
-    typical = float(np.median(np.linalg.norm(residual, axis=1))) / MEDIAN_LENGTH
+    typical = float(np.median(_sizes(residual))) / MEDIAN_LENGTH
     h = posterior.hyperparameters
     return max(typical, LEAST_SHARE_OF_NOISE * h.noise_sd, LEAST_SHARE_OF_SIGNAL * h.signal_sd)
 

@@ -205,12 +205,15 @@ class SplinePosterior:
         Points without splines share the constant with the others and nothing else.
         """
         h = self.hyperparameters
-        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
-        out = joint_covariances(self.factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
-        out *= (h.inflation * h.noise_sd) ** 2
-        outside = np.repeat(cell < 0, 3)
+        out = (h.inflation * h.noise_sd) ** 2 * self.influence(points)
+        outside = np.repeat(~self.knows(points), 3)
         out[outside, outside] += h.signal_sd**2
         return out
+
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``."""
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        return joint_covariances(self.factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m + 3)."""

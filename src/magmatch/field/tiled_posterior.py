@@ -124,19 +124,34 @@ class TiledPosterior:
         As if tiles erred independently of one another, each with the square root of its share.
         """
         p = np.asarray(points, dtype=np.float64)
-        n = len(p)
-        out, left = np.zeros((n, 3, n, 3)), np.ones(n)
-        for number, rows, shares in self._shares(p, 0):
-            root = np.sqrt(shares[0])
-            joint = self.factored(number).joint_covariance(p[rows]).reshape(len(rows), 3, len(rows), 3)
-            joint *= root[:, None, None, None] * root[:, None]
-            out[rows[:, None], :, rows] += joint.transpose(0, 2, 1, 3)
-            left[rows] -= shares[0]
+        out, left = self._joined(p, SplinePosterior.joint_covariance)
         outside = np.flatnonzero(left > SMALLEST_SHARE)
         share, own = np.sqrt(left[outside]), self._outside()[:3, :3] - self._spread()
         out[outside[:, None], :, outside] += np.outer(share, share)[:, :, None, None] * self._spread()
         out[outside, :, outside] += left[outside, None, None] * own
-        return out.reshape(3 * n, 3 * n)
+        return out.reshape(3 * len(p), 3 * len(p))
+
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
+
+        As if each tile bore on its neighbours with the square root of its share: exact inside of tiles.
+        """
+        p = np.asarray(points, dtype=np.float64)
+        return self._joined(p, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
+
+    def _joined(
+        self, points: Points, of_tile: Callable[[SplinePosterior, Points], np.ndarray]
+    ) -> tuple[np.ndarray, Scalars]:
+        """Joint matrix of all points, (n, 3, n, 3), each tile's with the square root of its share; share without."""
+        n = len(points)
+        out, left = np.zeros((n, 3, n, 3)), np.ones(n)
+        for number, rows, shares in self._shares(points, 0):
+            root = np.sqrt(shares[0])
+            joint = of_tile(self.factored(number), points[rows]).reshape(len(rows), 3, len(rows), 3)
+            joint *= root[:, None, None, None] * root[:, None]
+            out[rows[:, None], :, rows] += joint.transpose(0, 2, 1, 3)
+            left[rows] -= shares[0]
+        return out, left
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
