@@ -24,7 +24,7 @@ class DataFormatError(MagmatchError, ValueError):
     """
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None, column: str | None = None) -> None:
-        self.path, self.line, self.column = Path(path), line, column
+        self.path, self.message, self.line, self.column = Path(path), message, line, column
         place = str(path)
         if line is not None:
             place += f", line {line}"

@@ -73,7 +73,10 @@ TABLE_CASES = {
     "blank cell": (with_row(5, "0, ,0,1e-6,0,0"), ["line 6", "column 'y'", "empty cell"]),
     "short row": (with_row(7, "0,0,0,1e-6"), ["line 8", "expected 6 cells", "found 4"]),
     "long row": (with_row(7, "0,0,0,1e-6,0,0,9"), ["line 8", "expected 6 cells", "found 7"]),
-    "decimal commas": (table("0;0;0;0,2;0;0", header="x;y;z;bx;by;bz"), ["line 2", "column 'bx'", "with a point"]),
+    "commas and points": (
+        table("0;0;0;0,2;0;0.5", header="x;y;z;bx;by;bz"),
+        ["line 2", "column 'bx'", "with a point"],
+    ),
     "cut off": (table(*rows()).rstrip("\n")[:-30], ["line 13", "found 4", "cut off"]),
     "two delimiters": (table(*rows(), header="x,y,z;bx,by,bz"), ["line 1", "both ',' and ';'"]),
     "another delimiter": (table(*rows(), header="x|y|z|bx|by|bz"), ["expected columns", "found x|y|z|bx|by|bz"]),

@@ -133,8 +133,8 @@ LOGGERS = {
     "time that repeats": (logger(*rows(3), *rows(3)), "line 5, column 't': time runs backward"),
     "NUL bytes": (logger(*rows(3)) + "\0\0", "NUL"),
     "another clock": (logger(*rows(start=5)), "both need the same clock"),
-    "phyphox with decimal commas": (
-        'Time (s);"Magnetic field x (µT)";"Magnetic field y (µT)";"Magnetic field z (µT)"\n0,1;2,0;3,0;4,0\n',
+    "phyphox with commas and points": (
+        'Time (s);"Magnetic field x (µT)";"Magnetic field y (µT)";"Magnetic field z (µT)"\n0,1;2.5;3,0;4,0\n',
         "with a point",
     ),
     "phyphox without z": ('"Time (s)","Magnetic field x (µT)","Magnetic field y (µT)"\n0,1,2\n', "missing bz"),

@@ -64,6 +64,12 @@ SAID = {
     "strong field": (lambda s: replace(s, field=s.field * 100), "unusual on Earth"),
     "tiny": (lambda s: replace(s, positions=s.positions * 1e-4), "span only"),
     "huge": (lambda s: replace(s, positions=s.positions * 5e3, times=1e4 * s.times), "span 14.* km"),
+    "milliseconds": (lambda s: replace(s, times=1e5 * s.times), "a sample every 5e.04 s: are they in ms"),
+    "nanoseconds since 1970": (lambda s: replace(s, times=1.7e18 + 5e8 * s.times), "are they in ns"),
+    "degrees": (
+        lambda s: replace(s, positions=s.positions * [2e-3, 3e-3, 1.0] + [48.0, 11.0, 500.0]),
+        "x and y hardly change around 48, 11.*: degrees",
+    ),
     "too fast": (lambda s: replace(s, times=s.times / 100), "moves at .* m/s"),
 }
 

@@ -67,7 +67,9 @@ def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
         elif name == "warnings":
             rows += [("warning", str(w)) for w in value] or [("warnings", "none")]
         else:
-            rows.append((label, _text(value, UNITS.get(name, ""))))
+            # Seconds since 1970 have ten digits before the point.
+            is_moment = above.endswith("time ") and name in {"first", "last"} and value is not None
+            rows.append((label, f"{value:.3f} s" if is_moment else _text(value, UNITS.get(name, ""))))
     return rows
 
 

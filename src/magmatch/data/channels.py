@@ -110,14 +110,17 @@ def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dic
     """Times in the file's unit, and the other columns."""
     theirs = layout.column_names()
     own = {*theirs, *COLUMNS}
-    table = read_table(path, own)
+    table = read_table(path, own, recover=layout.recover)
     columns: dict[str, Scalars] = {}
     for name in table.names:
         if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
             continue
         try:
-            columns[name] = read_table(path, (name,)).columns[name]
+            other = read_table(path, (name,), recover=layout.recover)
         except DataFormatError:
             continue
+        is_there = np.isin(other.line_numbers, table.line_numbers)
+        if is_there.sum() == len(table):
+            columns[name] = other.columns[name][is_there]
     clock = next((name for name, ours in theirs.items() if ours == "t"), "t")
     return table.columns.get(clock), columns

@@ -7,7 +7,14 @@ import numpy as np
 
 from magmatch.data.format import SurveyFormat
 from magmatch.data.survey import Survey
-from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, field_text, likely_field_unit
+from magmatch.data.units import (
+    ORDINARY_FIELD,
+    TESLA_PER_UNIT,
+    UNITS_PER_SECOND,
+    TimeUnit,
+    field_text,
+    likely_field_unit,
+)
 from magmatch.errors import SurveyError
 from magmatch.typing import Scalars
 
@@ -22,6 +29,8 @@ MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
 ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
 ODD_SPEED = 50.0  # m/s, median along the samples
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
+SINCE_1970 = (9e8, 4.5e9)  # s; the years 1998 to 2112
+SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
 # Variance in the other frame over that in the declared one. Tablet walks: 0.12 to 0.75 the right way round.
 WRONG_FRAME = 0.7
@@ -162,6 +171,9 @@ def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
     size = float(extent(survey).max())
     if size < ODD_EXTENT[0]:
         yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
+    elif 0 < float(extent(survey)[:2].max()) < ODD_EXTENT[0] and float(np.abs(survey.centroid[:2]).max()) > 1:
+        place = ", ".join(f"{v:.4g}" for v in survey.centroid[:2])
+        yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
     elif size > ODD_EXTENT[1]:
         yield f"the positions span {size / 1e3:.3g} km, read as {layout.length_unit}: millimetres (--length-unit mm)?"
     if survey.times is not None:
@@ -192,10 +204,28 @@ def _doubt_repeats(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
 
 
-def _doubt_times(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+def _doubt_times(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
+    unit = _likely_time_unit(survey) if layout.time_unit == "s" else None
+    if unit is not None and survey.times is not None:
+        step = float(np.median(np.diff(survey.times)))
+        span = f"times begin at {survey.times[0]:.9g} s, with a sample every {step:.4g} s"
+        yield f"{span}: are they in {unit}? (--time-unit {unit})"
+        return
     gaps = time_gaps(survey)
     if len(gaps):
         yield f"time has {len(gaps)} gaps, {gaps.sum():.3g} s in all, the longest {gaps.max():.3g} s"
+
+
+def _likely_time_unit(survey: Survey) -> TimeUnit | None:
+    """The unit that whole numbers of times are probably in; None for seconds."""
+    if survey.times is None or not (survey.times == np.round(survey.times)).all():
+        return None
+    for unit in ("ms", "us", "ns"):
+        if SINCE_1970[0] < survey.times[0] / UNITS_PER_SECOND[unit] < SINCE_1970[1]:
+            return unit
+    interval = float(np.median(np.diff(survey.times)))
+    step = float(np.median(np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)))
+    return "ms" if interval > SLOW[0] and step < SLOW[1] * interval else None
 
 
 def _doubt_frame(survey: Survey, layout: SurveyFormat) -> Iterator[str]:

@@ -2,6 +2,7 @@
 """The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,7 +42,8 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """
     names = layout.column_names()
     known = [*names, *(name for name in COLUMNS if name not in names.values())]
-    return survey_of_table(read_table(path, known).renamed(names), layout)
+    table = read_table(path, known, recover=layout.recover, advise=_advice)
+    return survey_of_table(table.renamed(names), layout)
 
 
 def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
@@ -100,7 +102,10 @@ def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
     Recording
     """
     if layout.trajectory is None:
-        raise DataFormatError(table.path, "holds no positions; they come from a trajectory: --trajectory POSES.tum")
+        message = (
+            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"
+        )
+        raise DataFormatError(table.path, message)
     table.require(["t", *FIELD_COLUMNS], "With a trajectory the samples need times on its clock")
     table.require_increasing("t")
     ignored = [name for name in (*POSITION_COLUMNS, *QUATERNION) if table.has(name)]
@@ -145,8 +150,24 @@ def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:
 
 def _with_own_poses(table: Table) -> Survey:
     """Build the survey in the file's own units."""
-    hint = ""
-    if table.has("t", *FIELD_COLUMNS):
+    hint = _advice(table.names)
+    if table.has("x", "y", *FIELD_COLUMNS):
+        hint = "A survey on one height has a column z too; all 0 will do"
+    elif table.has(*POSITION_COLUMNS):
+        hint = f"All three components of the field are needed, its magnitude alone will not do. {hint}"
+    elif table.has("t", *FIELD_COLUMNS) and not _is_global(table.names):
         hint = "A log without positions takes them from a TUM file: --trajectory POSES.tum"
     table.require([*POSITION_COLUMNS, *FIELD_COLUMNS], hint)
     return Survey.from_table(table)
+
+
+def _advice(names: Sequence[str]) -> str:
+    """What to do about a table without the columns of a survey, from the names it has."""
+    if _is_global(names):
+        return "Degrees of latitude and longitude are no positions in metres: project them first (UTM, a local plane)"
+    return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
+
+
+def _is_global(names: Sequence[str]) -> bool:
+    """Whether a table holds places on the globe."""
+    return any(name.startswith("lat") for name in names) and any(name.startswith("lon") for name in names)

@@ -44,7 +44,7 @@ class SurveyFormat(BaseModel):
         "tf_static says, else no offset.",
     )
     recover: bool = Field(
-        default=False, description="Read all that is whole of a damaged log, and say what was lost."
+        default=False, description="Read all that is whole of a damaged log or survey CSV, and say what was lost."
     )
     # None: what the file says (files written by this package do), else 0, that is unknown or exact.
     pose_sd: float | None = Field(

@@ -108,10 +108,10 @@ class Recording:
         is_covered = poses.covers(times)
         n_covered = int(is_covered.sum())
         if n_covered == 0:
-            span = f"{times[0]:.9g} to {times[-1]:.9g} s" if len(times) else "nothing"
+            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "nothing"
             message = (
                 f"no sample lies within the trajectory: the field covers {span}, "
-                f"{self.poses_from or 'the poses'} covers {poses.times[0]:.9g} to {poses.times[-1]:.9g} s; "
+                f"{self.poses_from or 'the poses'} covers {poses.times[0]:.3f} to {poses.times[-1]:.3f} s; "
                 "both need the same clock"
             )
             raise DataFormatError(self.path, message, column="t")

@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Text tables of numbers: read by column name, faults found by line and column, written whole or not at all."""
 
-import csv
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import logging
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.cells import cells_of, delimiter_of, listed, names_of, numbers_at_once, numbers_of, split_row
 from magmatch.data.text import Block, text_blocks
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 
+logger = logging.getLogger(__name__)
+
 # Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
 CHUNK_ROWS = 20_000
+# Between these a comma can only belong to a number.
+MAY_HAVE_COMMAS = {";", "\t"}
 # Comment lines above the first row that are kept.
 MAX_COMMENTS = 1000
 
@@ -54,9 +59,7 @@ class Table:
         """Raise DataFormatError, naming what was expected and found, unless all these columns are there."""
         missing = [name for name in names if name not in self.columns]
         if missing:
-            message = (
-                f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {_listed(self.names)}"
-            )
+            message = f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {listed(self.names)}"
             raise DataFormatError(self.path, f"{message}. {hint}" if hint else message)
 
     def renamed(self, names: Mapping[str, str]) -> "Table":
@@ -82,12 +85,18 @@ class Table:
 
 
 def read_table(
-    path: str | Path, known: Collection[str], names: Sequence[str] | None = None, raw: bytes | None = None
+    path: str | Path,
+    known: Collection[str],
+    names: Sequence[str] | None = None,
+    raw: bytes | None = None,
+    *,
+    recover: bool | None = None,
+    advise: Callable[[Sequence[str]], str] = lambda _: "",
 ) -> Table:
     """Read the known columns of a delimited text file.
 
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
-    semicolon, tab, or else white space.
+    semicolon, tab, or else white space. Between semicolons or tabs numbers may have decimal commas.
 
     Parameters
     ----------
@@ -99,6 +108,11 @@ def read_table(
         The columns, for formats without a header row; by default the first row names them.
     raw : bytes, optional
         The content, where it is not that of a file of its own (a member of an archive).
+    recover : bool, optional
+        Leave out rows that cannot be read, and say how many, instead of refusing; None where there is no such
+        choice, which messages then do not offer.
+    advise : callable
+        What to do about a file that has none of the columns, from the names it has.
 
     Returns
     -------
@@ -110,7 +124,7 @@ def read_table(
     DataFormatError
         With line and column wherever one is at fault.
     """
-    reader = _TableReader(path, known, names)
+    reader = _TableReader(path, known, names, recover=recover, advise=advise)
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
@@ -119,8 +133,21 @@ def read_table(
 class _TableReader:
     """Turns a table into numbers block by block."""
 
-    def __init__(self, path: str | Path, known: Collection[str], names: Sequence[str] | None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        known: Collection[str],
+        names: Sequence[str] | None,
+        *,
+        recover: bool | None,
+        advise: Callable[[Sequence[str]], str],
+    ) -> None:
         self.path, self.known, self.names = path, known, names
+        self.recover, self.advise = recover, advise
+        self.first_fault: DataFormatError | None = None
+        self.n_faults = 0
+        # What marks decimals, as far as it has been seen; commas only where something else separates the cells.
+        self.has_points = self.has_commas = False
         self.comments: list[str] = []
         self.has_begun = False
         self.delimiter: str | None = None
@@ -151,29 +178,71 @@ class _TableReader:
         """Learn delimiter and names from the first row."""
         self.has_begun = True
         first = lines[rows[0]]
-        self.delimiter = _delimiter(self.path, first, start + rows[0] + 1)
+        self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line = _split(first, self.delimiter), start + rows.pop(0) + 1
-            self.names = _header(self.path, cells, line, self.known, self.comments)
+            cells, line = split_row(first, self.delimiter), start + rows.pop(0) + 1
+            self.names = names_of(self.path, cells, line, self.known, self.comments)
 
     def _choose(self) -> None:
         """Which columns to read, at the first row of numbers."""
         names = self.names or ()
         self.wanted = {name: k for k, name in enumerate(names) if name in self.known}
         if not self.wanted:
-            message = f"expected columns such as {_listed(tuple(self.known))}; found {_listed(names)}"
-            raise DataFormatError(self.path, message)
+            message = f"expected columns such as {listed(tuple(self.known))}; found {listed(names)}"
+            advice = self.advise(names)
+            raise DataFormatError(self.path, f"{message}. {advice}" if advice else message)
         self.columns = [[] for _ in self.wanted]
 
     def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
-        names = self.names or ()
-        block = _numbers_at_once(rows, self.delimiter, len(names), self.wanted)
+        block = None
+        if not self.has_commas:
+            block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
+        if block is not None and self.delimiter in MAY_HAVE_COMMAS and not self.has_points:
+            self.has_points = any("." in row for row in rows)
         if block is None:
-            cells = _cells(self.path, rows, numbers, self.delimiter, names, is_last=is_last)
-            block = _numbers(self.path, numbers, cells, self.wanted)
+            block, numbers = self._looked_at(rows, numbers, is_last=is_last)
         for parts, values in zip(self.columns, block.T, strict=True):
             parts.append(values.copy())
         self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)
+
+    def _looked_at(self, rows: list[str], numbers: list[int], *, is_last: bool) -> tuple[Matrix, list[int]]:
+        """Numbers of rows cell by cell, and which of the rows were kept."""
+        try:
+            cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
+            if self.delimiter in MAY_HAVE_COMMAS:
+                self._put_points(cells, numbers)
+            return numbers_of(self.path, numbers, cells, self.wanted), numbers
+        except DataFormatError as error:
+            if self.recover is None:
+                raise
+            if not self.recover:
+                message = f"{error.message}; --recover leaves such rows out"
+                raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
+            if len(rows) == 1:
+                self.first_fault, self.n_faults = self.first_fault or error, self.n_faults + 1
+                return np.zeros((0, len(self.wanted))), []
+        # Halves, so that few bad rows among many cost little.
+        middle = len(rows) // 2
+        first, second = (
+            self._looked_at(rows[part], numbers[part], is_last=False) for part in (slice(middle), slice(middle, None))
+        )
+        return np.concatenate([first[0], second[0]]), first[1] + second[1]
+
+    def _put_points(self, cells: list[list[str]], numbers: list[int]) -> None:
+        """Write decimal commas as points, unless points stand there too: one of the two marks thousands then."""
+        pairs = [(i, name, row[k]) for i, row in zip(numbers, cells, strict=True) for name, k in self.wanted.items()]
+        with_point = next(((i, name, text) for i, name, text in pairs if "." in text), None)
+        if with_point is not None and self.has_commas:
+            i, name, text = with_point
+            message = f"found {text[:40]!r}, where numbers above have decimal commas"
+            raise DataFormatError(self.path, message, line=i + 1, column=name)
+        self.has_points |= with_point is not None
+        if self.has_points or not any("," in text for _, _, text in pairs):
+            return
+        self.has_commas = True
+        for row in cells:
+            for k in self.wanted.values():
+                row[k] = row[k].replace(",", ".")
 
     def table(self) -> Table:
         """All that was read."""
@@ -181,6 +250,14 @@ class _TableReader:
             raise DataFormatError(self.path, "holds only comments and blank lines, expected rows of numbers")
         if not self.line_numbers:
             raise DataFormatError(self.path, "has a header row but no samples under it")
+        if self.first_fault is not None:
+            if not any(map(len, self.line_numbers)):
+                raise self.first_fault
+            logger.warning(
+                "%s: left out %d rows that cannot be read, the first: %s", self.path, self.n_faults, self.first_fault
+            )
+        if self.has_commas:
+            logger.warning("%s: decimal commas were read as points", self.path)
         columns = {}
         for name in self.wanted:  # one after the other, so that little is there twice
             columns[name] = np.concatenate(self.columns.pop(0))
@@ -212,108 +289,3 @@ def _rows(columns: Mapping[str, Scalars], comments: Sequence[str]) -> Iterator[b
     for start in range(0, n, CHUNK_ROWS):
         texts = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
         yield ("\n".join(map(",".join, zip(*texts, strict=True))) + "\n").encode()
-
-
-def _delimiter(path: str | Path, first: str, line: int) -> str | None:
-    """Choose what separates the cells from the first row; None for white space."""
-    if "," in first and ";" in first:
-        raise DataFormatError(path, "both ',' and ';' separate the columns here; use one of them", line=line)
-    return next((mark for mark in (",", ";", "\t") if mark in first), None)
-
-
-def _split(text: str, delimiter: str | None) -> list[str]:
-    """Cells of one line."""
-    if delimiter is not None and '"' in text:
-        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
-    return text.split(delimiter)
-
-
-def _header(
-    path: str | Path, cells: list[str], line: int, known: Collection[str], comments: Sequence[str]
-) -> tuple[str, ...]:
-    """Names of the columns, lower case."""
-    names = [cell.strip().strip("'\"").lower() for cell in cells]
-    while names and not names[-1]:
-        names.pop()
-    if all(_is_number(name) for name in names):
-        message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
-        if any(len(set(comment.replace(",", " ").lower().split()) & set(known)) > 2 for comment in comments):
-            message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
-        raise DataFormatError(path, message, line=line)
-    for name in names:
-        if name in known and names.count(name) > 1:
-            raise DataFormatError(path, f"the column stands {names.count(name)} times", line=line, column=name)
-    return tuple(names)
-
-
-def _numbers_at_once(rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int]) -> Matrix | None:
-    """Wanted columns of some rows by NumPy's parser; None where any row needs a closer look."""
-    if delimiter is None or not wanted or any(row.count(delimiter) != width - 1 for row in rows):
-        return None
-    try:
-        block = np.loadtxt(rows, delimiter=delimiter, comments=None, usecols=list(wanted.values()), ndmin=2)
-    except ValueError:
-        return None
-    return block if len(block) == len(rows) and np.isfinite(block).all() else None
-
-
-def _cells(
-    path: str | Path, rows: list[str], chunk: list[int], delimiter: str | None, names: Sequence[str], *, is_last: bool
-) -> list[list[str]]:
-    """Cells of some rows, each as many as there are columns."""
-    width = len(names)
-    cells = [_split(row, delimiter) for row in rows]
-    for i, row in zip(chunk, cells, strict=True):
-        while len(row) > width and not row[-1].strip():
-            row.pop()
-        if len(row) != width:
-            message = f"expected {width} cells ({_listed(names)}), found {len(row)}"
-            if is_last and i == chunk[-1] and len(row) < width:
-                message += "; the file ends in the middle of this line: cut off?"
-            raise DataFormatError(path, message, line=i + 1)
-    return cells
-
-
-def _numbers(path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]) -> Matrix:
-    """Wanted columns of some rows, one cell at a time."""
-    try:
-        block = np.array([[float(row[k]) for k in wanted.values()] for row in rows])
-        if np.isfinite(block).all():
-            return block
-    except ValueError:
-        pass
-    raise _first_fault(path, chunk, rows, wanted)
-
-
-def _first_fault(
-    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]
-) -> DataFormatError:
-    """Find the first cell that is not a finite number (slow, so done only once one is known to be there)."""
-    for i, row in zip(chunk, rows, strict=True):
-        for name, k in wanted.items():
-            text = row[k].strip()
-            if not text:
-                return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
-            if not _is_number(text):
-                hint = " (write decimals with a point)" if _is_number(text.replace(",", ".")) else ""
-                return DataFormatError(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
-            if not np.isfinite(float(text)):
-                message = f"expected a finite number, found {text[:40]!r}; remove the row or repair it"
-                return DataFormatError(path, message, line=i + 1, column=name)
-    msg = "a fault was reported but none found"
-    raise AssertionError(msg)
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Column names for a message; a file that is no table at all may have thousands."""
-    shown = [name[:30] if name.isprintable() else "(unprintable)" for name in names[:15]]
-    return ", ".join(name or "(unnamed)" for name in shown) + (", ..." if len(names) > len(shown) else "")
-
-
-def _is_number(text: str) -> bool:
-    """Whether a cell reads as a number (which may be nan or inf)."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -63,6 +63,17 @@ def test_most_messages_in_shared_time_win_then_names(made, flight, saved):
     assert len(read_survey(path, SurveyFormat(mag_topic="/a_mag"))) == 100
 
 
+def test_a_choice_between_topics_is_said(made, flight, saved, caplog):
+    mag, odom = flight.series
+    path = saved(mag, made.replace(mag, topic="/arm/mag"), odom, made.replace(odom, topic="/slam/odom"))
+    read_survey(path)
+    assert "topic of the field: /arm/mag is read, not /imu/mag (--mag-topic)" in caplog.text
+    assert "topic of poses: /odom is read, not /slam/odom (--pose-topic)" in caplog.text
+    caplog.clear()
+    read_survey(path, SurveyFormat(mag_topic="/imu/mag", pose_topic="/odom"))
+    assert "is read, not" not in caplog.text
+
+
 def test_lever_and_turn_come_from_tf_static(made, flight, saved):
     mag, odom = flight.series
     odom = made.replace(odom, child="base_link")

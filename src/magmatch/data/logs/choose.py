@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which topics to read: by type, and among several by one rule."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,8 @@ from pathlib import Path
 from magmatch.data.logs.log import Topic
 from magmatch.data.logs.messages import ENCODINGS
 from magmatch.errors import DataFormatError
+
+logger = logging.getLogger(__name__)
 
 FIELD_TYPES = ("sensor_msgs/MagneticField",)
 # Old drivers send the field as a plain vector; so do many other sensors, hence only when named.
@@ -72,10 +75,14 @@ def choose_topics(
     """
     fields = _candidates(path, topics, mag_topic, FIELD_TYPES_IF_NAMED if mag_topic else FIELD_TYPES, "field")
     if not needs_pose:
-        return Choice(min(fields, key=lambda topic: (-topic.count, topic.name)), None)
-    poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
-    pairs = [Choice(field, pose) for field in fields for pose in poses]
-    return min(pairs, key=lambda pair: (-_shared(pair.field, pair.pose), pair.field.name, _name(pair.pose)))
+        choice = Choice(min(fields, key=lambda topic: (-topic.count, topic.name)), None)
+    else:
+        poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
+        pairs = [Choice(field, pose) for field in fields for pose in poses]
+        choice = min(pairs, key=lambda pair: (-_shared(pair.field, pair.pose), pair.field.name, _name(pair.pose)))
+        _tell_choice(path, choice.pose, poses, "of poses", "--pose-topic")
+    _tell_choice(path, choice.field, fields, "of the field", "--mag-topic")
+    return choice
 
 
 def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
@@ -83,6 +90,13 @@ def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
     if pose_topic is not None:
         return not any(topic.name == pose_topic and topic.type in TREE_TYPES for topic in topics)
     return any(topic.count and topic.type in POSE_TYPES for topic in topics)
+
+
+def _tell_choice(path: Path, chosen: Topic | None, among: Sequence[Topic], what: str, flag: str) -> None:
+    """Say that there was a choice."""
+    if chosen is not None and len(among) > 1:
+        others = ", ".join(topic.name for topic in among if topic is not chosen)
+        logger.warning("%s: topic %s: %s is read, not %s (%s)", path, what, chosen.name, others, flag)
 
 
 def describe_topics(topics: Sequence[Topic]) -> str:

@@ -156,10 +156,10 @@ class Batcher:
             batch = self._open[key] = Batch(channel, [], [])
             self._n_bytes[key] = 0
         batch.log_ns.append(log_ns)
-        batch.payloads.append(payload)
-        self._n_bytes[key] += len(payload)
-        is_full = len(batch.payloads) >= BATCH or self._n_bytes[key] >= BATCH_BYTES
-        return self._open.pop(key) if is_full else None
+        payloads = batch.payloads
+        payloads.append(payload)
+        n_bytes = self._n_bytes[key] = self._n_bytes[key] + len(payload)
+        return self._open.pop(key) if n_bytes >= BATCH_BYTES or len(payloads) >= BATCH else None
 
     def rest(self) -> Iterator[Batch]:
         """Whatever has not been handed on."""

@@ -181,7 +181,8 @@ def _tell_losses(log: Log) -> None:
     n_bytes = sum(loss.stop - loss.start for loss in losses)
     shown = "; ".join(loss.text for loss in losses[:5]) + ("; ..." if len(losses) > 5 else "")
     share = f", {n_bytes} bytes" if n_bytes else ""
-    logger.warning("%s: recovered, but for %d damaged pieces%s: %s", log.path, len(losses), share, shown)
+    n = f"{len(losses)} damaged piece{'s' if len(losses) > 1 else ''}"
+    logger.warning("%s: recovered, but for %s%s: %s", log.path, n, share, shown)
 
 
 def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], dict[str, str | None]]:

@@ -35,6 +35,7 @@ class SqliteLog:
     def __init__(self, path: str | Path, *, recover: bool = False) -> None:
         self.path, self._recover = Path(path), recover
         self._losses: dict[str, Loss] = {}
+        self._is_searched = False
         self._suspect = _bytes_cut(self.path)
         self._work_left = WORK + WORK_PER_BYTE * self.path.stat().st_size
         with self._refusing():
@@ -68,6 +69,7 @@ class SqliteLog:
             for _, key, log_ns, _ in self._rows(set(self._channels)):
                 n, first, last = counts.get(key, (0, log_ns, log_ns))
                 counts[key] = (n + 1, min(first, log_ns), max(last, log_ns))
+            self._is_searched = True
         topics = [
             Topic(channel.topic, channel.type, channel.encoding, *self._checked(counts.get(key, (0, 0, 0))))
             for key, channel in self._channels.items()
@@ -85,6 +87,9 @@ class SqliteLog:
 
     def _rows(self, wanted: set[int]) -> Iterator[Row]:
         """Rows of some topics; where a page is damaged, go on behind it."""
+        if not self._suspect:
+            yield from self._readable_rows(wanted)
+            return
         held: deque[Row] = deque()
         n_held = 0
         for row in self._readable_rows(wanted):
@@ -106,13 +111,16 @@ class SqliteLog:
         while step < MAX_STEP:
             try:
                 for row in self._database.execute(query, (last + step,)):
-                    self._check_row(row)
-                    if row[0] <= last + step:
+                    number, key, log_ns, payload = row
+                    # Spelled out: this loop is what reading a bag costs.
+                    if not (type(number) is type(key) is type(log_ns) is int and type(payload) is bytes):
+                        raise DataFormatError(self.path, f"message {number} has no number, time stamp or data")
+                    if number <= last + step:
                         msg = "its rows do not follow each other"
                         raise sqlite3.DatabaseError(msg)
                     if step:
-                        self._note(f"messages {last + 1} to {row[0] - 1} lie on damaged pages")
-                    last, step = row[0], 0
+                        self._note(f"messages {last + 1} to {number - 1} lie on damaged pages")
+                    last, step = number, 0
                     yield row
             except SQLITE_ERRORS as error:
                 if not self._recover:
@@ -130,7 +138,9 @@ class SqliteLog:
         return self._work_left < 0
 
     def _note(self, words: str) -> None:
-        self._losses[words] = Loss(0, 0, words)
+        """Keep what was lost; a later look at some topics alone would say it again in other words."""
+        if not self._is_searched:
+            self._losses[words] = Loss(0, 0, words)
 
     def _read_channels(self) -> dict[int, Channel]:
         """Topics by number; only true tables are asked, since a view could compute without end."""
@@ -153,10 +163,6 @@ class SqliteLog:
             raise DataFormatError(self.path, "holds messages whose time stamp is no whole number")
         n, first, last = count
         return n, first, last  # type: ignore[return-value]
-
-    def _check_row(self, row: Row) -> None:
-        if not all(isinstance(number, int) for number in row[:3]) or not isinstance(row[3], bytes):
-            raise DataFormatError(self.path, f"message {row[0]} has no number, time stamp or data")
 
     def _refusal(self, error: Exception) -> DataFormatError:
         return DataFormatError(

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables as people have them: decimal commas, missing readings, a last line cut, degrees, half of the columns."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from magmatch.data.format import SurveyFormat
+from magmatch.data.read import read_survey, read_survey_and_channels
+from magmatch.errors import DataFormatError
+
+N = 60
+
+
+@pytest.fixture
+def rows(rng):
+    """Times, positions and field (uT), rounded as loggers do, so that text holds them exactly."""
+    return np.round(np.column_stack([np.arange(N) / 10, rng.uniform(0, 3, (N, 3)), rng.normal(28, 2, (N, 3))]), 4)
+
+
+def write(path, rows, names="t,x,y,z,bx,by,bz", mark=",", change=lambda i, cells: cells):
+    lines = [change(i, [repr(float(v)) for v in row]) for i, row in enumerate(rows)]
+    path.write_text("\n".join([names.replace(",", mark), *(mark.join(cells) for cells in lines)]))
+    return path
+
+
+UT, RECOVER = SurveyFormat(field_unit="uT"), SurveyFormat(field_unit="uT", recover=True)
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+@pytest.mark.parametrize("note", ["", "12.03.2026"])
+def test_decimal_commas_between_semicolons_or_tabs_are_the_same_numbers(mark, note, rows, tmp_path, caplog):
+    names = "t,x,y,z,bx,by,bz" + (",day" if note else "")
+
+    def commas(_, cells):
+        return [cell.replace(".", ",") for cell in cells] + ([note] if note else [])
+
+    with caplog.at_level(logging.WARNING, logger="magmatch"):
+        survey = read_survey(write(tmp_path / "german.csv", rows, names, mark, commas), UT)
+    plain = read_survey(write(tmp_path / "plain.csv", rows), UT)
+    np.testing.assert_array_equal(survey.field, plain.field)
+    np.testing.assert_array_equal(survey.times, plain.times)
+    assert "german.csv: decimal commas were read as points" in caplog.text
+
+
+def test_commas_that_may_mark_thousands_are_refused(rows, tmp_path):
+    def thousands(i, cells):
+        return ["1,234.5", *cells[1:]] if i == 3 else cells
+
+    with pytest.raises(DataFormatError, match=r"line 5, column 't': expected a number, found '1,234\.5'"):
+        read_survey(write(tmp_path / "s.csv", rows, mark=";", change=thousands), UT)
+
+
+@pytest.mark.parametrize("size", [1, 1 << 20])
+def test_points_below_commas_are_refused_wherever_blocks_end(size, rows, tmp_path, monkeypatch):
+    def mixed(i, cells):
+        return cells if i == 40 else [cell.replace(".", ",") for cell in cells]
+
+    monkeypatch.setattr("magmatch.data.text.BLOCK", size)
+    with pytest.raises(DataFormatError, match="--recover"):
+        read_survey(write(tmp_path / "s.csv", rows, mark=";", change=mixed), UT)
+
+
+DAMAGE = {
+    "no reading": (lambda i, c: [*c[:4], "nan", "nan", "nan"] if 20 <= i < 30 else c, 10, 22, "found 'nan'"),
+    "empty cells": (lambda i, c: [*c[:4], "", "", ""] if i in (0, 7) else c, 2, 2, "empty cell"),
+    "words": (lambda i, c: ["-- restart --"] if i == 40 else c, 1, 42, "expected 7 cells"),
+    "cut off": (lambda i, c: c[:3] if i == N - 1 else c, 1, N + 1, "ends in the middle of this line"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_rows_that_cannot_be_read_are_left_out_when_asked_for(name, rows, tmp_path, caplog):
+    change, n_lost, line, words = DAMAGE[name]
+    path = write(tmp_path / "s.csv", rows, change=change)
+    with pytest.raises(DataFormatError, match=rf"line {line}\b.*{words}.*--recover leaves such rows out"):
+        read_survey(path, UT)
+    with caplog.at_level(logging.WARNING, logger="magmatch"):
+        survey = read_survey(path, RECOVER)
+    kept = [i for i in range(N) if change(i, ["0"] * 7) == ["0"] * 7]
+    np.testing.assert_array_equal(survey.positions, rows[kept, 1:4])
+    assert len(survey) == N - n_lost
+    assert f"left out {n_lost} rows that cannot be read, the first: {path}, line {line}" in caplog.text
+
+
+def test_nothing_but_damage_is_refused_all_the_same(rows, tmp_path):
+    path = write(tmp_path / "s.csv", rows, change=lambda _, cells: ["2026-11-01T10:00:00Z", *cells[1:]])
+    with pytest.raises(DataFormatError, match=r"line 2, column 't'.*times are numbers, such as seconds since 1970"):
+        read_survey(path, RECOVER)
+
+
+def test_other_columns_stay_beside_the_rows_that_are_kept(rows, tmp_path):
+    change = DAMAGE["no reading"][0]
+    names = "t,x,y,z,bx,by,bz,motor_a"
+    path = write(tmp_path / "s.csv", rows, names, change=lambda i, cells: [*change(i, cells), str(i)])
+    survey, channels = read_survey_and_channels(path, RECOVER)
+    np.testing.assert_array_equal(channels["motor_a"], [i for i in range(N) if not 20 <= i < 30])
+    assert len(survey) == len(channels["motor_a"])
+
+
+HEADERS = {
+    "time,latitude,longitude,altitude,mag_x,mag_y,mag_z": "project them first",
+    "timestamp,px,py,pz,mx,my,mz": "--columns x=THEIRS",
+    "t,x,y,note,bx,by,bz": "has a column z too",
+    "t,x,y,z,mag,a,b": "its magnitude alone will not do",
+    "t,a,b,c,bx,by,bz": "--trajectory POSES.tum",
+    "t,lat,lon,c,bx,by,bz": "project them first",
+}
+
+
+@pytest.mark.parametrize("names", HEADERS)
+def test_other_columns_are_refused_with_advice(names, rows, tmp_path):
+    with pytest.raises(DataFormatError, match=HEADERS[names]):
+        read_survey(write(tmp_path / "s.csv", rows, names), UT)
