@@ -15,6 +15,7 @@ from magmatch.field.spline_model import SplineModel
 from magmatch.field.tile_fit import FitError
 from magmatch.field.tiled_draws import normals
 from magmatch.field.tiled_model import TiledModel
+from magmatch.field.tiled_posterior import Recent, TiledPosterior
 from magmatch.field.tiles import TileKeys, Tiling, smooth_step
 
 few = settings(deadline=None, derandomize=True, max_examples=20)
@@ -239,7 +240,7 @@ def test_far_away_and_nowhere_the_prior_answers(fitted):
 
 def test_weights_of_another_fit_are_refused(fitted):
     _, posterior, x, _ = fitted
-    wrong = replace(posterior, tile_weights=[w + 1e-6 for w in posterior.tile_weights])
+    wrong = TiledPosterior(posterior.tasks, [w + 1e-6 for w in posterior.tile_weights])
     assert np.isfinite(wrong.evaluate(x).field).all()
     with pytest.raises(FitError, match="gives another field"):
         wrong.covariance(x[:3])
@@ -270,3 +271,30 @@ def test_region_of_countless_tiles_is_refused_in_one_line(monkeypatch):
     monkeypatch.setattr("magmatch.field.tiles.MOST_TILES", 10)
     with pytest.raises(ConfigurationError, match="at most 10; widen"):
         TiledModel.over(x, H)
+
+
+def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, monkeypatch):
+    model, posterior, x, b = fitted
+    few_bytes = 2.5 * max(posterior.factored(k).n_bytes for k in range(len(model.tiles)))
+    monkeypatch.setattr("magmatch.field.tiled_model.FACTORED_BYTES", few_bytes)
+    elsewhere = model.infer(model.observe(x, b), run=lambda fit, tasks: [fit(task) for task in tasks])
+    frugal, q = model.infer(model.observe(x, b)), inside(40)
+    for other in (elsewhere, frugal):
+        assert np.array_equal(other.covariance(q), posterior.covariance(q))
+        assert np.array_equal(other.influence(q), posterior.influence(q))
+        draws = [p.draw_weights(2, np.random.default_rng(3)) for p in (posterior, other)]
+        assert np.array_equal(*(p.evaluate(q, 0, d[1]).field for p, d in zip((posterior, other), draws, strict=True)))
+
+
+def test_factors_of_large_maps_do_not_stay():
+    model = TiledModel.over(walk()[0], H, SMALL)
+    posterior = model.infer(model.observe(*walk()))
+    one = posterior.factored(0).n_bytes
+    assert one > 0
+    kept = Recent(64, 2.5 * one)
+    for k in range(6):
+        kept.offer(k, posterior.factored(0))
+    made = []
+    for k in (0, 1, 2, 0):
+        kept.find(k, lambda k=k: made.append(k) or posterior.factored(0))
+    assert made == [0, 1, 2]

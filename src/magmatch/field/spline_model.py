@@ -158,6 +158,12 @@ class SplinePosterior:
             self._factor.append(source if isinstance(source, CholeskyFactor) else source())
         return self._factor[0]
 
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factor, as far as it was made."""
+        is_made = self._factor or isinstance(self.factor_source, CholeskyFactor)
+        return self.factor.n_bytes if is_made else 0
+
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points; outside the active cells the constant field alone."""
         w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)

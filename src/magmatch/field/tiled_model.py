@@ -14,8 +14,9 @@ import numpy as np
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.tile_fit import Samples, TileTask, fit_weights
 from magmatch.field.tile_tasks import TileTasks
-from magmatch.field.tiled_posterior import TiledPosterior
+from magmatch.field.tiled_posterior import FACTORED_BYTES, FACTORED_TILES, Recent, TiledPosterior
 from magmatch.field.tiles import Index, Tiling
+from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Applies a function to every task, results in the order of the tasks.
@@ -93,12 +94,16 @@ class TiledModel:
 
     def infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner = map) -> TiledPosterior:
         """Fit those tiles that are not known yet; see `infer`."""
-        found = dict(known)
+        found, factors = dict(known), Recent(FACTORED_TILES, FACTORED_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
-        fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
+        if run is map:
+            # Outliers and draws ask for the factors next: made here, those of a small map stay.
+            fitted: Iterable[Scalars] = (_fit_here(tasks, k, factors) for k in numbers)
+        else:
+            fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
-        return TiledPosterior(tasks, [found[index] for index in self.tiles])
+        return TiledPosterior(tasks, [found[index] for index in self.tiles], factors)
 
     def tasks(self, information: TiledInformation) -> TileTasks:
         """What the fit of each tile depends on."""
@@ -109,3 +114,11 @@ class TiledModel:
         return TileTasks(
             self.hyperparameters, self.tiling, self.tiles, self.points, self.rows, information.parts, rows
         )
+
+
+@single_threaded
+def _fit_here(tasks: TileTasks, number: int, factors: Recent) -> Scalars:
+    """What `fit_weights` gives of a tile, whose factor is offered to those who want it later."""
+    posterior = tasks.task(number).infer()
+    factors.offer(number, posterior)
+    return posterior.weights

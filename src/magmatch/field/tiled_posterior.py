@@ -29,8 +29,9 @@ from magmatch.field.tiles import Index, TileKeys, Tiling
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Points, Scalars, Vector3
 
-# How many tiles are kept ready for evaluation (2 MB each), and how many with their factor and inverse (0.2 GB each).
-READY_TILES, FACTORED_TILES = 64, 4
+# How many tiles are kept ready for evaluation (2 MB each), and how many with their factor: as many as take so many
+# bytes, and one more (at most 0.2 GB).
+READY_TILES, FACTORED_TILES, FACTORED_BYTES = 64, 64, 6e8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,13 +44,15 @@ class TiledPosterior:
         What each tile was fitted from.
     tile_weights : list of (m + 3,) arrays, T
         Posterior mean of each tile's weights.
+    factors : Recent
+        Tiles with their factor, as the fit left them or made again when they are needed.
     """
 
     tasks: TileTasks
     tile_weights: list[Scalars]
+    factors: "Recent" = field(default_factory=lambda: Recent(FACTORED_TILES, FACTORED_BYTES), repr=False)
     _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
     _ready: "Recent" = field(default_factory=lambda: Recent(READY_TILES), init=False, repr=False)
-    _factored: "Recent" = field(default_factory=lambda: Recent(FACTORED_TILES), init=False, repr=False)
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -171,7 +174,7 @@ class TiledPosterior:
 
     def factored(self, number: int) -> SplinePosterior:
         """Posterior of one tile that may be asked for its factor; few are kept, since they are large."""
-        return self._factored.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+        return self.factors.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
 
     def _shares(self, points: Points, order: int) -> Iterator[Share]:
         """Each tile with a say at some points."""
@@ -206,16 +209,30 @@ class Recent:
     Parameters
     ----------
     n_kept : int
+    n_bytes : float
+        Of their factors.
     """
 
-    def __init__(self, n_kept: int) -> None:
-        self._n_kept, self._made = n_kept, OrderedDict[int, SplinePosterior]()
+    def __init__(self, n_kept: int, n_bytes: float = np.inf) -> None:
+        self._n_kept, self._n_bytes, self._made = n_kept, n_bytes, OrderedDict[int, SplinePosterior]()
+        self._is_open = True
 
     def find(self, number: int, make: Callable[[], SplinePosterior]) -> SplinePosterior:
         """What was made under a number, or else make it."""
         if number not in self._made:
-            while len(self._made) >= self._n_kept:
+            while self._is_full():
                 self._made.popitem(last=False)
             self._made[number] = make()
         self._made.move_to_end(number)
         return self._made[number]
+
+    def offer(self, number: int, posterior: SplinePosterior) -> None:
+        """Keep what was made already, if all that is offered can be kept: asked in turn, a part would help nobody."""
+        if self._is_open:
+            self._made[number] = posterior
+        if self._is_full():
+            self._made.clear()
+            self._is_open = False
+
+    def _is_full(self) -> bool:
+        return len(self._made) >= self._n_kept or sum(made.n_bytes for made in self._made.values()) > self._n_bytes
