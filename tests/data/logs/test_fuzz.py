@@ -67,6 +67,8 @@ def seeds(made, tmp_path_factory):
     )
     table = [f"{i / 10!r},{i},{i * i},0,2e-5,{i}e-7,-4e-5,0,0,0,1" for i in range(24)]
     (folder / "survey.csv").write_text("\n".join(["t,x,y,z,bx,by,bz,qx,qy,qz,qw", *table]))
+    commas = (folder / "survey.csv").read_text().replace(",", ";").replace(".", ",")
+    (folder / "commas.csv").write_text(commas)
     if _has_pyarrow():
         import pandas as pd
 
@@ -89,7 +91,7 @@ FILES = [
     "log.bag", "log-bz2.bag", "log-lz4.bag", "log.mcap", "log1.mcap", "logj.mcap", "logl.mcap", "logn.mcap",
     "logc.mcap", "logs.mcap", "free.mcap", "free-z.mcap", "numbers.mcap", "numbers.bag", "log-db3/log-db3.db3",
     "log-db3z/metadata.yaml", "log-mcap/metadata.yaml",
-    "survey.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv", "logger.zip",
+    "survey.csv", "commas.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv", "logger.zip",
     "phyphox.zip", "euroc.csv",
 ]  # fmt: skip
 
