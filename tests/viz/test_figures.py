@@ -106,10 +106,11 @@ def test_thinning_keeps_the_ends_and_repeats_nothing(n):
 
 
 def test_every_axis_says_its_unit(pair):
+    cut = cut_through(pair.base.positions)
     figures = [survey_figure(pair.base), profile_figure(pair.base), profile_figure(pair.target)]
     figures += [
         *field_figures(pair.base_map),
-        spread_figure(pair.base_map),
+        spread_figure(pair.base_map, cut, np.ones(len(cut.points))),
         *scene_figures(pair.base, pair.target, pair.accepted),
     ]
     figures += slice_figures(pair.base_map, pair.target_map, pair.accepted)

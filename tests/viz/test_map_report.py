@@ -14,9 +14,10 @@ pytest.importorskip("plotly")
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.viz.coverage import cover, left_out
+from magmatch.viz.coverage import cover, cover_and_spread, left_out
 from magmatch.viz.map_figures import comparison_figure, field_figures, spread_figure
 from magmatch.viz.map_report import MEANINGS, write_map_report
+from magmatch.viz.slices import cut_through
 
 COMPARISON = {"spline": 1.1e-6, "harmonic": 1e-6}
 
@@ -102,6 +103,10 @@ def test_the_prior_that_was_taken_is_told_by_words_and_filling():
 
 
 def test_samples_are_marked_on_the_picture_of_standard_deviations(pair):
-    heat, marks = spread_figure(pair.base_map).data
+    cut = cut_through(pair.base.positions)
+    coverage, sd = cover_and_spread(pair.base_map, cut.points)
+    np.testing.assert_allclose(coverage.sd, cover(pair.base_map).sd)
+    heat, marks = spread_figure(pair.base_map, cut, sd).data
+    np.testing.assert_allclose(np.nanmax(heat.z), 1e6 * sd[pair.base_map.knows(cut.points)].max())
     assert len(marks.x) == len(pair.base)
     assert np.nanmin(heat.z) >= 0

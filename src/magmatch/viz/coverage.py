@@ -7,7 +7,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.typing import Mask, Scalars
+from magmatch.typing import Mask, Points, Scalars
 
 # Points of the box that are asked.
 N_ASKED = 6000
@@ -54,17 +54,42 @@ def cover(field_map: FieldMap) -> Coverage:
     -------
     Coverage
     """
+    return cover_and_spread(field_map, np.zeros((0, 3)))[0]
+
+
+def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Scalars]:
+    """Ask a map all over the box around its samples, and at points of a picture.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    points : (n, 3) array, m, map frame
+
+    Returns
+    -------
+    coverage : Coverage
+    sd : (n,) array, T
+        Standard deviation of a component at the points.
+
+    Notes
+    -----
+    One question for both: the tiles of a large map keep no factors, and making them is nearly all that this costs.
+    """
     size = np.ptp(field_map.survey.transformed(field_map.T_map_model.inv()).positions, axis=0)
     sides = np.maximum(size, 0.02 * size.max())  # of a flat survey the thickness hardly matters
     grid = field_map.grid_over(float((sides.prod() / N_ASKED) ** (1 / 3)) or 1.0)
-    gridded = field_map.on_grid(grid, order=0)
-    variance = gridded.variance[gridded.is_known]
-    return Coverage(
-        known_share=float(gridded.is_known.mean()),
+    box = grid.points()
+    is_known = field_map.knows(box)
+    asked = np.concatenate([box[is_known], points])
+    sd = np.sqrt(np.maximum(np.trace(field_map.covariance(asked), axis1=1, axis2=2) / 3, 0))
+    n = int(is_known.sum())
+    coverage = Coverage(
+        known_share=float(is_known.mean()),
         volume=float(size.prod()),
-        sd=np.sort(np.sqrt(np.maximum(variance, 0))),
+        sd=np.sort(sd[:n]),
         variation=float(np.sqrt(field_map.survey.field.var(axis=0).mean())),
     )
+    return coverage, sd[n:]
 
 
 def left_out(field_map: FieldMap, read: Survey) -> Mask:

@@ -67,21 +67,22 @@ def field_figures(field_map: FieldMap) -> "list[Figure]":
     return figures
 
 
-def spread_figure(field_map: FieldMap) -> "Figure":
-    """Standard deviation of a component on the main cut, with the samples nearest to it.
+def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
+    """Standard deviation of a component on a cut, with the samples nearest to it.
 
     Parameters
     ----------
     field_map : FieldMap
+    cut : Cut
+    sd : (n,) array, T
+        At the points of the cut.
 
     Returns
     -------
     plotly Figure
     """
     p = field_map.survey.positions
-    cut = cut_through(p)
-    variance = np.trace(field_map.covariance(cut.points), axis1=1, axis2=2) / 3
-    sd, is_known = UT_PER_TESLA * np.sqrt(np.maximum(variance, 0)), field_map.knows(cut.points)
+    sd, is_known = UT_PER_TESLA * sd, field_map.knows(cut.points)
     a, b, normal = cut.axes
     nearest = np.argsort(np.abs(p[:, normal] - cut.height), kind="stable")[:MAX_MARKED]
     x, y = for_display(p[nearest][:, [a, b]]).T

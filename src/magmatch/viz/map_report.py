@@ -13,9 +13,10 @@ from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.map import FieldMap
-from magmatch.viz.coverage import Coverage, cover, left_out
+from magmatch.viz.coverage import Coverage, cover_and_spread, left_out
 from magmatch.viz.map_figures import comparison_figure, coverage_figure, field_figures, spread_figure
 from magmatch.viz.page import Section, columns, figure_row, note, paragraph, subheading, table, to_copy, write_page
+from magmatch.viz.slices import cut_through
 from magmatch.viz.survey_figures import profile_figure, survey_figure
 
 # Most left-out samples listed one by one.
@@ -70,12 +71,13 @@ def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Secti
     -------
     list of Section
     """
-    coverage = cover(field_map)
+    cut = cut_through(field_map.survey.positions)
+    coverage, sd = cover_and_spread(field_map, cut.points)
     out = [survey.subset(left_out(field_map, survey)) for survey in read]
     main, *others = field_figures(field_map)
     sections = [
         Section("", [columns([table(_facts(field_map))], [table(_coverage_rows(coverage))])]),
-        Section("The field", [figure_row([main, spread_figure(field_map)]), figure_row(others)]),
+        Section("The field", [figure_row([main, spread_figure(field_map, cut, sd)]), figure_row(others)]),
         _samples(field_map, out),
     ]
     if len(coverage.sd):

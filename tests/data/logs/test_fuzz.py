@@ -91,8 +91,8 @@ FILES = [
     "log.bag", "log-bz2.bag", "log-lz4.bag", "log.mcap", "log1.mcap", "logj.mcap", "logl.mcap", "logn.mcap",
     "logc.mcap", "logs.mcap", "free.mcap", "free-z.mcap", "numbers.mcap", "numbers.bag", "log-db3/log-db3.db3",
     "log-db3z/metadata.yaml", "log-mcap/metadata.yaml",
-    "survey.csv", "commas.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv", "logger.zip",
-    "phyphox.zip", "euroc.csv",
+    "survey.csv", "commas.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv",
+    "logger.zip", "phyphox.zip", "euroc.csv",
 ]  # fmt: skip
 
 
