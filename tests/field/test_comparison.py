@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field import comparison
@@ -12,6 +13,7 @@ from magmatch.field.build import build_map
 from magmatch.field.calibration import divide, widened
 from magmatch.field.comparison import Rival, _best
 from magmatch.field.config import FieldConfig
+from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
@@ -121,3 +123,29 @@ def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(n
     assert 0.93 < coverage(honest) < 0.97
     # The mean stays: noise and prior grew alike.
     assert honest.noise_sd / honest.looseness == pytest.approx(sure.noise_sd / sure.looseness)
+
+
+def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
+    points, field = room(inside=False, n=700)
+    survey, parts = Survey(points, field), divide(points, typical_length(points, field))
+    covered = np.sum([*parts.folds[:2], *parts.rest], axis=0)
+    assert np.all(covered == 1)
+    config = FieldConfig(prior="auto")
+    nowhere = RigidTransform.identity()
+    spline, harmonic = comparison._compared(["spline", "harmonic"], survey, parts, config, nowhere)
+    assert harmonic.error < spline.error
+    asked = []
+    further = comparison._compared_further
+
+    def counting(rivals, *others):
+        asked.append([rival.name for rival in rivals])
+        return further(rivals, *others)
+
+    monkeypatch.setattr(comparison, "_compared_further", counting)
+    monkeypatch.setattr(comparison, "PRIORS", {name: PRIORS[name] for name in ("spline", "harmonic")})
+    # More proof than some parts can give, less than all of them do.
+    gain = spline.log_errors - harmonic.log_errors
+    monkeypatch.setattr(comparison, "_LEAST_T", 1.05 * gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
+    chosen, _ = comparison.choose_prior(survey, config, nowhere)
+    assert asked == [["spline", "harmonic"]]
+    assert chosen.prior == "harmonic"

@@ -51,6 +51,11 @@ class Parts:
     folds: tuple[Mask, ...]
     is_path: bool
 
+    @property
+    def rest(self) -> tuple[Mask, ...]:
+        """Sets of parts that are in none of the folds but, perhaps, in the slice."""
+        return tuple(folds_of(self.number, others=True)) if self.folds else ()
+
 
 def divide(points: Points, lengthscale: float) -> Parts:
     """Parts of a survey to leave out: stretches of a path or cubes, and a slice off one end.

@@ -27,9 +27,9 @@ log = logging.getLogger(__name__)
 PREFERRED = "spline"
 # Samples that the comparison uses; of a part of the survey, where most that would lose have lost already.
 _N_COMPARED, _N_QUALIFYING = 2500, 800
-# Another prior must miss by this share less (noise included, which no prior predicts), and by this many standard
-# errors of the parts' mean.
-_LEAST_GAIN, _LEAST_T = 0.01, 3.0
+# Another prior must miss by this share less (noise included, which no prior predicts, and which often is most of it),
+# and by this many standard errors of the parts' mean.
+_LEAST_GAIN, _LEAST_T = 0.005, 2.0
 # Parts with fewer samples tell too little each; fewer parts are no sample of anything.
 _FEWEST_IN_PART, _FEWEST_PARTS = 3, 6
 
@@ -91,6 +91,8 @@ def choose_prior(
         names = [PREFERRED, *(rival.name for rival in rivals[1:] if _may_be_better(rival, rivals[0]))]
     if len(names) > 1 or not rivals:
         rivals = _compared(names, samples, parts, config, T_domain_model)
+        if any(_is_open(rival, rivals[0]) for rival in rivals[1:]):
+            rivals = _compared_further(rivals, samples, parts, config, T_domain_model)
         taken = _best(rivals)
     else:
         named = config.model_copy(update={"prior": PREFERRED})
@@ -147,10 +149,7 @@ def _compared(
     names: list[str], samples: Survey, parts: Parts, config: FieldConfig, T_domain_model: RigidTransform
 ) -> list[Rival]:
     """How priors do on the same samples, the preferred one first and always."""
-    some = np.arange(0, len(samples), -(-len(samples) // _N_COMPARED))
-    few, folds = samples.subset(some), tuple(fold[some] for fold in parts.folds)
-    thinned = Parts(parts.number[some], folds, parts.is_path)
-    rivals = []
+    few, thinned, rivals = *_thinned(samples, parts), []
     for name in names:
         named = config.model_copy(update={"prior": name})
         try:
@@ -161,6 +160,26 @@ def _compared(
                 raise
             log.info("prior %s is not compared: %s", name, error)
     return rivals
+
+
+def _compared_further(
+    rivals: list[Rival], samples: Survey, parts: Parts, config: FieldConfig, T_domain_model: RigidTransform
+) -> list[Rival]:
+    """The preferred prior and those that may yet beat it, on all parts of the survey instead of some."""
+    few, rest = _thinned(samples, replace(parts, folds=parts.rest))
+    out = []
+    for rival in (rivals[0], *(other for other in rivals[1:] if _may_be_better(other, rivals[0]))):
+        named = config.model_copy(update={"prior": rival.name})
+        errors = _log_errors(few, rest, rival.hyperparameters, named, T_domain_model)
+        out.append(replace(rival, log_errors=np.concatenate([rival.log_errors, errors])))
+    return out
+
+
+def _thinned(samples: Survey, parts: Parts) -> tuple[Survey, Parts]:
+    """As many samples as a comparison uses."""
+    some = np.arange(0, len(samples), -(-len(samples) // _N_COMPARED))
+    folds = tuple(fold[some] for fold in parts.folds)
+    return samples.subset(some), Parts(parts.number[some], folds, parts.is_path)
 
 
 def _log_errors(
@@ -195,6 +214,12 @@ def _is_clearly_better(rival: Rival, preferred: Rival) -> bool:
         return False
     standard_error = float(gain.std(ddof=1)) / np.sqrt(len(gain))
     return bool(gain.mean() > max(_LEAST_GAIN, _LEAST_T * standard_error))
+
+
+def _is_open(rival: Rival, preferred: Rival) -> bool:
+    """Whether a rival is ahead, but not clearly."""
+    is_ahead = len(rival.log_errors) > 0 and rival.error < preferred.error
+    return is_ahead and not _is_clearly_better(rival, preferred)
 
 
 def _may_be_better(rival: Rival, preferred: Rival) -> bool:

@@ -123,20 +123,23 @@ def path_stretches(points: Points, lengthscale: float) -> Indices:
     return path_segments(points, min(STRETCH_IN_LENGTHSCALES * lengthscale, STRETCH_IN_EXTENTS * extent))
 
 
-def folds_of(number: Indices) -> list[Mask]:
+def folds_of(number: Indices, others: bool = False) -> list[Mask]:
     """What to leave out, one set at a time: two of five groups of parts.
 
     Parameters
     ----------
     number : (n,) int array
         Which part each sample is in.
+    others : bool
+        The three other groups instead.
 
     Returns
     -------
     list of (n,) bool arrays
         Only sets that leave something out and something in.
     """
-    return [fold for fold in (number % N_GROUPS == k for k in FOLDS) if fold.any() and not fold.all()]
+    groups = [k for k in range(N_GROUPS) if (k in FOLDS) != others]
+    return [fold for fold in (number % N_GROUPS == k for k in groups) if fold.any() and not fold.all()]
 
 
 def space_blocks(points: Points, size: float, rng: np.random.Generator) -> Indices:
