@@ -19,7 +19,7 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
     """Covariance of the perturbation about the pose's centre and of the sensor's parameters.
 
     Map errors are shared by neighbouring residuals, so each direction of comparison is a cluster sandwich
-    ``A^-1 (sum g g^T) A^-1`` with g summed over cells; the directions share noise (one survey's samples made the
+    ``A^-1 (sum g g^T) A^-1``, A the curvature of its log-likelihood, with g summed over cells; the directions share noise (one survey's samples made the
     map that the other is compared with), so their covariances are added rather than their information.
 
     Parameters
@@ -40,13 +40,13 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
     for direction in pose.directions:
         clusters = sum_by_cube(direction.scores, direction.positions, cell_side)
         n_cells = len(clusters)
-        information = direction.information + prior
-        if n_cells < MIN_CELLS or np.linalg.cond(_balanced(information[:6, :6])) > 1e12:
+        curvature = direction.curvature + prior
+        if n_cells < MIN_CELLS or np.linalg.cond(_balanced(curvature[:6, :6])) > 1e12:
             continue
         clusters = clusters - clusters.mean(axis=0)
         # Six fitted parameters use up part of the clusters' spread.
         meat = clusters.T @ clusters * n_cells / max(n_cells - 3.0, 1.0)
-        bread = np.linalg.inv(_regular(information))
+        bread = np.linalg.inv(_regular(curvature))
         total += bread @ (meat + prior) @ bread
         n_used += 1
     return (total + total.T) / 2 if n_used else None

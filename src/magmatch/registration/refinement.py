@@ -58,6 +58,9 @@ class Direction:
     ----------
     information : (6 + k, 6 + k) array
         Weighted ``J^T J`` of the pose and the k sensor parameters.
+    curvature : (6 + k, 6 + k) array
+        Of the log-likelihood, which a large residual bends less than its weight says: what the scatter of an estimate
+        follows from.
     scores : (n, 6 + k) array
         Each sample's weighted gradient.
     positions : (n, 3) array, m
@@ -67,6 +70,7 @@ class Direction:
     """
 
     information: Matrix
+    curvature: Matrix
     scores: Matrix
     positions: Points
     residual2: Scalars
@@ -258,10 +262,14 @@ def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorM
     map_variance = lookup.sd**2
     excess = max(float(np.median(r2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
     variance = excess + map_variance
-    weight = (STUDENT_DOF + 3) / (STUDENT_DOF + r2 / variance) / variance
+    chi2 = r2 / variance
+    weight = (STUDENT_DOF + 3) / (STUDENT_DOF + chi2) / variance
     JW = J * weight[:, None, None]
+    # The weight falls as its residual grows, in one direction of three.
+    bend = 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
     return Direction(
         information=np.einsum("nij,nik->jk", JW, J, optimize=True),
+        curvature=np.einsum("nij,nik->jk", JW * bend[:, None, None], J, optimize=True),
         scores=np.einsum("nij,ni->nj", JW, lookup.residual),
         positions=lookup.positions,
         residual2=r2 / (noise_sd**2 + map_variance),
