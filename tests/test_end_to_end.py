@@ -6,6 +6,8 @@ import pytest
 import magmatch as mm
 from magmatch.geometry import log_se3, random_transform, transform_error
 from magmatch.registration.config import PRESETS
+from magmatch.registration.map_index import index_map
+from magmatch.registration.register_walk import WalkConfig, register_walk
 from magmatch.simulation.config import SimulationConfig
 
 pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
@@ -61,14 +63,20 @@ def test_the_same_seed_gives_the_same_bits(office):
     np.testing.assert_array_equal(again.T_base_target.as_matrix(), result.T_base_target.as_matrix())
 
 
-def test_a_walk_along_the_path_of_another_is_registered_as_a_walk():
-    pair = mm.simulate("corridor", 0, SMALL)
+def test_a_walk_along_the_path_of_another_is_refined_from_both_sides():
+    pair = mm.simulate("corridor", 302)
     result = mm.register(pair.base, pair.target)
     assert result.is_accepted
     assert "walk" in result.seconds
-    distance, angle = transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)
-    assert distance < 0.5
-    assert angle < np.radians(4)
+    index = index_map(mm.build_map(pair.base), PRESETS["default"])
+    assert not index.walks.noise.is_learned  # one pass only
+    one_sided = register_walk(index.walks, pair.target, WalkConfig(), np.random.default_rng(0))
+    truth, center = pair.T_base_target, pair.target.centroid
+    (far, turned), (near, hardly) = (transform_error(r.T_base_target, truth, center) for r in (one_sided, result))
+    assert near < min(0.15, far / 2)
+    assert hardly < turned
+    xi = log_se3(result.T_base_target.inv() * truth)
+    assert xi @ np.linalg.solve(result.covariance, xi) / 6 < 4.0
 
 
 @pytest.mark.parametrize("scenario", ["nowhere", "uniform"])

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.registration.covariance import to_survey_axes
 from magmatch.registration.decision import DecisionConfig, decide, decide_by_fitness
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.walk_answer import WalkDecisionConfig, _refusals
 
 CONFIG = DecisionConfig()
 
@@ -87,3 +88,13 @@ def test_reason_names_the_number_that_decided():
 )
 def test_published_rule_looks_at_fitness_alone(fitness, overlap, status):
     assert decide_by_fitness(fitness, overlap, CONFIG).status is status
+
+
+@pytest.mark.parametrize(
+    ("coverage", "log_evidence", "status"),
+    [(0.65, 20.0, None), (0.5, 20.0, Status.NO_OVERLAP), (0.5, 90.0, None), (0.25, 90.0, Status.NO_OVERLAP)],
+)
+def test_less_of_a_walk_inside_the_map_will_do_where_what_there_is_leaves_no_doubt(coverage, log_evidence, status):
+    best = SimpleNamespace(coverage=coverage, log_evidence=log_evidence, residual=1.0)
+    verdict = next(_refusals(best, (), np.inf, WalkDecisionConfig()), None)
+    assert (verdict and verdict.status) == status

@@ -12,8 +12,8 @@ from magmatch.atlas.atlas import Atlas, Sheet
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.prepared import prepare
-from magmatch.registration.register import as_map, survey_of
+from magmatch.registration.both_sides import refine_from_both_sides
+from magmatch.registration.register import prepare_target, survey_of
 from magmatch.registration.register_map import WeighedMap, judge_map, search_map
 from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
 from magmatch.registration.result import RegistrationResult
@@ -83,15 +83,20 @@ def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> 
 
     weighed = {sheet: search(sheet) for sheet in likely}
     leads = _leads(weighed)
-    return _with_alternatives({sheet: judge_walk(weighed[sheet], config.walks, leads[sheet]) for sheet in leads})
+    answers = {sheet: judge_walk(weighed[sheet], config.walks, leads[sheet]) for sheet in leads}
+    first, answer = next(iter(answers.items()))
+    index = atlas.load(first)
+    if answer.is_accepted and not index.walks.noise.is_learned:
+        target = prepare_target(survey, config, seed, clock)
+        refined = clock.time("refine", refine_from_both_sides, index.base, target, answer, config, seed)
+        answers[first] = refined
+    return _with_alternatives(answers)
 
 
 def localize_map(atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stopwatch) -> RegistrationResult:
     """Score a few poses in every map, search the likeliest in full, judge the best pose of all."""
     config = atlas.config
-    target_map = clock.time("target map", as_map, target, config)
-    rng = np.random.default_rng(seed)
-    prepared = clock.time("prepare", prepare, target_map, config.invariants.n_draws, rng)
+    prepared = prepare_target(target, config, seed, clock)
     log.info("asking %d maps", len(atlas.sheets))
     bases = (clock.time("load", atlas.load, sheet).base for sheet in atlas.sheets)
     votes = clock.time("votes", count_agreement, bases, prepared, config, seed)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From judged poses to the result in the surveys' own frames."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,14 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.covariance import free_directions, to_survey_axes
-from magmatch.registration.decision import DecisionConfig, decide, decide_by_fitness
+from magmatch.registration.decision import DEGENERATE_REASON, DecisionConfig, decide, decide_by_fitness
 from magmatch.registration.evidence import PoseEvidence
 from magmatch.registration.fitness import Fitness, mean_misalignment
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.probability import pose_probability, shares
-from magmatch.registration.result import Alternative, Links, RegistrationResult, Status
+from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
 from magmatch.registration.sensors import TIED_SD
+from magmatch.typing import Covariance6
 
 # Poses nearer than this are one answer: rad, and in lengthscales.
 SAME_ROTATION = 0.14
@@ -55,33 +57,19 @@ def by_evidence(
         verdict = decide(ranked, False, np.inf, chance, config)
         return RegistrationResult(verdict.status, verdict.reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
-    lengthscale = min(base.lengthscale, target.lengthscale)
-    rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * lengthscale)]
+    rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * min(base.lengthscale, target.lengthscale))]
     elsewhere = best.log_evidence - lead
     lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
-    frame, center = target.T_map_model, best.pose.center
-    free = (
-        free_directions(
-            best.covariance,
-            center,
-            frame,
-            poses[0].rotation.as_matrix(),
-            config.max_sd_rotation,
-            config.max_sd_translation * lengthscale,
-        )
-        if best.covariance is not None
-        else ()
-    )
+    free = _free_directions(best, base, target, config)
     verdict = decide(ranked, bool(free) or best.covariance is None, lead, chance, config)
     probabilities = _probabilities(best, rivals, elsewhere, chance)
     is_accepted = verdict.status is Status.ACCEPTED
-    covariance = None if best.covariance is None else to_survey_axes(best.covariance, center, frame)
     return RegistrationResult(
         status=verdict.status,
         reason=verdict.reason,
         T_base_target=poses[0] if is_accepted else None,
-        covariance=covariance if is_accepted else None,
+        covariance=_covariance(best, target) if is_accepted else None,
         probability=probabilities[0],
         overlap=best.overlap,
         # A unique answer has no alternatives; a refusal shows what was considered, best first.
@@ -100,6 +88,47 @@ def by_evidence(
         n_keypoints=found.n_keypoints,
         n_correspondences=found.n_correspondences,
         links=_links(target, poses[0], best),
+    )
+
+
+def refined(
+    answer: RegistrationResult, base: PreparedMap, target: PreparedMap, best: PoseEvidence, config: DecisionConfig
+) -> RegistrationResult:
+    """Give an accepted answer the pose that a further refinement found.
+
+    Parameters
+    ----------
+    answer : RegistrationResult
+        Accepted, whatever the evidence was.
+    base, target : PreparedMap
+    best : PoseEvidence
+        The refined pose.
+    config : DecisionConfig
+        How free a pose may be.
+
+    Returns
+    -------
+    RegistrationResult
+        Degenerate where the pose turns out to be free in a direction.
+    """
+    pose, free = _to_surveys(best.pose.T_base_target, base, target), _free_directions(best, base, target, config)
+    answer = replace(
+        answer,
+        degenerate_directions=free,
+        sensor=_sensor(best, target),
+        residual=best.residual,
+        fitness=_fitness(base, target, best),
+        links=_links(target, pose, best),
+    )
+    if not free:
+        return replace(answer, T_base_target=pose, covariance=_covariance(best, target))
+    return replace(
+        answer,
+        status=Status.DEGENERATE,
+        reason=DEGENERATE_REASON,
+        T_base_target=None,
+        covariance=None,
+        alternatives=(Alternative(pose, answer.probability, log_odds=answer.evidence.get("log_odds")),),
     )
 
 
@@ -164,6 +193,28 @@ def _is_same(one: PoseEvidence, other: PoseEvidence, distance: float) -> bool:
     T, S, center = one.pose.T_base_target, other.pose.T_base_target, one.pose.center
     angle = (T.rotation.inv() * S.rotation).magnitude()
     return bool(angle < SAME_ROTATION and np.linalg.norm(T.apply(center) - S.apply(center)) < distance)
+
+
+def _free_directions(
+    best: PoseEvidence, base: PreparedMap, target: PreparedMap, config: DecisionConfig
+) -> tuple[DegenerateDirection, ...]:
+    if best.covariance is None:
+        return ()
+    return free_directions(
+        best.covariance,
+        best.pose.center,
+        target.T_map_model,
+        _to_surveys(best.pose.T_base_target, base, target).rotation.as_matrix(),
+        config.max_sd_rotation,
+        config.max_sd_translation * min(base.lengthscale, target.lengthscale),
+    )
+
+
+def _covariance(best: PoseEvidence, target: PreparedMap) -> Covariance6 | None:
+    """Of xi in the target's survey frame."""
+    if best.covariance is None:
+        return None
+    return to_survey_axes(best.covariance, best.pose.center, target.T_map_model)
 
 
 def _to_surveys(T: RigidTransform, base: PreparedMap, target: PreparedMap) -> RigidTransform:

@@ -19,8 +19,9 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
     """Covariance of the perturbation about the pose's centre and of the sensor's parameters.
 
     Map errors are shared by neighbouring residuals, so each direction of comparison is a cluster sandwich
-    ``A^-1 (sum g g^T) A^-1``, A the curvature of its log-likelihood, with g summed over cells; the directions share noise (one survey's samples made the
-    map that the other is compared with), so their covariances are added rather than their information.
+    ``A^-1 (sum g g^T) A^-1``, A the curvature of its log-likelihood, with g summed over cells; the directions share
+    noise (one survey's samples made the map that the other is compared with), so their covariances are added rather
+    than their information.
 
     Parameters
     ----------

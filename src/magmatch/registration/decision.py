@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from magmatch.registration.evidence import PoseEvidence
 from magmatch.registration.result import Status
 
+DEGENERATE_REASON = "the data leave a direction free (see degenerate_directions); survey across it"
+
 
 class DecisionConfig(BaseModel):
     """When a pose is accepted."""
@@ -136,9 +138,7 @@ def _refusals(
             "see alternatives, or survey more of the surroundings",
         )
     if is_free:
-        yield Verdict(
-            Status.DEGENERATE, "the data leave a direction free (see degenerate_directions); survey across it"
-        )
+        yield Verdict(Status.DEGENERATE, DEGENERATE_REASON)
 
 
 def decide_by_fitness(fitness: float | None, overlap: float, config: DecisionConfig) -> Verdict:

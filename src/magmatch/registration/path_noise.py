@@ -7,7 +7,7 @@ the residuals' covariance are the most likely ones; where the base never passes 
 """
 
 import logging
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -62,6 +62,8 @@ class PathNoise:
         Error of the positions along the path, seen through the field's gradient: ``sd^2 exp(-d / length)``.
     spread : float
         Natural logarithm by which the whole covariance differs from walk to walk (standard deviation).
+    n_stretches : int
+        Left-out stretches that it was learned from.
     """
 
     misfit_sd: float
@@ -74,6 +76,12 @@ class PathNoise:
     drift_sd: float
     drift_length: float
     spread: float = 0.5
+    n_stretches: int = 0
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the base showed it; else it is a guess."""
+        return self.n_stretches >= PRIOR_STRETCHES
 
     @property
     def total_sd(self) -> float:
@@ -251,8 +259,9 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     -------
     PathNoise
     """
-    center = np.log(astuple(guess)[:-1])
-    is_loose = [f.name.endswith("_sd") for f in fields(guess)][:-1]
+    names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches")]
+    center = np.log([getattr(guess, name) for name in names])
+    is_loose = [name.endswith("_sd") for name in names]
     prior_log_sd = np.where(is_loose, PRIOR_LOG_SD, PRIOR_LOG_SD_LENGTH)
     stacks = _stack_alike(stretches)
 
@@ -279,7 +288,7 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     excess = max(float(np.mean(np.log(chi2 / n_values) ** 2 - 2 / n_values)), 0.0)
     # As many stretches' worth of the guess as of a handful of them.
     spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(chi2) * excess) / (PRIOR_STRETCHES + len(chi2))
-    return replace(noise, spread=float(np.sqrt(spread2)))
+    return replace(noise, spread=float(np.sqrt(spread2)), n_stretches=len(chi2))
 
 
 def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:

@@ -11,6 +11,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_fitness
+from magmatch.registration.both_sides import refine_from_both_sides
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.keypoint_search import keypoint_search
@@ -88,6 +89,9 @@ def register_by_field(
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)
         rng = np.random.default_rng(seed)
         answer = clock.time("walk", register_walk, walks, survey, config.walks, rng, config.prior)
+        if answer.is_accepted and not walks.noise.is_learned:
+            other_side = prepare_target(target, config, seed, clock)
+            return clock.time("refine", refine_from_both_sides, prepared, other_side, answer, config, seed)
         if answer.is_accepted or config.search == "pairs":
             return answer
         # A line that turns and crosses itself may have the breadth that maps are compared by.
@@ -100,11 +104,15 @@ def register_as_map(
     base: PreparedMap, target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
 ) -> RegistrationResult:
     """Search, refine against the field, decide by the evidence of independent modes."""
-    rng = np.random.default_rng(seed)
-    target_map = clock.time("target map", as_map, target, config)
-    prepared = clock.time("prepare", prepare, target_map, config.invariants.n_draws, rng)
+    prepared = prepare_target(target, config, seed, clock)
     weighed = search_map(base, prepared, config, seed, clock, base.raster.volume)
     return clock.time("decide", judge_map, weighed, config, seed)
+
+
+def prepare_target(target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch) -> PreparedMap:
+    """Map a target where it is none yet, and put it into the form that maps are compared in."""
+    target_map = clock.time("target map", as_map, target, config)
+    return clock.time("prepare", prepare, target_map, config.invariants.n_draws, np.random.default_rng(seed))
 
 
 def register_by_keypoints(

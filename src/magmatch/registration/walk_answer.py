@@ -27,8 +27,10 @@ class WalkDecisionConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # Fewest bins' share inside the base map.
+    # Fewest bins' share inside the base map, and how few will do where the log odds, which pay for the rest, are so.
     min_coverage: float = Field(default=0.6, ge=0, le=1)
+    min_clear_coverage: float = Field(default=0.3, ge=0, le=1)
+    clear_log_evidence: float = 40.0
     # Log odds that the pose must have, and by how much it must lead any pose elsewhere, nats.
     min_log_evidence: float = 4.0
     min_lead: float = 8.0
@@ -125,11 +127,13 @@ def _refusals(
     best: LineEvidence, free: tuple[DegenerateDirection, ...], lead: float, config: WalkDecisionConfig
 ) -> Iterator[Verdict]:
     """Reasons against the best pose, the most telling first."""
-    if best.coverage < config.min_coverage:
+    is_clear = best.log_evidence >= config.clear_log_evidence
+    needed = config.min_clear_coverage if is_clear else config.min_coverage
+    if best.coverage < needed:
         yield Verdict(
             Status.NO_OVERLAP,
             f"only {best.coverage:.0%} of the walk falls inside the base map under the best pose "
-            f"(needs {config.min_coverage:.0%}); walk where the base was surveyed",
+            f"(needs {needed:.0%}); walk where the base was surveyed",
         )
     if best.residual > config.max_residual:
         yield Verdict(

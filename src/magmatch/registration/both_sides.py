@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A walk's pose refined from both sides: the base's map at the walk's samples, and the walk's own at the base's.
+
+Where the base passed each place once, its left-out stretches cannot teach what another walk's residuals are like
+(`path_noise.py`), and its map beside its own path is a guess that pulls the other path towards it. The walk's map
+errs the same way in the opposite sense, so that the two together hardly do.
+"""
+
+import logging
+
+import numpy as np
+
+from magmatch.registration.answer import refined
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.evidence import unrelated_field, weigh_pose
+from magmatch.registration.pose_prior import pose_prior
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.refinement import refine
+from magmatch.registration.result import RegistrationResult
+from magmatch.registration.sensors import levels_to_try
+
+log = logging.getLogger(__name__)
+
+
+def refine_from_both_sides(
+    base: PreparedMap, target: PreparedMap, answer: RegistrationResult, config: RegistrationConfig, seed: int
+) -> RegistrationResult:
+    """Refine an accepted answer as that of two maps.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    answer : RegistrationResult
+        Accepted.
+    config : RegistrationConfig
+    seed : int
+
+    Returns
+    -------
+    RegistrationResult
+        The answer as it was where the two hardly meet.
+    """
+    assert answer.T_base_target is not None  # it is accepted
+    log.info("refining the walk's pose from both sides")
+    prior = pose_prior(config.prior, base.T_map_model, target.T_map_model, base.raster.volume)
+    start = base.T_map_model.inv() * answer.T_base_target * target.T_map_model
+    # Along a line, sensors that differ and a pose that is off look alike: they differ as little as configured.
+    level = levels_to_try(config.refinement.sensor)[0]
+    pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)
+    best = weigh_pose(base, target, pose, unrelated_field(base, target), prior)
+    return answer if best.covariance is None else refined(answer, base, target, best, config.decision)
