@@ -6,8 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.preparation.calibration import calibrate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.prepare import prepare
+from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.sensor_model import SensorModel
 
 FAST = PreparationConfig.model_validate({"disturbances": {"spikes": "off", "moving_metal": "off"}})
 
@@ -107,3 +111,18 @@ def test_a_sensor_that_never_turned_tells_nothing_about_its_hard_iron(robot):
     survey, report = prepare(still, FAST)
     assert survey is still
     assert report["hard iron"].figures["is_open"] == [True, True, True]
+
+
+def test_a_poor_start_leaves_no_trace_in_the_settings_of_the_map(hand_held, monkeypatch):
+    """Else what is corrected later stays in the map's noise, and samples beside steel look like metal that moved."""
+    clean, raw, corruption = hand_held
+    log = SensorLog.of(raw)
+    near = SensorModel(
+        corruption.soft_iron / np.cbrt(np.linalg.det(corruption.soft_iron)),
+        0.96 * corruption.hard_iron,
+        corruption.clock_offset,
+    )
+    monkeypatch.setattr("magmatch.preparation.calibration._rough", lambda *_: near)
+    found = calibrate(log, FAST, {}, np.ones(len(log), dtype=bool))
+    right = choose_spline_hyperparameters(clean.positions, clean.field)
+    assert found.hyperparameters.noise_sd < 1.2 * right.noise_sd

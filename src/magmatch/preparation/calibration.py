@@ -28,6 +28,8 @@ CHANNEL_SD = 5e-6
 MOST_STEPS = 8
 CONVERGED = 1e-5  # s
 FEWEST_READINGS = 100
+# Change of the field, in standard deviations of the noise, below which a map's settings are not chosen again.
+SAME_FIELD = 0.1
 # Degrees of freedom of the errors' distribution: heavier tails than normal ones, for what moves and for spikes.
 STUDENT = 4.0
 # How much larger the error of left-out stretches may seem after a correction; it is itself an estimate.
@@ -219,10 +221,11 @@ class _Estimator:
         return residual
 
     def _renew(self, model: SensorModel) -> None:
-        """Choose the map's settings for the field as corrected so far, if it changed by more than its noise since."""
+        """Choose the map's settings for the field as corrected so far, if that has changed noticeably since."""
         positions, orientations = self.part.at(model.time_offset)
         field = orientations.apply(model.corrected(self.part.readings, self.channels))
-        if self._fitted is not None and _rms(field - self._fitted) < self.hyperparameters.noise_sd:
+        # Noise chosen before holds errors that are corrected by now: only a small share of it is no change.
+        if self._fitted is not None and _rms(field - self._fitted) < SAME_FIELD * self.hyperparameters.noise_sd:
             return
         self.hyperparameters, self._fitted = choose_spline_hyperparameters(positions, field), field
 
