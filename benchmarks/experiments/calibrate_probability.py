@@ -211,7 +211,9 @@ def _is_right(row: dict[str, object]) -> bool:
 
 
 def _is_accepted(row: dict[str, object]) -> bool:
-    return row["status"] == "accepted"
+    """As the default settings have it; walks, which have no misfit, are judged by limits of their own."""
+    is_enough = "misfit" not in row or float(row["log_odds"]) >= PRESETS["default"].decision.min_log_evidence  # type: ignore[arg-type]
+    return row["status"] == "accepted" and is_enough
 
 
 def report(data: list[dict[str, object]]) -> None:

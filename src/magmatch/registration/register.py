@@ -96,7 +96,7 @@ def register_by_field(
             return answer
         # A line that turns and crosses itself may have the breadth that maps are compared by.
         as_area = register_as_map(prepared, target, config, seed, clock)
-        return as_area if as_area.is_accepted else answer
+        return as_area if as_area.is_accepted or (as_area.probability or 0) > (answer.probability or 0) else answer
     return register_as_map(prepared, target, config, seed, clock)
 
 
