@@ -37,7 +37,7 @@ ROUNDS, MOST_STEPS = 3, 6
 RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
-PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 1.5e5)
+PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (3e9, 3e4)
 # The same of a smaller part, from which the coarse moves can be told where samples lie anywhere.
 FEW_OPERATIONS = (1e8, 3e4)
 FEWEST_OF_A_PART, MOST_SEARCHED, MOST_CUTS = 300, 50_000, 4
