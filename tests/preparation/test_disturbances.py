@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from magmatch.errors import SurveyError
+from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.disturbances import find_contradictions
 from magmatch.preparation.prepare import prepare
 from magmatch.simulation.corruption import Corruption, corrupt
 
@@ -99,3 +101,11 @@ def test_nothing_left_is_an_error_in_words(robot, monkeypatch):
     few = robot[0].subset(np.arange(60))
     with pytest.raises(SurveyError, match="nothing is left"):
         prepare(few, settings_of(disturbances=off))
+
+
+def test_poses_that_are_a_little_off_beside_steel_are_no_metal_that_moved(hand_held):
+    clean = hand_held[0]
+    drift = 0.05 * np.sin(np.arange(len(clean))[:, None] / [60, 77, 91])
+    points = clean.positions + drift
+    found = find_contradictions(points, clean.field, choose_spline_hyperparameters(points, clean.field))
+    assert found.mean() < 0.05

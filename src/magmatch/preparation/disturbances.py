@@ -3,11 +3,12 @@
 
 import numpy as np
 from scipy.ndimage import label, median_filter
+from scipy.stats import chi2
 
 from magmatch.field.held_out import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
-from magmatch.typing import Mask, Points, Scalars, Vectors
+from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 
 # Readings to either side that a spike is held against; up to two in a row still stand out.
 NEIGHBOURS = 3
@@ -18,6 +19,8 @@ ROUNDS, STUDENT = 3, 4.0
 FEWEST_AT_LIMIT = 5
 # Metal that moved: median residual of a run, in standard deviations, and the run's length.
 CONTRADICTION, FEWEST_IN_RUN = 4.0, 9
+# Groups by steepness of the field, whose residuals tell how errors grow with it, and their samples.
+N_GROUPS, FEWEST_IN_GROUP = 10, 10
 # Stretches are trusted or not as a whole, in so many rounds.
 STRETCH_IN_LENGTHSCALES, ROUNDS_OF_TRUST = 0.5, 8
 
@@ -139,13 +142,14 @@ def find_contradictions(points: Points, field: Vectors, hyperparameters: Hyperpa
     counts = np.bincount(stretch)
     trust = np.ones(len(points))
     for _ in range(ROUNDS_OF_TRUST):
-        residual = MapConsistency(points, hyperparameters, trust).project(field[None])[1][0]
-        sd = _robust_sd(residual)
+        consistency = MapConsistency(points, hyperparameters, trust)
+        residual = consistency.project(field[None])[1][0]
+        sd = _ordinary_sd(residual, consistency.gradient(field))
         square = np.bincount(stretch, (residual**2).mean(axis=1) / sd**2) / np.maximum(counts, 1)
         # A stretch that disagrees counts less as a whole, so that those it contradicts decide what the field is.
         trust = (2 / (1 + square))[stretch]
-    smooth = median_filter(np.abs(residual).max(axis=1), size=FEWEST_IN_RUN, mode="nearest")
-    return np.asarray(smooth > CONTRADICTION * sd)
+    smooth = median_filter(np.abs(residual).max(axis=1) / sd, size=FEWEST_IN_RUN, mode="nearest")
+    return np.asarray(smooth > CONTRADICTION)
 
 
 def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:
@@ -165,6 +169,21 @@ def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:
     numbered, n_runs = label(mask)
     found = [np.flatnonzero(numbered == k)[[0, -1]] for k in range(1, min(n_runs, 100) + 1)]
     return [[float(times[i]) if times is not None else float(i) for i in ends] for ends in found]
+
+
+def _ordinary_sd(residual: Vectors, gradient: Tensors) -> Scalars:
+    """Spread of a component where nothing moved: (n,), T. Errors of poses and map grow with the field's steepness."""
+    if len(residual) < FEWEST_IN_GROUP * N_GROUPS:
+        return np.full(len(residual), _robust_sd(residual))
+    steepness = np.linalg.norm(gradient, axis=(1, 2))
+    size = np.linalg.norm(residual, axis=1) / np.sqrt(chi2.median(3))
+    # Medians of groups and over groups, so that no one place where something moved decides.
+    groups = np.array_split(np.argsort(steepness, kind="stable"), N_GROUPS)
+    sd, steep = (np.array([np.median(values[group]) for group in groups]) for values in (size, steepness))
+    half = N_GROUPS // 2
+    flat = max(float(np.median(sd[:half])), 1e-15)
+    slope = float(np.median(np.sqrt(np.maximum(sd[half:] ** 2 - flat**2, 0)) / np.maximum(steep[half:], 1e-300)))
+    return np.asarray(np.hypot(flat, slope * steepness))
 
 
 def _robust_sd(residual: Vectors) -> float:

@@ -149,5 +149,8 @@ def _change(step: StepReport) -> str:
     """Figures before and after, in three digits."""
     if step.before is None:
         return ""
-    after = "" if step.after is None else f" -> {step.after:.3g}"
-    return f"{step.before:.3g}{after} {step.unit}".rstrip()
+    before, after = (
+        None if value is None else f"{value:.0f}" if step.unit == "samples" else f"{value:.3g}"
+        for value in (step.before, step.after)
+    )
+    return f"{before}{'' if after is None else f' -> {after}'} {step.unit}".rstrip()
