@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.registration.both_sides import needs_both_sides
 from magmatch.registration.covariance import to_survey_axes
 from magmatch.registration.decision import DecisionConfig, decide, decide_by_fitness
+from magmatch.registration.path_noise import PathNoise
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.walk_answer import WalkDecisionConfig, _refusals
 
@@ -98,3 +100,19 @@ def test_less_of_a_walk_inside_the_map_will_do_where_what_there_is_leaves_no_dou
     best = SimpleNamespace(coverage=coverage, log_evidence=log_evidence, residual=1.0)
     verdict = next(_refusals(best, (), np.inf, WalkDecisionConfig()), None)
     assert (verdict and verdict.status) == status
+
+
+@pytest.mark.parametrize(
+    ("status", "n_stretches", "is_needed"),
+    [
+        (Status.ACCEPTED, 0, True),
+        (Status.DEGENERATE, 0, True),
+        (Status.AMBIGUOUS, 0, False),
+        (Status.ACCEPTED, 40, False),
+    ],
+)
+def test_a_walk_that_was_found_is_refined_from_both_sides_where_the_base_taught_nothing(
+    status, n_stretches, is_needed
+):
+    walks = SimpleNamespace(noise=PathNoise(*np.ones(9), n_stretches=n_stretches))
+    assert needs_both_sides(walks, RegistrationResult(status, "as it may be", None)) == is_needed

@@ -94,12 +94,12 @@ def by_evidence(
 def refined(
     answer: RegistrationResult, base: PreparedMap, target: PreparedMap, best: PoseEvidence, config: DecisionConfig
 ) -> RegistrationResult:
-    """Give an accepted answer the pose that a further refinement found.
+    """Give an answer the pose that a further refinement found.
 
     Parameters
     ----------
     answer : RegistrationResult
-        Accepted, whatever the evidence was.
+        Accepted, or degenerate before this refinement.
     base, target : PreparedMap
     best : PoseEvidence
         The refined pose.
@@ -121,7 +121,14 @@ def refined(
         links=_links(target, pose, best),
     )
     if not free:
-        return replace(answer, T_base_target=pose, covariance=_covariance(best, target))
+        return replace(
+            answer,
+            status=Status.ACCEPTED,
+            reason=odds_in_words(answer.evidence["log_odds"], answer.evidence["lead"]),
+            T_base_target=pose,
+            covariance=_covariance(best, target),
+            alternatives=(),
+        )
     return replace(
         answer,
         status=Status.DEGENERATE,
@@ -130,6 +137,12 @@ def refined(
         covariance=None,
         alternatives=(Alternative(pose, answer.probability, log_odds=answer.evidence.get("log_odds")),),
     )
+
+
+def odds_in_words(log_odds: float | None, lead: float | None) -> str:
+    """Say what speaks for an accepted pose; a lead of None: no rival."""
+    ahead = "no rival pose" if lead is None else f"{lead:.0f} nats ahead of any other pose"
+    return f"log odds {log_odds:.0f} nats, {ahead}"
 
 
 def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionConfig) -> RegistrationResult:

@@ -16,22 +16,29 @@ from magmatch.registration.evidence import unrelated_field, weigh_pose
 from magmatch.registration.pose_prior import pose_prior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.refinement import refine
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.register_walk import WalkIndex
+from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.sensors import levels_to_try
 
 log = logging.getLogger(__name__)
 
 
+def needs_both_sides(walks: WalkIndex, answer: RegistrationResult) -> bool:
+    """Whether the base cannot tell how sure a walk's pose is, which was found."""
+    is_found = answer.status in (Status.ACCEPTED, Status.DEGENERATE)
+    return is_found and not walks.noise.is_learned
+
+
 def refine_from_both_sides(
     base: PreparedMap, target: PreparedMap, answer: RegistrationResult, config: RegistrationConfig, seed: int
 ) -> RegistrationResult:
-    """Refine an accepted answer as that of two maps.
+    """Refine an answer as that of two maps.
 
     Parameters
     ----------
     base, target : PreparedMap
     answer : RegistrationResult
-        Accepted.
+        Of a walk; one that `needs_both_sides`.
     config : RegistrationConfig
     seed : int
 
@@ -40,10 +47,10 @@ def refine_from_both_sides(
     RegistrationResult
         The answer as it was where the two hardly meet.
     """
-    assert answer.T_base_target is not None  # it is accepted
     log.info("refining the walk's pose from both sides")
+    pose_of_walk = answer.T_base_target if answer.T_base_target is not None else answer.alternatives[0].T_base_target
     prior = pose_prior(config.prior, base.T_map_model, target.T_map_model, base.raster.volume)
-    start = base.T_map_model.inv() * answer.T_base_target * target.T_map_model
+    start = base.T_map_model.inv() * pose_of_walk * target.T_map_model
     # Along a line, sensors that differ and a pose that is off look alike: they differ as little as configured.
     level = levels_to_try(config.refinement.sensor)[0]
     pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)

@@ -11,7 +11,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_fitness
-from magmatch.registration.both_sides import refine_from_both_sides
+from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.keypoint_search import keypoint_search
@@ -89,9 +89,9 @@ def register_by_field(
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)
         rng = np.random.default_rng(seed)
         answer = clock.time("walk", register_walk, walks, survey, config.walks, rng, config.prior)
-        if answer.is_accepted and not walks.noise.is_learned:
+        if needs_both_sides(walks, answer):
             other_side = prepare_target(target, config, seed, clock)
-            return clock.time("refine", refine_from_both_sides, prepared, other_side, answer, config, seed)
+            answer = clock.time("refine", refine_from_both_sides, prepared, other_side, answer, config, seed)
         if answer.is_accepted or config.search == "pairs":
             return answer
         # A line that turns and crosses itself may have the breadth that maps are compared by.

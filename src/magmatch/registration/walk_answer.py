@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_points
+from magmatch.registration.answer import odds_in_words
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.covariance import free_directions, to_survey_axes
 from magmatch.registration.decision import Verdict
@@ -93,11 +94,8 @@ def by_line_evidence(
         config.max_sd_rotation,
         config.max_sd_translation * length,
     )
-    accepted = Verdict(
-        Status.ACCEPTED,
-        f"log odds {best.log_evidence:.0f} nats, "
-        + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
-    )
+    known_lead = lead if np.isfinite(lead) else None
+    accepted = Verdict(Status.ACCEPTED, odds_in_words(best.log_evidence, known_lead))
     verdict = next(_refusals(best, free, lead, config), accepted)
     is_accepted = verdict.status is Status.ACCEPTED
     return RegistrationResult(
@@ -113,7 +111,7 @@ def by_line_evidence(
             Alternative(T, p, log_odds=e.log_evidence)
             for T, p, e in zip(poses, probabilities, [best, *rivals], strict=False)
         ),
-        evidence={"log_odds": best.log_evidence, "lead": lead if np.isfinite(lead) else None},
+        evidence={"log_odds": best.log_evidence, "lead": known_lead},
         degenerate_directions=free,
         residual=best.residual,
         n_inliers=int(best.is_covered.sum()),
