@@ -37,7 +37,9 @@ ROUNDS, MOST_STEPS = 3, 6
 RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
-PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (3e9, 3e4)
+PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 1.5e5)
+# Of a short path, as many as this, and less than a share of any tells too little: so many may be spent on that.
+LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 3e9, 0.3, 8e9
 # The same of a smaller part, from which the coarse moves can be told where samples lie anywhere.
 FEW_OPERATIONS = (1e8, 3e4)
 FEWEST_OF_A_PART, MOST_SEARCHED, MOST_CUTS = 300, 50_000, 4
@@ -71,7 +73,7 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
         return _without_evidence(points, field, length, floor)
     start = _start(points, field, length)
     if has_path_order(points):
-        search = _search_of_a_part(points, field, start, PART_OF_A_PATH)
+        search = _search_of_a_part(points, field, start, PART_OF_A_PATH, SHARE_OF_A_PATH)
         search.samples_as_one = max(search.correlated_samples(start), search.crowded_samples(start))
         best = _climb(search, start, (*COARSE_MOVES, *FINE_MOVES), points)
         passes = OtherPasses(search.points, search.field, start.lengthscale)
@@ -125,18 +127,21 @@ def _without_evidence(points: Points, field: Vectors, length: float, floor: floa
 
 
 def _search_of_a_part(
-    points: Points, field: Vectors, start: Hyperparameters, operations: tuple[float, float]
+    points: Points, field: Vectors, start: Hyperparameters, operations: tuple[float, float], share: float = 0.0
 ) -> EvidenceSearch:
-    """Search over a part of the survey that is small enough for it to be fast."""
+    """Search over a part of the survey, small enough to be fast, and a share of it where that can be."""
     n = min(len(points), MOST_SEARCHED)
     part = np.ones(len(points), dtype=bool) if n == len(points) else choose_part(points, n, 3)
-    budget = operations[0] + operations[1] * n
+    budget, least = operations[0] + operations[1] * n, int(share * n)
+    budget = max(budget, LEAST_OPERATIONS) if share else budget
     for cut in range(MOST_CUTS + 1):
         search = EvidenceSearch(points[part], field[part], np.flatnonzero(part), np.float32)
         needed = search.operations(start)
-        if needed <= budget or n <= FEWEST_OF_A_PART or cut == MOST_CUTS:
+        is_enough = n <= FEWEST_OF_A_PART or (n <= least and needed <= SHARE_OPERATIONS)
+        if needed <= budget or is_enough or cut == MOST_CUTS:
             break
-        n = max(int(n * max((budget / needed) ** 0.7, 0.1) * 0.95), FEWEST_OF_A_PART)
+        fewest = max(FEWEST_OF_A_PART, least if n > least else 0)
+        n = max(int(n * max((budget / needed) ** 0.7, 0.1) * 0.95), fewest)
         part = choose_part(points, n, 1 if 3 * n > len(points) else 3)
     return search
 

@@ -31,7 +31,7 @@ from magmatch.typing import Mask, Points, Scalars, Vector3
 
 # How many tiles are kept ready for evaluation (2 MB each), and how many with their factor: as many as take so many
 # bytes, and one more (at most 0.2 GB).
-READY_TILES, FACTORED_TILES, FACTORED_BYTES = 64, 64, 6e8
+READY_TILES, FACTORED_TILES, FACTORED_BYTES = 64, 64, 8e8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
