@@ -102,7 +102,8 @@ def _refusals(
         yield Verdict(
             Status.UNINFORMATIVE,
             f"only {best.n_informative} independent cells of the overlap have a field that stands out "
-            f"(needs {config.min_good_cells}); survey a larger area or closer to iron",
+            f"(needs {config.min_good_cells}): different places, or too little in common; survey a larger area or "
+            "closer to iron",
         )
     if best.good_share < config.min_good_share or best.n_good < config.min_good_cells:
         yield Verdict(
