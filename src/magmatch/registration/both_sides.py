@@ -7,12 +7,14 @@ errs the same way in the opposite sense, so that the two together hardly do.
 """
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 
 from magmatch.registration.answer import refined
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.evidence import unrelated_field, weigh_pose
+from magmatch.registration.map_covariance import map_covariance
 from magmatch.registration.pose_prior import pose_prior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.refinement import refine
@@ -55,4 +57,6 @@ def refine_from_both_sides(
     level = levels_to_try(config.refinement.sensor)[0]
     pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)
     best = weigh_pose(base, target, pose, unrelated_field(base, target), prior)
+    if best.covariance is not None:
+        best = replace(best, covariance=best.covariance + map_covariance(base, target, pose, config.refinement, seed))
     return answer if best.covariance is None else refined(answer, base, target, best, config.decision)

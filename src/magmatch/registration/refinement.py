@@ -131,10 +131,7 @@ def refine(
     -------
     RefinedPose
     """
-    rows = (
-        _some_rows(len(target.samples), config.n_samples, rng),
-        _some_rows(len(base.samples), config.n_samples, rng),
-    )
+    rows = some_rows(base, target, config, rng)
     T, center = T_base_target, target.samples.mean(axis=0)
     sensor = identical_sensors(config.sensor, level)
     sd = prior_sd(config.sensor, level, sensor.n_parameters)
@@ -255,8 +252,21 @@ def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> n
     return np.concatenate([G @ lever - skew(lookup.base_side), -G, sensor.jacobian(lookup.target_side)], axis=2)
 
 
-def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorModel) -> Direction:
-    J = residual_jacobian(lookup, center, sensor)
+def student_weights(lookup: Lookup, noise_sd: float) -> tuple[Scalars, Scalars]:
+    """Weight of each residual, and by how much its part of the likelihood bends less than that.
+
+    Parameters
+    ----------
+    lookup : Lookup
+    noise_sd : float, T
+        Of the samples.
+
+    Returns
+    -------
+    weight : (n,) array, 1/T^2
+    bend : (n,) array
+        The weight falls as its residual grows, in one direction of three: between 1/3 and 1.
+    """
     r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     # What the residuals themselves show beyond the map's own spread, never less than a share of the noise.
     map_variance = lookup.sd**2
@@ -264,15 +274,20 @@ def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorM
     variance = excess + map_variance
     chi2 = r2 / variance
     weight = (STUDENT_DOF + 3) / (STUDENT_DOF + chi2) / variance
+    return weight, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
+
+
+def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorModel) -> Direction:
+    J = residual_jacobian(lookup, center, sensor)
+    weight, bend = student_weights(lookup, noise_sd)
     JW = J * weight[:, None, None]
-    # The weight falls as its residual grows, in one direction of three.
-    bend = 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
+    r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     return Direction(
         information=np.einsum("nij,nik->jk", JW, J, optimize=True),
         curvature=np.einsum("nij,nik->jk", JW * bend[:, None, None], J, optimize=True),
         scores=np.einsum("nij,ni->nj", JW, lookup.residual),
         positions=lookup.positions,
-        residual2=r2 / (noise_sd**2 + map_variance),
+        residual2=r2 / (noise_sd**2 + lookup.sd**2),
     )
 
 
@@ -290,5 +305,10 @@ def _gradient(values: FieldValues) -> Tensors:
     return values.gradient
 
 
-def _some_rows(n: int, limit: int, rng: np.random.Generator) -> Indices:
-    return np.sort(rng.permutation(n)[:limit]).astype(np.int64)
+def some_rows(
+    base: PreparedMap, target: PreparedMap, config: RefinementConfig, rng: np.random.Generator
+) -> tuple[Indices, Indices]:
+    """Samples of the target and of the base that are compared."""
+    some = (np.sort(rng.permutation(len(m.samples))[: config.n_samples]) for m in (target, base))
+    of_target, of_base = (rows.astype(np.int64) for rows in some)
+    return of_target, of_base
