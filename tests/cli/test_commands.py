@@ -274,14 +274,20 @@ def test_evaluate_lists_what_there_is(run):
     assert all(name in outcome.out for name in ("office-z30", "corridor", "default", "paper"))
 
 
-def test_evaluate_runs_a_small_experiment_and_goes_on_where_it_stood(run, tmp_path):
-    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
-    words = ("evaluate", "quick-office-x30", "--quick", "--methods", "default", "--seeds", 1, "--out", tmp_path / "e")
+@pytest.mark.slow
+def test_the_quick_evaluation_runs_whole_and_goes_on_where_it_stood(run, tmp_path):
+    for module in ("magpylib", "plotly"):
+        pytest.importorskip(module, reason="surveys are simulated, the report has figures")
+    words = ("evaluate", "--quick", "--out", tmp_path / "e")
     first, again = run(*words), run(*words)
     assert first.code == again.code == 0
-    assert "| quick-office-x30 | default | 1 of 1 |" in first.out
+    assert "| quick-office-x30 | default | 2 of 2 |" in first.out
+    assert "| quick-nowhere | default | 0 of 2 |" in first.out
+    assert "Nowhere in this run." in first.out  # where `default` is not ahead
     assert first.out == again.out
-    assert "0 of 1 trials" not in again.err
+    assert (tmp_path / "e" / "report.html").stat().st_size < 5e6
+    assert "0 of 12 trials" in first.err
+    assert "0 of 12 trials" not in again.err  # all of them were there
 
 
 def test_query_offers_no_options_of_logs(run):
