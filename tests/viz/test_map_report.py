@@ -14,7 +14,7 @@ pytest.importorskip("plotly")
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.viz.coverage import cover, cover_and_spread, left_out
+from magmatch.viz.coverage import Coverage, cover_and_spread, left_out
 from magmatch.viz.map_figures import comparison_figure, field_figures, spread_figure
 from magmatch.viz.map_report import MEANINGS, write_map_report
 from magmatch.viz.slices import cut_through
@@ -60,6 +60,10 @@ def test_its_settings_make_the_same_map_again(page, pair):
     again = build_map(pair.base, FieldConfig.model_validate(settings["field"]))
     assert np.array_equal(again.posterior.weights, pair.base_map.posterior.weights)
     assert "magmatch map base.csv --out m.map" in page
+
+
+def cover(field_map) -> Coverage:
+    return cover_and_spread(field_map, np.zeros((0, 3)))[0]
 
 
 def test_coverage_counts_the_known_part_of_the_box(pair):

@@ -12,8 +12,7 @@ from magmatch.atlas.atlas import Atlas, Sheet
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
-from magmatch.registration.register import prepare_target, survey_of
+from magmatch.registration.register import prepare_target, settle_walk, survey_of
 from magmatch.registration.register_map import WeighedMap, judge_map, search_map
 from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
 from magmatch.registration.result import RegistrationResult
@@ -85,11 +84,7 @@ def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> 
     leads = _leads(weighed)
     answers = {sheet: judge_walk(weighed[sheet], config.walks, leads[sheet]) for sheet in leads}
     first, answer = next(iter(answers.items()))
-    index = atlas.load(first)
-    if needs_both_sides(index.walks, answer):
-        target = prepare_target(survey, config, seed, clock)
-        refined = clock.time("refine", refine_from_both_sides, index.base, target, answer, config, seed)
-        answers[first] = refined
+    answers[first] = settle_walk(weighed[first].index, survey, answer, config, seed, clock)
     return _with_alternatives(answers)
 
 

@@ -10,7 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.covariance import free_directions, to_survey_axes
-from magmatch.registration.decision import DEGENERATE_REASON, DecisionConfig, decide, decide_by_fitness
+from magmatch.registration.decision import (
+    DEGENERATE_REASON,
+    DecisionConfig,
+    decide,
+    decide_by_fitness,
+    odds_in_words,
+)
 from magmatch.registration.evidence import PoseEvidence
 from magmatch.registration.fitness import Fitness, mean_misalignment
 from magmatch.registration.prepared import PreparedMap
@@ -135,14 +141,8 @@ def refined(
         reason=DEGENERATE_REASON,
         T_base_target=None,
         covariance=None,
-        alternatives=(Alternative(pose, answer.probability, log_odds=answer.evidence.get("log_odds")),),
+        alternatives=(Alternative(pose, answer.probability, log_odds=answer.evidence["log_odds"]),),
     )
-
-
-def odds_in_words(log_odds: float | None, lead: float | None) -> str:
-    """Say what speaks for an accepted pose; a lead of None: no rival."""
-    ahead = "no rival pose" if lead is None else f"{lead:.0f} nats ahead of any other pose"
-    return f"log odds {log_odds:.0f} nats, {ahead}"
 
 
 def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionConfig) -> RegistrationResult:

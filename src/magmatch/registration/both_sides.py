@@ -57,6 +57,7 @@ def refine_from_both_sides(
     level = levels_to_try(config.refinement.sensor)[0]
     pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)
     best = weigh_pose(base, target, pose, unrelated_field(base, target), prior)
-    if best.covariance is not None:
-        best = replace(best, covariance=best.covariance + map_covariance(base, target, pose, config.refinement, seed))
-    return answer if best.covariance is None else refined(answer, base, target, best, config.decision)
+    if best.covariance is None:
+        return answer
+    best = replace(best, covariance=best.covariance + map_covariance(base, target, pose, config.refinement, seed))
+    return refined(answer, base, target, best, config.decision)

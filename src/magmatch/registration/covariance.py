@@ -2,7 +2,6 @@
 """How far the refined pose may be off: a sandwich over independent cells, and the directions left free."""
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew
@@ -35,7 +34,7 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
         Pose first (rotation, rad; then translation, m; target's model axes, about ``pose.center``), then bias (T) and
         gain; None where the data leave a direction entirely free.
     """
-    prior = block_diag(pose.prior_information, np.diag(pose.sensor_sd**-2))
+    prior = pose.known_before
     total = np.zeros_like(prior)
     n_used = 0
     for direction in pose.directions:

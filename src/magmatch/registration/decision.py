@@ -56,6 +56,14 @@ class Verdict:
     reason: str
 
 
+def odds_in_words(log_odds: float | None, lead: float | None) -> str:
+    """Say what speaks for an accepted pose; a lead of None or infinity: no rival."""
+    is_alone = lead is None or np.isinf(lead)
+    return f"log odds {log_odds:.0f} nats, " + (
+        "no rival pose" if is_alone else f"{lead:.0f} nats ahead of any other pose"
+    )
+
+
 def decide(
     ranked: list[PoseEvidence], is_free: bool, lead: float, chance: float | None, config: DecisionConfig
 ) -> Verdict:
@@ -82,8 +90,7 @@ def decide(
     best = ranked[0]
     accepted = Verdict(
         Status.ACCEPTED,
-        f"{best.n_good} of {best.n_informative} informative cells agree, log odds {best.log_evidence:.0f} nats, "
-        + ("no rival pose" if np.isinf(lead) else f"{lead:.0f} nats ahead of any other pose"),
+        f"{best.n_good} of {best.n_informative} informative cells agree, {odds_in_words(best.log_evidence, lead)}",
     )
     return next(_refusals(best, is_free, lead, chance, config), accepted)
 

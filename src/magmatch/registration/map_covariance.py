@@ -45,9 +45,7 @@ def map_covariance(
     """
     T, rng = pose.T_base_target, np.random.default_rng(seed)
     forward, backward = look_up(base, target, T, pose.sensor, some_rows(base, target, config, rng))
-    information, _ = normal_equations(pose.directions)
-    information[:6, :6] += pose.prior_information
-    information[6:, 6:] += np.diag(pose.sensor_sd**-2)
+    information = normal_equations(pose.directions)[0] + pose.known_before
     # The base's field enters the residual with a minus, the target's with a plus.
     of_base = [
         -rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T), rng)
@@ -68,6 +66,7 @@ def _errors(of: PreparedMap, points: Points, rng: np.random.Generator) -> list[V
 
 def _scores(lookup: Lookup, noise_sd: float, pose: RefinedPose, errors: list[Vectors]) -> Matrix:
     """Gradient of the likelihood that each draw adds: (draws, 6 + k)."""
-    weight, _ = student_weights(lookup, noise_sd)
+    residual2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
+    weight, _ = student_weights(residual2, lookup.sd, noise_sd)
     JW = residual_jacobian(lookup, pose.center, pose.sensor) * weight[:, None, None]
     return np.stack([np.einsum("nij,ni->j", JW, error) for error in errors])

@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
+from magmatch.field.held_out import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import skew
 from magmatch.registration.walk import bin_along_path
@@ -22,11 +23,8 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vec
 
 log = logging.getLogger(__name__)
 
-# Of the base's path: length of a left-out stretch in field lengths, every how many-th is left out at a time, and
-# which ones, one refit each.
+# Of the base's path: length of a left-out stretch in field lengths; each set that is left out takes a refit.
 STRETCH_LENGTH = 5.0
-EVERY = 5
-FOLDS = (1, 3)
 # Bins per stretch and its step in field lengths.
 STEP_LENGTH = 0.25
 MIN_BINS = 8
@@ -216,10 +214,8 @@ def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generat
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     number = (arc / (STRETCH_LENGTH * length)).astype(np.int64)
     found = []
-    for fold in FOLDS:
-        is_left_out = number % EVERY == fold
-        if is_left_out.any() and not is_left_out.all():
-            found += _predict(field_map, samples, is_left_out, number, length, rng)
+    for is_left_out in folds_of(number):
+        found += _predict(field_map, samples, is_left_out, number, length, rng)
     chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MAX_STRETCHES)).astype(np.int64))
     return [found[k] for k in chosen]
 

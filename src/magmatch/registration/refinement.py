@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import FieldValues
@@ -102,6 +103,12 @@ class RefinedPose:
     sensor_sd: np.ndarray
     prior_information: Matrix
     directions: tuple[Direction, ...]
+
+    @property
+    def known_before(self) -> Matrix:
+        """Information on pose and sensor together that does not come from the samples: (6 + k, 6 + k)."""
+        known: Matrix = block_diag(self.prior_information, np.diag(self.sensor_sd**-2))
+        return known
 
 
 def refine(
@@ -252,12 +259,15 @@ def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> n
     return np.concatenate([G @ lever - skew(lookup.base_side), -G, sensor.jacobian(lookup.target_side)], axis=2)
 
 
-def student_weights(lookup: Lookup, noise_sd: float) -> tuple[Scalars, Scalars]:
+def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
     """Weight of each residual, and by how much its part of the likelihood bends less than that.
 
     Parameters
     ----------
-    lookup : Lookup
+    residual2 : (n,) array, T^2
+        Squared norms.
+    map_sd : (n,) array, T
+        Of the map that was looked up.
     noise_sd : float, T
         Of the samples.
 
@@ -267,21 +277,20 @@ def student_weights(lookup: Lookup, noise_sd: float) -> tuple[Scalars, Scalars]:
     bend : (n,) array
         The weight falls as its residual grows, in one direction of three: between 1/3 and 1.
     """
-    r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     # What the residuals themselves show beyond the map's own spread, never less than a share of the noise.
-    map_variance = lookup.sd**2
-    excess = max(float(np.median(r2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
+    map_variance = map_sd**2
+    excess = max(float(np.median(residual2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
     variance = excess + map_variance
-    chi2 = r2 / variance
+    chi2 = residual2 / variance
     weight = (STUDENT_DOF + 3) / (STUDENT_DOF + chi2) / variance
     return weight, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
 
 
 def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorModel) -> Direction:
     J = residual_jacobian(lookup, center, sensor)
-    weight, bend = student_weights(lookup, noise_sd)
-    JW = J * weight[:, None, None]
     r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
+    weight, bend = student_weights(r2, lookup.sd, noise_sd)
+    JW = J * weight[:, None, None]
     return Direction(
         information=np.einsum("nij,nik->jk", JW, J, optimize=True),
         curvature=np.einsum("nij,nik->jk", JW * bend[:, None, None], J, optimize=True),

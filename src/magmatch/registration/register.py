@@ -18,7 +18,7 @@ from magmatch.registration.keypoint_search import keypoint_search
 from magmatch.registration.map_index import MapIndex, index_base, prepare_base
 from magmatch.registration.prepared import PreparedMap, prepare
 from magmatch.registration.register_map import judge_map, search_map
-from magmatch.registration.register_walk import register_walk
+from magmatch.registration.register_walk import WalkIndex, register_walk
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
@@ -89,9 +89,7 @@ def register_by_field(
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)
         rng = np.random.default_rng(seed)
         answer = clock.time("walk", register_walk, walks, survey, config.walks, rng, config.prior)
-        if needs_both_sides(walks, answer):
-            other_side = prepare_target(target, config, seed, clock)
-            answer = clock.time("refine", refine_from_both_sides, prepared, other_side, answer, config, seed)
+        answer = settle_walk(walks, target, answer, config, seed, clock)
         if answer.is_accepted or config.search == "pairs":
             return answer
         # A line that turns and crosses itself may have the breadth that maps are compared by.
@@ -107,6 +105,21 @@ def register_as_map(
     prepared = prepare_target(target, config, seed, clock)
     weighed = search_map(base, prepared, config, seed, clock, base.raster.volume)
     return clock.time("decide", judge_map, weighed, config, seed)
+
+
+def settle_walk(
+    walks: WalkIndex,
+    target: Survey | FieldMap,
+    answer: RegistrationResult,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Stopwatch,
+) -> RegistrationResult:
+    """Refine a walk's answer from both sides where the base alone cannot tell how sure it is."""
+    if not needs_both_sides(walks, answer):
+        return answer
+    other_side = prepare_target(target, config, seed, clock)
+    return clock.time("refine", refine_from_both_sides, walks.base, other_side, answer, config, seed)
 
 
 def prepare_target(target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch) -> PreparedMap:

@@ -8,10 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_points
-from magmatch.registration.answer import odds_in_words
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.covariance import free_directions, to_survey_axes
-from magmatch.registration.decision import Verdict
+from magmatch.registration.decision import Verdict, odds_in_words
 from magmatch.registration.line_evidence import LineEvidence
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.probability import shares, walk_probability
@@ -94,8 +93,7 @@ def by_line_evidence(
         config.max_sd_rotation,
         config.max_sd_translation * length,
     )
-    known_lead = lead if np.isfinite(lead) else None
-    accepted = Verdict(Status.ACCEPTED, odds_in_words(best.log_evidence, known_lead))
+    accepted = Verdict(Status.ACCEPTED, odds_in_words(best.log_evidence, lead))
     verdict = next(_refusals(best, free, lead, config), accepted)
     is_accepted = verdict.status is Status.ACCEPTED
     return RegistrationResult(
@@ -111,7 +109,7 @@ def by_line_evidence(
             Alternative(T, p, log_odds=e.log_evidence)
             for T, p, e in zip(poses, probabilities, [best, *rivals], strict=False)
         ),
-        evidence={"log_odds": best.log_evidence, "lead": known_lead},
+        evidence={"log_odds": best.log_evidence, "lead": lead if np.isfinite(lead) else None},
         degenerate_directions=free,
         residual=best.residual,
         n_inliers=int(best.is_covered.sum()),

@@ -43,20 +43,6 @@ class Coverage:
         return float(np.quantile(self.sd, share)) if len(self.sd) else None
 
 
-def cover(field_map: FieldMap) -> Coverage:
-    """Ask a map all over the box around its samples.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-
-    Returns
-    -------
-    Coverage
-    """
-    return cover_and_spread(field_map, np.zeros((0, 3)))[0]
-
-
 def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Scalars]:
     """Ask a map all over the box around its samples, and at points of a picture.
 
