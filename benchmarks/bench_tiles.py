@@ -32,6 +32,8 @@ from magmatch.field.tiles import Tiling
 
 UT = 1e-6
 CELL = 4.0
+# Marks the line of a case's process that holds its processor time (s) and peak memory (GiB).
+COST = "cost:"
 
 
 def dipoles(extent, rng, density=0.5):
@@ -104,6 +106,7 @@ def measure(extent, n, gap, config, jobs, label):
         f"{1e6 * cpu / n:.1f} us a sample), peak {peak_memory():.2f} GiB ({before:.2f} before), RMSE {rmse:.3f} uT",
         flush=True,
     )
+    print(f"{COST} {cpu} {peak_memory()}", flush=True)
     return field_map
 
 
@@ -176,6 +179,23 @@ def samples(jobs, n):
     measure((100.0, 100.0 * n / 1e6), int(n), 1.0, FieldConfig(**FIXED), jobs, "samples")
 
 
+def compare_sizes(case, sizes, jobs):
+    """Run one size after the other, each in a process of its own, and print how much more each step costs."""
+    before = None
+    for size in sizes:
+        command = [sys.executable, __file__, case, "--size", str(size), "--jobs", str(jobs)]
+        lines = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
+        print("\n".join(line for line in lines if not line.startswith(COST)))
+        cost = next(np.array(line.split()[1:], dtype=float) for line in lines if line.startswith(COST))
+        if before is not None:
+            time_ratio, memory_ratio = cost / before
+            print(
+                f"    times the size before: processor time {time_ratio:.2f}, peak memory {memory_ratio:.2f}",
+                flush=True,
+            )
+        before = cost
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("cases", nargs="*", default=["office", "million", "doubling", "samples", "agreement"])
@@ -191,9 +211,7 @@ def main():
              "samples": [1e4, 3e4, 1e5, 3e5, 1e6]}  # fmt: skip
     for case in arguments.cases:
         if case in sizes:
-            for size in sizes[case]:
-                command = [sys.executable, __file__, case, "--size", str(size), "--jobs", str(arguments.jobs)]
-                subprocess.run(command, check=True)
+            compare_sizes(case, sizes[case], arguments.jobs)
         elif len(arguments.cases) > 1:
             subprocess.run([sys.executable, __file__, case, "--jobs", str(arguments.jobs)], check=True)
         else:

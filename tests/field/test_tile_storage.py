@@ -105,6 +105,23 @@ def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeyp
     assert added.hyperparameters == before.hyperparameters
 
 
+def test_leaving_samples_out_fits_only_the_tiles_that_saw_them(old):
+    fitted = []
+
+    def run(fit, tasks):
+        for task in tasks:
+            fitted.append(task.index)
+            yield fit(task)
+
+    is_out = np.zeros(len(old.survey), dtype=bool)
+    is_out[[2, 3]] = True
+    without = old.without_samples(is_out, run)
+    assert 0 < len(fitted) < len(without.posterior.tiles)
+    rebuilt = fit_posterior(old.fitted_samples.subset(~is_out), old.hyperparameters, old.config, old.T_domain_model)
+    assert np.array_equal(without.posterior.weights, rebuilt.weights)
+    assert np.array_equal(without.survey.positions, old.survey.positions[~is_out])
+
+
 def test_adding_equals_building_anew_with_the_same_numbers(saved, tmp_path):
     added = FieldMap.load(saved).with_surveys(walk(13, 15, seed=1), walk(3, 5, seed=2, y=0.5))
     rebuilt = fit_posterior(added.fitted_samples, added.hyperparameters, added.config, added.T_domain_model)

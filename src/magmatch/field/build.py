@@ -12,7 +12,6 @@ from magmatch.field.comparison import choose_prior, resolved_hyperparameters
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
 from magmatch.field.fit import check_finite, fit_posterior
-from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.outliers import find_outliers
 from magmatch.field.tiled_model import Runner
@@ -65,12 +64,12 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
         "%s: %d of %d samples contradict those around them (a phone that rang, metal that passed?) and are left out",
         field_map.survey.name, is_out.sum(), len(is_out),
     )  # fmt: skip
+    if _power_share(field_map, is_out) < LITTLE_POWER:
+        # What hardly moved the fit hardly moved the numbers it was fitted with, nor the tiles that did not see it.
+        return field_map.without_samples(is_out, run)
     ends = np.cumsum([0, *(len(part) for part in surveys)])
     kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(surveys, pairwise(ends), strict=True)]
-    # What hardly moved the fit hardly moved the numbers it was fitted with.
-    numbers = field_map.hyperparameters if _power_share(field_map, is_out) < LITTLE_POWER else None
-    chosen = field_map.config if numbers else config
-    return _fitted(tuple(part for part in kept if len(part)), chosen, run, numbers)
+    return _fitted(tuple(part for part in kept if len(part)), config, run)
 
 
 def _power_share(field_map: FieldMap, rows: Mask) -> float:
@@ -81,17 +80,15 @@ def _power_share(field_map: FieldMap, rows: Mask) -> float:
     return float(power[rows].sum() / max(power.sum(), np.finfo(float).tiny))
 
 
-def _fitted(
-    surveys: tuple[Survey, ...], config: FieldConfig, run: Runner, hyperparameters: Hyperparameters | None = None
-) -> FieldMap:
-    """Map of all samples of some surveys; numbers are chosen where none are given."""
+def _fitted(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner) -> FieldMap:
+    """Map of all samples of some surveys, with numbers chosen where none are given."""
     merged = surveys[0].merged(*surveys[1:])
     check_finite(merged)
     T_map_model = merged.principal_frame()
     samples = merged.transformed(T_map_model.inv())
-    if hyperparameters is None and config.prior == "auto":
+    if config.prior == "auto":
         config, hyperparameters = choose_prior(samples, config, T_map_model)
-    elif hyperparameters is None:
+    else:
         hyperparameters = resolved_hyperparameters(samples, config, T_map_model)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), config.prior)
     posterior = fit_posterior(samples, hyperparameters, config, T_map_model, run=run)

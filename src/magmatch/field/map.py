@@ -2,6 +2,7 @@
 """The noun of this room: a field map, the posterior of the field over the region a survey covers."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -256,6 +257,34 @@ class FieldMap:
         posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, self._tiles(), run)
         return replace(
             self, survey=parts[0].merged(*parts[1:]), posterior=posterior, fitted_samples=fitted, parts=parts
+        )
+
+    def without_samples(self, is_out: Mask, run: Runner = map) -> "FieldMap":
+        """Return this map as fitted without some of its samples; frame and hyperparameters stay.
+
+        Of a spline model only those tiles are fitted again that saw these samples.
+
+        Parameters
+        ----------
+        is_out : (n,) bool array
+            Of the samples of all surveys, in order.
+        run : callable, optional
+            Runs the tasks of a fit in tiles; one after the other by default.
+
+        Returns
+        -------
+        FieldMap
+        """
+        ends = np.cumsum([0, *(len(part) for part in self.surveys)])
+        kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(self.surveys, pairwise(ends), strict=True)]
+        parts, fitted = tuple(part for part in kept if len(part)), self._fitted().subset(~is_out)
+        posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, self._tiles(), run)
+        return replace(
+            self,
+            survey=parts[0].merged(*parts[1:]),
+            posterior=posterior,
+            fitted_samples=fitted,
+            parts=parts if len(parts) > 1 else (),
         )
 
     def save(self, path: str | Path) -> None:
