@@ -77,12 +77,9 @@ class CellGrid:
 
     def locate(self, points: Points) -> tuple[np.ndarray, Points]:
         """Active cell of each point (-1 where there is none) and the position in it, 0 to 1 along each axis."""
-        located = [self.axis_cells(points[:, axis], axis) for axis in range(3)]
-        ijk = np.stack([i for i, _ in located], axis=1)
-        inside = np.all((ijk >= 0) & (ijk < self.cell_index.shape), axis=1)
-        ijk = np.where(inside[:, None], ijk, 0)
-        cell = np.where(inside, self.cell_index[tuple(ijk.T)], -1).astype(np.int64)
-        return cell, np.stack([t for _, t in located], axis=1)
+        cell, t = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
+        _locate(np.asarray(points, dtype=np.float64), self.spacing, self.first, self.cell_index, cell, t)
+        return cell, t
 
     def stencil_shifts(self) -> np.ndarray:
         """Distance in the flattened ``node_index`` to each of the 343 neighbours."""
@@ -96,6 +93,21 @@ class CellGrid:
         return np.asarray(
             np.ravel_multi_index(tuple((self.nodes + STENCIL_REACH).T), self.node_index.shape), dtype=np.int64
         )
+
+
+@njit(cache=True)
+def _locate(points, spacing, first, cell_index, cell, t):  # type: ignore[no-untyped-def]
+    """Active cell of each point and the position in it; -1 where there is none, NaN included."""
+    ijk = np.zeros(3, dtype=np.int64)
+    for n in range(len(points)):
+        is_inside = True
+        for axis in range(3):
+            u = points[n, axis] / spacing + 0.5 - first[axis]
+            t[n, axis] = u - np.floor(u)
+            is_inside = is_inside and 0 <= u < cell_index.shape[axis]
+            if is_inside:
+                ijk[axis] = int(np.floor(u))
+        cell[n] = cell_index[ijk[0], ijk[1], ijk[2]] if is_inside else -1
 
 
 def count_active_cells(

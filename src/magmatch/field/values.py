@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors
+from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors, rotation_matrix
 from magmatch.typing import Tensors, ThirdOrder, Vectors
 
 
@@ -39,7 +39,7 @@ class FieldValues:
     @staticmethod
     def turning_matrix(T_new_old: RigidTransform, order: int) -> np.ndarray:
         """Matrix that turns a point's field (order 0: (3, 3)) or field and gradient, row-major (1: (12, 12))."""
-        R = T_new_old.rotation.as_matrix()
+        R = rotation_matrix(T_new_old)
         return R if order == 0 else block_diag(R, np.kron(R, R))
 
     @staticmethod

@@ -5,8 +5,8 @@ import numpy as np
 from numba import njit
 
 from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.raster import interpolate
-from magmatch.registration.scoring import Evidence, expected_variance, log_ratio
+from magmatch.registration.raster import find_cell, interpolate
+from magmatch.registration.scoring import Evidence, expected_variance, mixture_ratio
 from magmatch.typing import Points, Scalars, Tensors
 
 
@@ -45,7 +45,7 @@ def anneal_poses(
     _anneal(
         R, pb, anchor_rows, anchors_target, sample_rows,
         evidence.positions, evidence.field, evidence.deviation2,
-        raster.field, raster.sd, raster.origin, raster.spacing,
+        raster.values, raster.origin, raster.spacing,
         np.array([
             evidence.noise_variance, evidence.deviation_variance, outlier_share,
             evidence.field_rms, evidence.gradient_rms, damping,
@@ -56,14 +56,14 @@ def anneal_poses(
 
 
 @njit(cache=True)
-def _anneal(R, pb, anchor, pt, rows, x, b, b2, field, sd, origin, spacing, scale, schedule, scores):  # type: ignore[no-untyped-def]
+def _anneal(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores):  # type: ignore[no-untyped-def]
     damping = scale[5]
     for h in range(len(R)):
         a = anchor[h]
         for step in range(len(schedule)):
             turn, shift = schedule[step]
             A, v, _ = _normal_equations(
-                R[h], pb[h], pt[a], rows[a], x, b, b2, field, sd, origin, spacing, scale, turn, shift
+                R[h], pb[h], pt[a], rows[a], x, b, b2, values, origin, spacing, scale, turn, shift
             )
             for c in range(3):
                 A[c, c] += damping / turn**2
@@ -75,32 +75,33 @@ def _anneal(R, pb, anchor, pt, rows, x, b, b2, field, sd, origin, spacing, scale
             pb[h] += dx[3:]
         turn, shift = schedule[-1]
         _, _, scores[h] = _normal_equations(
-            R[h], pb[h], pt[a], rows[a], x, b, b2, field, sd, origin, spacing, scale, turn, shift
+            R[h], pb[h], pt[a], rows[a], x, b, b2, values, origin, spacing, scale, turn, shift
         )
 
 
-@njit(cache=True)
-def _normal_equations(R, pb, pt, rows, x, b, b2, field, sd, origin, spacing, scale, turn, shift):  # type: ignore[no-untyped-def]
+@njit(cache=True, fastmath=True)
+def _normal_equations(R, pb, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift):  # type: ignore[no-untyped-def]
     """Weighted normal equations of the left perturbation (dth, dp) about the anchor, and the score."""
     noise, V0, eps, field_rms, gradient_rms = scale[0], scale[1], scale[2], scale[3], scale[4]
-    A, v, total = np.zeros((6, 6)), np.zeros(6), 0.0
-    p, y, Rb, o, J = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(13), np.zeros(6)
+    A, v, total, product = np.zeros((6, 6)), np.zeros(6), 0.0, 1.0
+    y, Rb, o, J = np.zeros(3), np.zeros(3), np.zeros(13), np.zeros(6)
     for n in rows:
-        d2 = 0.0
         for r in range(3):
-            y[r], Rb[r] = 0.0, 0.0
-            for c in range(3):
-                y[r] += R[r, c] * (x[n, c] - pt[c])
-                Rb[r] += R[r, c] * b[n, c]
-            p[r] = pb[r] + y[r]
-            d2 += y[r] * y[r]
-        if not interpolate(field, sd, origin, spacing, p, o):
+            y[r] = R[r, 0] * (x[n, 0] - pt[0]) + R[r, 1] * (x[n, 1] - pt[1]) + R[r, 2] * (x[n, 2] - pt[2])
+            Rb[r] = R[r, 0] * b[n, 0] + R[r, 1] * b[n, 1] + R[r, 2] * b[n, 2]
+        i, j, k, fx, fy, fz = find_cell(values, origin, spacing, pb[0] + y[0], pb[1] + y[1], pb[2] + y[2])
+        if i < 0:
             continue
+        interpolate(values, spacing, i, j, k, fx, fy, fz, o)
         r2 = (Rb[0] - o[0]) ** 2 + (Rb[1] - o[1]) ** 2 + (Rb[2] - o[2]) ** 2
+        d2 = y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
         V = expected_variance(noise, o[3], d2, turn, shift, field_rms, gradient_rms, V0)
-        L = log_ratio(r2, V, b2[n], V0, eps)
-        total += L
-        weight = (1 - eps * np.exp(-L)) / V  # posterior share of 'explained by the base'
+        ratio = mixture_ratio(r2, V, b2[n], V0, eps)
+        product *= ratio
+        if product > 1e100 or product < 1e-100:  # one logarithm for many samples
+            total += np.log(product)
+            product = 1.0
+        weight = (1 - eps / ratio) / V  # posterior share of 'explained by the base'
         for r in range(3):
             g0, g1, g2 = o[4 + 3 * r], o[5 + 3 * r], o[6 + 3 * r]
             # d(R b)/dth = -[Rb]x; d B(p)/dth = -G [y]x; d B(p)/dp = G
@@ -119,10 +120,14 @@ def _normal_equations(R, pb, pt, rows, x, b, b2, field, sd, origin, spacing, sca
                 J[1] -= Rb[0]
             e = Rb[r] - o[r]
             for c in range(6):
-                v[c] -= weight * J[c] * e
-                for d in range(6):
-                    A[c, d] += weight * J[c] * J[d]
-    return A, v, total
+                wj = weight * J[c]
+                v[c] -= wj * e
+                for d in range(c + 1):
+                    A[c, d] += wj * J[d]
+    for c in range(6):
+        for d in range(c):
+            A[d, c] = A[c, d]
+    return A, v, total + np.log(product)
 
 
 @njit(cache=True)

@@ -4,7 +4,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import skew
+from magmatch.geometry import rotation_matrix, skew
 from magmatch.registration.cubes import sum_by_cube
 from magmatch.registration.refinement import RefinedPose
 from magmatch.registration.result import DegenerateDirection
@@ -69,7 +69,7 @@ def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_m
     (6, 6) array
         Rotation first (rad, m).
     """
-    R = T_survey_model.rotation.as_matrix()
+    R = rotation_matrix(T_survey_model)
     center = T_survey_model.apply(center_model)
     M = np.zeros((6, 6))
     M[:3, :3] = M[3:, 3:] = R
@@ -109,7 +109,7 @@ def free_directions(
     """
     scale = np.array(3 * [max_sd_rotation] + 3 * [max_sd_translation])
     power, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    R = T_survey_model.rotation.as_matrix()
+    R = rotation_matrix(T_survey_model)
     center = T_survey_model.apply(center_model)
     found = []
     for k in np.flatnonzero(power > 1.0)[::-1]:

@@ -71,9 +71,9 @@ class _Reflected:
 
 
 def _reflected_raster(raster: Raster, is_mirrored: bool, sign: float) -> Raster:
+    values = raster.values * np.append(np.full(3, sign), 1.0)
     if not is_mirrored:
-        return replace(raster, field=sign * raster.field)
+        return replace(raster, values=values)
     origin = raster.origin.copy()
     origin[0] = -(raster.origin[0] + (raster.sd.shape[0] - 1) * raster.spacing)
-    field = np.ascontiguousarray(sign * raster.field[::-1] * _MIRROR)
-    return replace(raster, origin=origin, field=field, sd=np.ascontiguousarray(raster.sd[::-1]))
+    return replace(raster, origin=origin, values=np.ascontiguousarray(values[::-1] * np.append(_MIRROR, 1.0)))

@@ -177,13 +177,27 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
         Rows of ``target.samples``.
     """
     n = len(target.samples)
-    near_rows = cKDTree(target.samples).query_ball_point(anchors, 2 * target.lengthscale, return_sorted=True)
-    rows = np.zeros((len(anchors), n_samples), dtype=np.int64)
-    for a, near in enumerate(near_rows):
-        some = rng.permutation(len(near))[: n_samples // 2]
-        rows[a, : len(some)] = np.asarray(near, dtype=np.int64)[some]
-        rows[a, len(some) :] = rng.integers(0, n, n_samples - len(some))
+    rows = rng.integers(0, n, (len(anchors), n_samples))
+    _near_first(anchors, target.samples, rng.permutation(n), (2 * target.lengthscale) ** 2, n_samples // 2, rows)
     return rows
+
+
+@njit(cache=True)
+def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
+    """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
+    n = len(shuffled)
+    for a in range(len(anchors)):
+        found, start = 0, a * n // len(anchors)
+        for q in range(n):
+            row = shuffled[(start + q) % n]
+            d2 = 0.0
+            for c in range(3):
+                d2 += (samples[row, c] - anchors[a, c]) ** 2
+            if d2 < distance2:
+                rows[a, found] = row
+                found += 1
+                if found == n_near:
+                    break
 
 
 def distinct_poses(

@@ -166,7 +166,7 @@ class IndexFile:
         rows = arrays["raster.rows"]
         field.reshape(-1, 3)[rows] = arrays["raster.field"]
         sd.ravel()[rows] = arrays["raster.sd"]
-        return Raster(np.array(about["origin"]), about["spacing"], field, sd)
+        return Raster.of(np.array(about["origin"]), about["spacing"], field, sd)
 
 
 def index_map(field_map: FieldMap, config: RegistrationConfig) -> MapIndex:

@@ -3,7 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numba import njit
@@ -29,15 +29,29 @@ class Raster:
     ----------
     origin : (3,) array, m, model frame
     spacing : float, m
-    field : (nx, ny, nz, 3) array, T
-    sd : (nx, ny, nz) array, T
-        Standard deviation of one component; negative where the map does not know the field.
+    values : (nx, ny, nz, 4) array, T
+        Field, and standard deviation of one component: negative where the map does not know the field. Side by side,
+        since whoever looks up one asks for the other.
     """
 
     origin: np.ndarray
     spacing: float
-    field: np.ndarray
-    sd: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, origin: np.ndarray, spacing: float, field: np.ndarray, sd: np.ndarray) -> Self:
+        """Raster of a field (nx, ny, nz, 3) and its standard deviation (nx, ny, nz), both in T."""
+        return cls(origin, spacing, np.concatenate([field, sd[..., None]], axis=-1))
+
+    @property
+    def field(self) -> np.ndarray:
+        """Field at the grid's points: (nx, ny, nz, 3), T."""
+        return self.values[..., :3]
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviation of one component, negative where unknown: (nx, ny, nz), T."""
+        return self.values[..., 3]
 
     @property
     def volume(self) -> float:
@@ -67,7 +81,7 @@ class Raster:
         """
         out = np.zeros((len(points), 13))
         is_known = np.zeros(len(points), dtype=np.bool_)
-        _lookup_many(self.field, self.sd, self.origin, self.spacing, points, out, is_known)
+        _lookup_many(self.values, self.origin, self.spacing, points, out, is_known)
         return out[:, :3], out[:, 3], out[:, 4:].reshape(-1, 3, 3), is_known
 
 
@@ -112,70 +126,67 @@ def _rasterize(field_map: FieldMap, samples: Points, spacing: float, draws: Sequ
     power = np.zeros(len(rows))
     for weights in draws:
         power += ((posterior.evaluate(points[rows], 0, weights).field - mean) ** 2).mean(axis=1)
-    field = np.zeros((grid.n_points, 3))
-    sd = np.full(grid.n_points, -1.0)
-    field[rows], sd[rows] = mean, np.sqrt(power / len(draws))
-    return Raster(grid.T_map_grid.translation, spacing, field.reshape(*grid.shape, 3), sd.reshape(grid.shape))
+    values = np.zeros((grid.n_points, 4))
+    values[:, 3] = -1.0
+    values[rows, :3], values[rows, 3] = mean, np.sqrt(power / len(draws))
+    return Raster(grid.T_map_grid.translation, spacing, values.reshape(*grid.shape, 4))
 
 
 @njit(cache=True)
-def interpolate(field, sd, origin, spacing, p, out):  # type: ignore[no-untyped-def]
-    """Trilinear field (out[:3]), sd (out[3]) and gradient (out[4:13], row-major dB_a/dx_b); False where unknown."""
-    nx, ny, nz = sd.shape
-    u, v, w = (p[0] - origin[0]) / spacing, (p[1] - origin[1]) / spacing, (p[2] - origin[2]) / spacing
+def find_cell(values, origin, spacing, x, y, z):  # type: ignore[no-untyped-def]
+    """Lowest corner (-1 where a corner is missing or unknown) and position in the cell, 0 to 1."""
+    u, v, w = (x - origin[0]) / spacing, (y - origin[1]) / spacing, (z - origin[2]) / spacing
     i, j, k = int(np.floor(u)), int(np.floor(v)), int(np.floor(w))
-    if i < 0 or j < 0 or k < 0 or i >= nx - 1 or j >= ny - 1 or k >= nz - 1:
-        return False
-    u, v, w = u - i, v - j, w - k
-    out[:] = 0.0
-    for a in range(2):
-        wx, dx = (u, 1.0) if a else (1 - u, -1.0)
-        for b in range(2):
-            wy, dy = (v, 1.0) if b else (1 - v, -1.0)
-            for c in range(2):
-                wz, dz = (w, 1.0) if c else (1 - w, -1.0)
-                s = sd[i + a, j + b, k + c]
-                if s < 0:
-                    return False
-                out[3] += wx * wy * wz * s
-                for d in range(3):
-                    f = field[i + a, j + b, k + c, d]
-                    out[d] += wx * wy * wz * f
-                    out[4 + 3 * d] += dx * wy * wz * f / spacing
-                    out[5 + 3 * d] += wx * dy * wz * f / spacing
-                    out[6 + 3 * d] += wx * wy * dz * f / spacing
-    return True
+    if i < 0 or j < 0 or k < 0 or i >= values.shape[0] - 1 or j >= values.shape[1] - 1 or k >= values.shape[2] - 1:
+        return -1, 0, 0, u, v, w
+    for a in range(i, i + 2):
+        for b in range(j, j + 2):
+            if values[a, b, k, 3] < 0 or values[a, b, k + 1, 3] < 0:
+                return -1, 0, 0, u, v, w
+    return i, j, k, u - i, v - j, w - k
 
 
-@njit(cache=True)
-def interpolate_field(field, sd, origin, spacing, p, out):  # type: ignore[no-untyped-def]
-    """Trilinear field (out[:3]) and sd (out[3]) only; False where unknown."""
-    nx, ny, nz = sd.shape
-    u, v, w = (p[0] - origin[0]) / spacing, (p[1] - origin[1]) / spacing, (p[2] - origin[2]) / spacing
-    i, j, k = int(np.floor(u)), int(np.floor(v)), int(np.floor(w))
-    if i < 0 or j < 0 or k < 0 or i >= nx - 1 or j >= ny - 1 or k >= nz - 1:
-        return False
-    u, v, w = u - i, v - j, w - k
-    out[0], out[1], out[2], out[3] = 0.0, 0.0, 0.0, 0.0
+@njit(cache=True, fastmath=True)
+def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
+    """Trilinear field and sd in a cell."""
+    bx, by, bz, sd = 0.0, 0.0, 0.0, 0.0
     for a in range(2):
         wx = u if a else 1 - u
         for b in range(2):
             wxy = wx * (v if b else 1 - v)
-            for c in range(2):
-                weight = wxy * (w if c else 1 - w)
-                s = sd[i + a, j + b, k + c]
-                if s < 0:
-                    return False
-                out[3] += weight * s
-                for d in range(3):
-                    out[d] += weight * field[i + a, j + b, k + c, d]
-    return True
+            low, high = values[i + a, j + b, k], values[i + a, j + b, k + 1]
+            w0, w1 = wxy * (1 - w), wxy * w
+            bx += w0 * low[0] + w1 * high[0]
+            by += w0 * low[1] + w1 * high[1]
+            bz += w0 * low[2] + w1 * high[2]
+            sd += w0 * low[3] + w1 * high[3]
+    return bx, by, bz, sd
+
+
+@njit(cache=True, fastmath=True)
+def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-untyped-def]
+    """Trilinear field (out[:3]), sd (out[3]) and gradient (out[4:13], row-major dB_a/dx_b) in a cell."""
+    for d in range(4):
+        f000, f001 = values[i, j, k, d], values[i, j, k + 1, d]
+        f010, f011 = values[i, j + 1, k, d], values[i, j + 1, k + 1, d]
+        f100, f101 = values[i + 1, j, k, d], values[i + 1, j, k + 1, d]
+        f110, f111 = values[i + 1, j + 1, k, d], values[i + 1, j + 1, k + 1, d]
+        f00, f01 = f000 + w * (f001 - f000), f010 + w * (f011 - f010)
+        f10, f11 = f100 + w * (f101 - f100), f110 + w * (f111 - f110)
+        f0, f1 = f00 + v * (f01 - f00), f10 + v * (f11 - f10)
+        out[d] = f0 + u * (f1 - f0)
+        if d < 3:
+            out[4 + 3 * d] = (f1 - f0) / spacing
+            out[5 + 3 * d] = ((1 - u) * (f01 - f00) + u * (f11 - f10)) / spacing
+            dz0 = (1 - v) * (f001 - f000) + v * (f011 - f010)
+            dz1 = (1 - v) * (f101 - f100) + v * (f111 - f110)
+            out[6 + 3 * d] = ((1 - u) * dz0 + u * dz1) / spacing
 
 
 @njit(cache=True)
-def _lookup_many(field, sd, origin, spacing, points, out, is_known):  # type: ignore[no-untyped-def]
-    row = np.zeros(13)
+def _lookup_many(values, origin, spacing, points, out, is_known):  # type: ignore[no-untyped-def]
     for n in range(len(points)):
-        is_known[n] = interpolate(field, sd, origin, spacing, points[n], row)
-        if is_known[n]:
-            out[n] = row
+        i, j, k, u, v, w = find_cell(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])
+        is_known[n] = i >= 0
+        if i >= 0:
+            interpolate(values, spacing, i, j, k, u, v, w, out[n])

@@ -26,8 +26,6 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, 
 MIN_SAMPLES = 20
 # Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
-# Steps end when one moves the estimate by less than this many of its standard deviations.
-CONVERGED = 1e-3
 # Longest step: rad, and in lengthscales.
 MAX_TURN, MAX_SHIFT = 0.1, 0.3
 
@@ -41,14 +39,29 @@ class RefinementConfig(BaseModel):
     is_enabled: bool = True
     # Samples per survey; more than enough for the data's floor.
     n_samples: int = Field(default=1200, ge=MIN_SAMPLES)
-    # Most Gauss-Newton steps.
+    # Most Gauss-Newton steps; they end when one moves the estimate by less than this many of its standard deviations.
     n_steps: int = Field(default=20, ge=1)
+    tolerance: float = Field(default=1e-3, gt=0)
+    # The same while candidates are only ranked: wrong ones wander, and an evidence is known well before its pose is.
+    n_ranking_samples: int = Field(default=600, ge=MIN_SAMPLES)
+    n_ranking_steps: int = Field(default=8, ge=1)
+    ranking_tolerance: float = Field(default=0.1, gt=0)
     # Best candidates to refine and compare, and more of them while none has this much evidence, nats.
     n_candidates: int = Field(default=4, ge=1)
     n_more_candidates: int = Field(default=4, ge=0)
     clear_log_evidence: float = 50.0
     # What may differ between the two magnetometers.
     sensor: SensorConfig = Field(default_factory=SensorConfig)
+
+    def for_ranking(self) -> "RefinementConfig":
+        """These settings while candidates are only ranked."""
+        return self.model_copy(
+            update={
+                "n_samples": min(self.n_samples, self.n_ranking_samples),
+                "n_steps": self.n_ranking_steps,
+                "tolerance": self.ranking_tolerance,
+            }
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,7 +127,7 @@ class RefinedPose:
 def refine(
     base: PreparedMap,
     target: PreparedMap,
-    T_base_target: RigidTransform,
+    start: "RigidTransform | RefinedPose",
     prior: PosePrior,
     config: RefinementConfig,
     rng: np.random.Generator,
@@ -125,8 +138,8 @@ def refine(
     Parameters
     ----------
     base, target : PreparedMap
-    T_base_target : RigidTransform
-        Start, model frame to model frame.
+    start : RigidTransform or RefinedPose
+        ``T_base_target``, model frame to model frame; a refined pose goes on with its own sensor model and level.
     prior : PosePrior
     config : RefinementConfig
     rng : numpy Generator
@@ -139,9 +152,12 @@ def refine(
     RefinedPose
     """
     rows = some_rows(base, target, config, rng)
-    T, center = T_base_target, target.samples.mean(axis=0)
-    sensor = identical_sensors(config.sensor, level)
-    sd = prior_sd(config.sensor, level, sensor.n_parameters)
+    center = target.samples.mean(axis=0)
+    if isinstance(start, RefinedPose):
+        T, sensor, sd = start.T_base_target, start.sensor, start.sensor_sd
+    else:
+        T, sensor = start, identical_sensors(config.sensor, level)
+        sd = prior_sd(config.sensor, level, sensor.n_parameters)
     lengthscale = min(base.lengthscale, target.lengthscale)
     for _ in range(config.n_steps):
         directions = compare(base, target, T, center, sensor, rows)
@@ -158,7 +174,7 @@ def refine(
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
         T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
-        if float(xi @ A @ xi) < CONVERGED**2:
+        if float(xi @ A @ xi) < config.tolerance**2:
             break
     known = prior.rows(T, center)[0]
     return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows))
@@ -290,11 +306,12 @@ def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorM
     J = residual_jacobian(lookup, center, sensor)
     r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     weight, bend = student_weights(r2, lookup.sd, noise_sd)
-    JW = J * weight[:, None, None]
+    rows = J.reshape(-1, J.shape[2])
+    weighted = rows * np.repeat(weight, 3)[:, None]
     return Direction(
-        information=np.einsum("nij,nik->jk", JW, J, optimize=True),
-        curvature=np.einsum("nij,nik->jk", JW * bend[:, None, None], J, optimize=True),
-        scores=np.einsum("nij,ni->nj", JW, lookup.residual),
+        information=weighted.T @ rows,
+        curvature=(weighted * np.repeat(bend, 3)[:, None]).T @ rows,
+        scores=(weighted * lookup.residual.reshape(-1, 1)).reshape(J.shape).sum(axis=1),
         positions=lookup.positions,
         residual2=r2 / (noise_sd**2 + lookup.sd**2),
     )

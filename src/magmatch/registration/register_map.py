@@ -16,7 +16,7 @@ from magmatch.registration.invariant_search import invariant_search
 from magmatch.registration.keypoint_search import keypoint_search
 from magmatch.registration.pose_prior import PosePrior, pose_prior
 from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.refinement import refine
+from magmatch.registration.refinement import RefinedPose, RefinementConfig, refine
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensors import is_soft_iron, levels_to_try
 from magmatch.registration.stopwatch import Stopwatch
@@ -147,20 +147,29 @@ def _refine_and_rank(
     unrelated = unrelated_field(base, target)
     tightest, *wider = levels_to_try(settings.sensor)
 
-    def weigh(start: RigidTransform, level: int) -> PoseEvidence:
+    def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
         return weigh_pose(base, target, pose, unrelated, prior)
 
-    ranked = [weigh(start, tightest) for start in starts[: settings.n_candidates]]
+    ranking = settings.for_ranking()
+    ranked = [weigh(start, ranking, tightest) for start in starts[: settings.n_candidates]]
     if max((e.log_evidence for e in ranked), default=-np.inf) < settings.clear_log_evidence:
         more = starts[settings.n_candidates : settings.n_candidates + settings.n_more_candidates]
-        ranked += [weigh(start, tightest) for start in more]
-    ranked.sort(key=lambda e: -e.log_evidence)
+        ranked += [weigh(start, ranking, tightest) for start in more]
+    ranked.sort(key=_by_evidence)
     alike = settings.sensor.bias_levels[0]
     for level in wider if ranked else ():
         if is_soft_iron(settings.sensor, level) and ranked[0].pose.sensor_sd[0] == alike:
             break  # sensors that differ in no bias and no scale
-        best = weigh(ranked[0].pose.T_base_target, level)
+        best = weigh(ranked[0].pose.T_base_target, ranking, level)
         if best.log_evidence > ranked[0].log_evidence + settings.sensor.min_gain:
             ranked[0] = best
+    # The answer, and what comes near enough to be one.
+    n_finished = sum(e is ranked[0] or e.log_evidence > ranked[0].log_evidence / 2 for e in ranked)
+    ranked[:n_finished] = [weigh(e.pose, settings, tightest) for e in ranked[:n_finished]]
+    ranked.sort(key=_by_evidence)
     return ranked
+
+
+def _by_evidence(weighed: PoseEvidence) -> float:
+    return -weighed.log_evidence

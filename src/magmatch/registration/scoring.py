@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
-from magmatch.registration.raster import interpolate_field
+from magmatch.registration.raster import find_cell, interpolate_field
 from magmatch.typing import Points, Scalars, Tensors, Vectors
 
 
@@ -113,7 +113,7 @@ def score_poses(
     _score(
         rotations, anchors_base, anchor_rows, anchors_target, sample_rows,
         evidence.positions, evidence.field, evidence.deviation2,
-        base.raster.field, base.raster.sd, base.raster.origin, base.raster.spacing,
+        base.raster.values, base.raster.origin, base.raster.spacing,
         np.array([
             evidence.noise_variance, evidence.deviation_variance, outlier_share,
             sd_rotation, sd_translation, evidence.field_rms, evidence.gradient_rms,
@@ -124,12 +124,10 @@ def score_poses(
 
 
 @njit(cache=True)
-def log_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
-    """Log of 'mostly explained by the base' over 'unrelated field' for one sample."""
-    L = 0.5 * b2 / V0 - 0.5 * r2 / V + 1.5 * np.log(V0 / V)
-    if L > 30:
-        return L + np.log(1 - outlier_share)
-    return np.log(outlier_share + (1 - outlier_share) * np.exp(L))
+def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
+    """'Mostly explained by the base' over 'unrelated field' for one sample."""
+    s = V0 / V
+    return outlier_share + (1 - outlier_share) * s * np.sqrt(s) * np.exp(0.5 * (b2 / V0 - r2 / V))
 
 
 @njit(cache=True)
@@ -141,26 +139,32 @@ def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gra
 
 
 @njit(cache=True)
-def _score(R, pb, anchor, pt, rows, x, b, b2, field, sd, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
+def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
     noise, V0, eps, sd_rotation, sd_translation, field_rms, gradient_rms = scale
-    p, y, o = np.zeros(3), np.zeros(3), np.zeros(4)
     for h in range(len(R)):
-        a = anchor[h]
-        total = 0.0
+        a, T = anchor[h], R[h]
+        total, product = 0.0, 1.0
         for q in range(rows.shape[1]):
             n = rows[a, q]
-            d2 = 0.0
-            for c in range(3):
-                y[c] = x[n, c] - pt[a, c]
-                d2 += y[c] * y[c]
-            for r in range(3):
-                p[r] = pb[h, r] + R[h, r, 0] * y[0] + R[h, r, 1] * y[1] + R[h, r, 2] * y[2]
-            if not interpolate_field(field, sd, origin, spacing, p, o):
+            y0, y1, y2 = x[n, 0] - pt[a, 0], x[n, 1] - pt[a, 1], x[n, 2] - pt[a, 2]
+            i, j, k, u, v, w = find_cell(
+                values,
+                origin,
+                spacing,
+                pb[h, 0] + T[0, 0] * y0 + T[0, 1] * y1 + T[0, 2] * y2,
+                pb[h, 1] + T[1, 0] * y0 + T[1, 1] * y1 + T[1, 2] * y2,
+                pb[h, 2] + T[2, 0] * y0 + T[2, 1] * y1 + T[2, 2] * y2,
+            )
+            if i < 0:
                 continue
-            r2 = 0.0
-            for r in range(3):
-                e = R[h, r, 0] * b[n, 0] + R[h, r, 1] * b[n, 1] + R[h, r, 2] * b[n, 2] - o[r]
-                r2 += e * e
-            V = expected_variance(noise, o[3], d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0)
-            total += log_ratio(r2, V, b2[n], V0, eps)
-        out[h] = total
+            bx, by, bz, sd = interpolate_field(values, i, j, k, u, v, w)
+            ex = T[0, 0] * b[n, 0] + T[0, 1] * b[n, 1] + T[0, 2] * b[n, 2] - bx
+            ey = T[1, 0] * b[n, 0] + T[1, 1] * b[n, 1] + T[1, 2] * b[n, 2] - by
+            ez = T[2, 0] * b[n, 0] + T[2, 1] * b[n, 1] + T[2, 2] * b[n, 2] - bz
+            d2 = y0 * y0 + y1 * y1 + y2 * y2
+            V = expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0)
+            product *= mixture_ratio(ex * ex + ey * ey + ez * ez, V, b2[n], V0, eps)
+            if product > 1e100 or product < 1e-100:  # one logarithm for many samples
+                total += np.log(product)
+                product = 1.0
+        out[h] = total + np.log(product)
