@@ -85,6 +85,19 @@ def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
     assert angle < np.radians(0.1)
 
 
+@pytest.mark.parametrize("level", [0, 2, 3])
+def test_swapping_base_and_target_inverts_the_pose(prepared_pair, level):
+    base, target, T_true = prepared_pair
+    one, other = (
+        refine(*pair, start, FLAT, RefinementConfig(), np.random.default_rng(0), level).T_base_target
+        for pair, start in (((base, target), T_true), ((target, base), T_true.inv()))
+    )
+    distance, angle = error(other.inv(), one, target)
+    found, _ = error(one, T_true, target)
+    assert distance < 0.1 * found
+    assert angle < 1e-5
+
+
 def test_jacobian_is_the_derivative_of_the_residual(prepared_pair):
     base, target, T_true = prepared_pair
     center, sensor = target.samples.mean(axis=0), identical_sensors(SensorConfig(mode="scale"), 2)

@@ -71,11 +71,19 @@ class SensorModel:
         corrected: Vectors = np.linalg.solve(self.gain, (b - self.bias).T).T
         return corrected
 
-    def jacobian(self, corrected: Vectors) -> np.ndarray:
-        """Change of corrected readings with the parameters: (n, 3, k), to first order in the gain."""
-        n = len(corrected)
+    def half_way(self, residual: Vectors) -> Vectors:
+        """Differences in the base's readings as a sensor half-way between the two would show them: ``(I + D / 2) r``."""
+        halved: Vectors = residual @ (np.eye(3) + self.gain).T / 2
+        return halved
+
+    def jacobian(self, middle: Vectors) -> np.ndarray:
+        """Change of residuals half-way with the parameters: (n, 3, k), to first order in the gain.
+
+        ``middle`` are the means of corrected and expected readings, (n, 3), T.
+        """
+        n = len(middle)
         bias = np.broadcast_to(-np.eye(3), (n, 3, 3))
-        gain = -np.einsum("kij,nj->nik", self.shapes, corrected)
+        gain = -np.einsum("kij,nj->nik", self.shapes, middle)
         return np.concatenate([bias, gain], axis=2)
 
     def stepped(self, step: np.ndarray, limit: np.ndarray | float = np.inf) -> "SensorModel":
