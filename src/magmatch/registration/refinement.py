@@ -274,7 +274,9 @@ class Lookup:
 def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> np.ndarray:
     """Change of the residuals with pose and sensor: (n, 3, 6 + k), see the module's equation."""
     lever, G = skew(lookup.positions - center), lookup.gradient
-    return np.concatenate([G @ lever - skew(lookup.base_side), -G, sensor.jacobian((lookup.target_side + lookup.base_side) / 2)], axis=2)
+    return np.concatenate(
+        [G @ lever - skew(lookup.base_side), -G, sensor.jacobian((lookup.target_side + lookup.base_side) / 2)], axis=2
+    )
 
 
 def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:

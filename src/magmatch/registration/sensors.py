@@ -72,7 +72,7 @@ class SensorModel:
         return corrected
 
     def half_way(self, residual: Vectors) -> Vectors:
-        """Differences in the base's readings as a sensor half-way between the two would show them: ``(I + D / 2) r``."""
+        """Differences in the base's readings as a sensor half-way between the two shows them: ``(I + D / 2) r``."""
         halved: Vectors = residual @ (np.eye(3) + self.gain).T / 2
         return halved
 

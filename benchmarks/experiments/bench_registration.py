@@ -1,0 +1,99 @@
+"""How long a registration takes as surveys and places grow, and whether the answer follows every frame.
+
+    python benchmarks/experiments/bench_registration.py [growth] [frames] [--frames 1000] [--seed 30]
+
+``growth``: processor time of each stage (two maps, preparation, search, refinement) for more samples in one room and
+for larger rooms at one density. ``frames``: two surveys of a room, each in many random frames: how far the answer
+strays from the one in their own frames, where the maps are carried along and where each survey is mapped anew, and
+whether swapping base and target inverts it, in its standard deviations. One thread.
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+import magmatch as mm
+from magmatch.geometry import log_se3, random_transform
+from magmatch.simulation.config import SimulationConfig
+
+SAMPLES = (750, 1500, 3000, 6000, 12_000, 24_000)
+SIDES = (2.0, 2.83, 4.0, 5.66, 8.0, 11.3, 16.0)
+DENSITY = 333.0  # samples per m^2 of floor: 3,000 in 9 m^2
+
+
+def seconds_of(function: object, *arguments: object) -> tuple[float, object]:
+    """Processor time of a call, and what it returned."""
+    start = time.process_time()
+    found = function(*arguments)  # type: ignore[operator]
+    return time.process_time() - start, found
+
+
+def grow(seed: int) -> None:
+    """Table of processor times by size."""
+    print("samples   floor m^2   two maps s   register s   status")
+    sizes = [(n, 3.0) for n in SAMPLES] + [(round(DENSITY * side**2), side) for side in SIDES]
+    for n, side in sizes:
+        config = SimulationConfig(n_samples=n, room_size=(side, side, 0.8))
+        pair = mm.simulate("office-random", seed, config)
+        mapping, maps = seconds_of(lambda pair=pair: [mm.build_map(s) for s in (pair.base, pair.target)])
+        mm.register(*maps)  # type: ignore[misc]
+        matching, result = seconds_of(mm.register, *maps)  # type: ignore[misc]
+        print(f"{n:7d} {side**2:9.1f} {mapping:12.2f} {matching:12.2f}   {result.status.value}", flush=True)  # type: ignore[attr-defined]
+
+
+def turn(seed: int, n_frames: int) -> None:
+    """Largest deviations over random frames, in standard deviations and in m and rad."""
+    rng = np.random.default_rng(seed)
+    pair = mm.simulate("office-random", seed, SimulationConfig(n_samples=3000))
+    maps = [mm.build_map(s) for s in (pair.base, pair.target)]
+    own = mm.register(*maps)
+    n_anew = max(1, n_frames // 50)
+    for title, n in (("maps carried along", n_frames), ("surveys mapped anew", n_anew)):
+        strays = []
+        for _ in range(n):
+            A, B = random_transform(rng), random_transform(rng)
+            if title.startswith("maps"):
+                moved = maps[0].transformed(A), maps[1].transformed(B)
+            else:
+                moved = pair.base.transformed(A), pair.target.transformed(B)
+            found = mm.register(*moved)
+            T = None if found.T_base_target is None else A.inv() * found.T_base_target * B
+            strays.append(stray(own, T))
+        report(f"{n} pairs of frames, {title}", strays)
+    swapped = mm.register(maps[1], maps[0])
+    report("swapped", [stray(own, swapped.T_base_target.inv() if swapped.T_base_target is not None else None)])
+
+
+def stray(own: mm.RegistrationResult, T: object) -> tuple[float, float, float]:
+    """Largest deviation in standard deviations of the answer, and its turn (rad) and shift (m); inf where refused."""
+    if T is None:
+        return np.inf, np.inf, np.inf
+    xi = log_se3(own.T_base_target.inv() * T)
+    sd = np.sqrt(np.diag(own.covariance))
+    return float(np.abs(xi / sd).max()), float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
+
+
+def report(title: str, strays: list[tuple[float, float, float]]) -> None:
+    """One line: how many were accepted, and the largest deviation."""
+    worst = np.max(strays, axis=0)
+    accepted = np.isfinite(np.array(strays)[:, 0]).sum()
+    print(
+        f"{title}: {accepted} accepted; at most {worst[0]:.1e} sd, {worst[1]:.1e} rad, {worst[2]:.1e} m", flush=True
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", default=["growth", "frames"])
+    parser.add_argument("--frames", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=30)
+    arguments = parser.parse_args()
+    if "growth" in arguments.parts:
+        grow(arguments.seed)
+    if "frames" in arguments.parts:
+        turn(arguments.seed, arguments.frames)
+
+
+if __name__ == "__main__":
+    main()
