@@ -74,6 +74,8 @@ class InducingModel:
         Where the region's samples are.
     known_reach : float, m
         Distance from a sample within which the field counts as known.
+    sources : cKDTree or None
+        Sources among the samples: what lies nearer to one of these than to any sample does not count as known.
     """
 
     hyperparameters: Hyperparameters
@@ -83,6 +85,7 @@ class InducingModel:
     factor: np.ndarray
     samples: cKDTree
     known_reach: float
+    sources: cKDTree | None = None
 
     @classmethod
     def over(
@@ -135,12 +138,13 @@ class InducingModel:
         *,
         constant_sd: float,
         known_reach: float,
+        sources: cKDTree | None = None,
     ) -> "InducingModel":
         """Take a basis whose weights are independent; arguments as in `over`."""
         h = hyperparameters
         factor = np.full(basis.n_weights + 3, h.noise_sd / (h.looseness * h.signal_sd))
         factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
-        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
+        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach, sources)
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> DenseInformation:
         """Information in samples; ``weights`` scale each sample's inverse noise variance."""
@@ -280,9 +284,12 @@ class InducingPosterior:
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies near a sample of the region the model was laid over."""
-        reach = self.model.known_reach
-        distance, _ = self.model.samples.query(np.asarray(points, dtype=np.float64), distance_upper_bound=reach)
-        return np.isfinite(distance)
+        p, model = np.asarray(points, dtype=np.float64), self.model
+        distance, _ = model.samples.query(p, distance_upper_bound=model.known_reach)
+        is_known = np.isfinite(distance)
+        if model.sources is not None:
+            is_known &= model.sources.query(p, distance_upper_bound=model.known_reach)[0] > distance
+        return np.asarray(is_known)
 
 
 def _blocks(n: int, numbers_per_point: int) -> Iterator[slice]:

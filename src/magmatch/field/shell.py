@@ -7,7 +7,7 @@ near, and the box of a room turned against the model's axes holds the room's own
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -52,6 +52,10 @@ class SourceShell:
         Of neighbouring sources.
     scale : float, m^2
         Charge per unit weight.
+    holes : cKDTree or None
+        Those sources that stand in holes among the samples.
+    hole_distance : float, m
+        Of these from any sample.
     """
 
     sources: Points
@@ -59,6 +63,8 @@ class SourceShell:
     distance: float
     spacing: float
     scale: float
+    holes: cKDTree | None = None
+    hole_distance: float = 0.0
 
     @property
     def n_weights(self) -> int:
@@ -66,9 +72,24 @@ class SourceShell:
         return len(self.sources)
 
     def is_whole(self, points: Points) -> Mask:
-        """Where the basis alone is the prior: near the region. Elsewhere it is silent."""
+        """Where the basis alone is the prior: near the region, not next to a charge. Elsewhere it is silent."""
         near, _ = self.region.query(points, distance_upper_bound=_REACH_RATIO * self.distance)
-        return np.isfinite(near)
+        is_near = np.isfinite(near)
+        if self.holes is None:
+            return is_near
+        beside, _ = self.holes.query(points, distance_upper_bound=(1 - _REACH_RATIO) * self.hole_distance)
+        return is_near & ~np.isfinite(beside)
+
+    def with_holes(self, charges: Points, distance: float) -> "SourceShell":
+        """The same with further charges at a distance from all samples."""
+        sources = np.ascontiguousarray(np.concatenate([self.sources, charges]))
+        return replace(self, sources=sources, holes=cKDTree(charges), hole_distance=distance)
+
+    def everywhere(self, points: Points) -> Matrix:
+        """Field per unit of each weight, be the basis silent there or not: (3 n, m), component-major."""
+        distinct = charge_design(np.ascontiguousarray(points), self.sources, 0)
+        distinct *= self.scale
+        return distinct.reshape(-1, self.n_weights)
 
     def design(self, points: Points, order: int = 0) -> Matrix:
         """Field and derivatives per unit of each weight, component-major rows: (rows n, m)."""

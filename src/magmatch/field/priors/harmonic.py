@@ -2,6 +2,7 @@
 """Fields without sources in the region: equivalent charges on a layer around it, plus a constant field."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -9,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from magmatch.field.box import Box
 from magmatch.field.calibration import calibrated, divide
 from magmatch.field.held_out import typical_length
+from magmatch.field.holes import fill_holes
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_model import InducingModel
 from magmatch.field.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
@@ -18,6 +20,9 @@ from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
+
+# Holes are filled by what noise and signal a first layer left, then by what is left with them.
+_ROUNDS_OF_HOLES = 2
 
 
 class HarmonicConfig(BaseModel):
@@ -84,9 +89,10 @@ class HarmonicPrior:
             distance = max(float(np.linalg.norm(np.ptp(points, axis=0))) / 2, 1.0)
             sd = max(sd, SMALLEST_SD)
             return Hyperparameters(distance, sd, sd, ratio * distance)
-        some = slice(None, None, -(-len(points) // self.config.n_search_samples))
+        some = self._some(points)
         fit = self._search(points, field, some, length, box)
         h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
+        h = self._with_holes(points, field, h, box)
         return self.calibrated(points, field, h, box) if calibrate else h
 
     def calibrated(
@@ -113,7 +119,7 @@ class HarmonicPrior:
         ----------
         points : (n, 3) array, m
         field : (n, 3) array, T
-            Checked only.
+            Shows where sources stand in holes among the samples.
         hyperparameters : Hyperparameters
             A distance that takes more charges than allowed is widened, with a warning.
         box : Box, optional
@@ -130,7 +136,7 @@ class HarmonicPrior:
         """
         check_samples(points, field)
         h = hyperparameters
-        shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
+        shell = self._filled(points, field, h, box)
         if shell.distance > 1.01 * h.lengthscale:
             log.warning(
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
@@ -138,7 +144,7 @@ class HarmonicPrior:
             )  # fmt: skip
         return InducingModel.of_independent_weights(
             points, h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd=self.config.constant_sd,
-            known_reach=self.config.known_ratio * shell.distance,
+            known_reach=self.config.known_ratio * shell.distance, sources=shell.holes,
         )  # fmt: skip
 
     def _shell(self, points: Points, distance: float, spacing: float, box: Box | None, most: int) -> SourceShell:
@@ -149,6 +155,29 @@ class HarmonicPrior:
         farther = max(2 * step, distance)
         region = np.concatenate([points, box.lattice(step)])
         return lay_shell(region, farther, spacing * farther / distance, most)
+
+    def _filled(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> SourceShell:
+        """Layer with charges in those holes where the data show sources; a box that is declared has none."""
+        shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
+        if box is not None:
+            return shell
+        some = self._some(points)
+        return fill_holes(shell, points[some], field[some], h, self.config.constant_sd)
+
+    def _with_holes(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> Hyperparameters:
+        """Signal and noise once sources among the samples are no longer noise; with less of it more of them show."""
+        some = self._some(points)
+        for _ in range(_ROUNDS_OF_HOLES):
+            shell = self._filled(points, field, h, box)
+            if shell.holes is None:
+                break
+            fit = fit_shell(shell, points[some], field[some], divide(points[some], h.lengthscale))
+            h = replace(h, signal_sd=fit.signal_sd, noise_sd=fit.noise_sd)
+        return h
+
+    def _some(self, points: Points) -> slice:
+        """Samples that numbers are chosen on."""
+        return slice(None, None, -(-len(points) // self.config.n_search_samples))
 
     def _search(self, points: Points, field: Vectors, some: slice, length: float, box: Box | None) -> ShellFit:
         """Best distance; where one takes too many charges, the nearest that can be afforded stands for it."""
