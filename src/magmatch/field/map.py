@@ -278,7 +278,10 @@ class FieldMap:
         ends = np.cumsum([0, *(len(part) for part in self.surveys)])
         kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(self.surveys, pairwise(ends), strict=True)]
         parts, fitted = tuple(part for part in kept if len(part)), self._fitted().subset(~is_out)
-        posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, self._tiles(), run)
+        tiles = self._tiles()
+        # A region in one piece has no tile that saw none of them.
+        stored = tiles if len(tiles) > 1 else None
+        posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, stored, run)
         return replace(
             self,
             survey=parts[0].merged(*parts[1:]),

@@ -11,7 +11,7 @@ from magmatch.field.cells import count_active_cells, lay_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.nested_dissection import order_elimination
 from magmatch.field.spline_model import SplineModel, SplinePosterior
-from magmatch.field.tile_fit import Samples
+from magmatch.field.tile_fit import Samples, fit_weights
 from magmatch.field.tile_tasks import TileTasks
 from magmatch.field.tiled_model import Runner, TiledModel
 from magmatch.field.tiled_posterior import TiledPosterior
@@ -111,7 +111,8 @@ def fit_splines(
     known = {i: tile.weights for i, tile in (stored or {}).items() if tile.fingerprint == tasks.fingerprint(i)}
     if isinstance(model, TiledModel):
         return model.infer_tasks(tasks, known, run)
-    return tasks.task(0).recall(known[WHOLE]) if WHOLE in known else model.infer(model.observe(points, field))
+    weights = known[WHOLE] if WHOLE in known else next(iter(run(fit_weights, [tasks.task(0)])))
+    return tasks.task(0).recall(weights)
 
 
 def tiles_of(posterior: SplinePosterior | TiledPosterior, points: Points, field: Vectors) -> dict[Index, StoredTile]:
