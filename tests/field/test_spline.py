@@ -248,3 +248,16 @@ def test_unknown_orders_are_refused(fitted, order):
         posterior.evaluate(x[:1], order)
     with pytest.raises(ValueError, match="order"):
         posterior.covariance(x[:1], order)
+
+
+def test_a_survey_of_few_samples_leaves_no_gaps_and_costs_no_more_than_one_of_many():
+    h, operations = {}, {}
+    for n in (150, 1500):
+        x, b = room(n)
+        h[n] = PRIORS["spline"].choose_hyperparameters(x, b)
+        model = PRIORS["spline"].build(x, b, h[n])
+        operations[n] = model.elimination.n_operations
+        between = np.random.default_rng(1).uniform(0, [2, 2, 0.5], (1000, 3))
+        assert model.infer(model.observe(x, b)).knows(between).mean() > 0.98
+    assert operations[150] < 1.5 * operations[1500]
+    assert h[150].spacing > h[1500].spacing

@@ -105,11 +105,25 @@ def test_errors_between_passes_hold_the_offset_of_a_lap():
     lap = (turn // (2 * np.pi)).astype(int) % 2
     b += 2e-6 * lap[:, None]
     h = Hyperparameters(1.0, 1e-6, 0.3e-6, 0.5, stiffness=30.0)
-    passes = OtherPasses(x, b, 1.0)
+    passes = OtherPasses(EvidenceSearch(x, b, np.arange(len(x)), np.float32), 1.0)
     assert passes.tell_something
+    misses = passes.misses(h)
     # Laps differ by 2 uT a component; a stretch left out is predicted from laps of both kinds.
-    assert 0.7e-6 < passes.error(h) < 2.1e-6
-    assert passes.inflation(h, 1e-9) > passes.inflation(h, 2e-6)
+    assert 0.7e-6 < misses.size < 2.1e-6
+    assert misses.inflation(1e-9) > misses.inflation(2e-6)
+
+
+def test_what_is_left_out_in_single_precision_is_predicted_as_by_a_fit_of_the_rest():
+    x, b = draw(200, seed=7)
+    rows = np.arange(200) % 5 == 0
+    search = EvidenceSearch(x, b, np.arange(200), np.float32)
+    model = SplineModel.over(x, H)
+    expected = model.infer(model.observe(x[~rows], b[~rows]))
+    posterior = search.fit_without(rows, H)
+    scale = np.abs(b).max()
+    assert posterior.evaluate(x[rows]).field == pytest.approx(expected.evaluate(x[rows]).field, abs=1e-5 * scale)
+    # Variances in single precision: differences of large numbers.
+    assert posterior.covariance(x[rows]) == pytest.approx(expected.covariance(x[rows]), abs=0.01 * H.noise_sd**2)
 
 
 def test_a_path_that_never_returns_says_nothing_and_is_fitted_all_the_same():

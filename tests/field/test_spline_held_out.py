@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 from magmatch.field.affordability import affordable_spacing
-from magmatch.field.held_out import choose_part, has_path_order, path_segments, space_blocks, typical_length
+from magmatch.field.held_out import (
+    choose_part,
+    has_path_order,
+    path_segments,
+    sample_distance,
+    space_blocks,
+    typical_length,
+)
 from magmatch.field.hyperparameters import Hyperparameters
 
 rng = np.random.default_rng(0)
@@ -65,3 +72,15 @@ def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeyp
     spacing = affordable_spacing(x, Hyperparameters(0.35, 1e-6, 1e-7, 0.1))
     assert spacing > 0.1
     assert "widened" in caplog.text
+
+
+@pytest.mark.parametrize("n", [300, 3000])
+def test_the_distance_of_samples_anywhere_is_the_side_of_the_cube_that_each_has(n):
+    x = np.random.default_rng(0).uniform(0, 2.0, (n, 3))
+    # At the rim neighbours are missing.
+    assert sample_distance(x) == pytest.approx((8.0 / n) ** (1 / 3), rel=0.2)
+    assert sample_distance(10 * x) == pytest.approx(10 * sample_distance(x))
+
+
+def test_the_distance_of_samples_at_one_place_is_nothing():
+    assert sample_distance(np.zeros((5, 3))) == 0

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 from scipy.linalg import blas
 
@@ -87,7 +88,7 @@ class Workspace:
     precision : numpy type
     """
 
-    def __init__(self, size: int, precision: type[np.floating] = np.float64) -> None:
+    def __init__(self, size: int, precision: npt.DTypeLike = np.float64) -> None:
         self._size, self._precision = max(1, size), precision
         self._free: list[np.ndarray] = []
 
@@ -110,7 +111,7 @@ class FactorMemory:
     precision : numpy type
     """
 
-    def __init__(self, elimination: Elimination, precision: type[np.floating] = np.float64) -> None:
+    def __init__(self, elimination: Elimination, precision: npt.DTypeLike = np.float64) -> None:
         sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
         memory = np.empty(sum(n * (n + k) for n, k in sizes), dtype=precision)
         self.pivots: list[np.ndarray] = []

@@ -27,6 +27,7 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     Parameters
     ----------
     factor : CholeskyFactor
+        In whose precision everything is computed: single tells standard deviations of the field to a thousandth.
 
     Returns
     -------
@@ -38,10 +39,11 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     largest = max(len(f.border) ** 2 for f in e.fronts)
     widest = max((f.stop - f.start) * max(f.stop - f.start, len(f.border)) for f in e.fronts)
     root = len(e.fronts) - 1
-    inherited: dict[int, np.ndarray] = {root: np.zeros((0, 0), dtype=factor.pivots[0].dtype, order="F")}
+    inherited: dict[int, np.ndarray] = {root: np.zeros((0, 0), dtype=factor.precision, order="F")}
 
     def descend(fronts: range) -> None:
-        row_of, space, own = np.full(e.n_unknowns, -1, dtype=np.int64), Workspace(largest), Workspace(widest)
+        row_of = np.full(e.n_unknowns, -1, dtype=np.int64)
+        space, own = Workspace(largest, factor.precision), Workspace(widest, factor.precision)
         for k in reversed(fronts):
             front, L, X, Z22 = e.fronts[k], factor.pivots[k], factor.below[k], inherited.pop(k)
             L_inverse, W, Z11, Z21 = (own.take(*A.shape) for A in (L, X, L, X))

@@ -22,7 +22,7 @@ from magmatch.field.multifrontal import CholeskyFactor, FactorMemory, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
 from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.stencil_matrix import StencilMatrix
-from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # Correlations below this end the sum: what follows is scatter of the estimate.
 SMALLEST_CORRELATION = 0.1
@@ -33,6 +33,10 @@ MOST_SAMPLES_AS_ONE = 16.0
 HIGHEST_CONTRAST = 1e6
 
 
+# Spacing, reach, lengthscale and stiffness: signal and noise only scale the prior.
+Shape = tuple[float, float, float, float]
+
+
 @dataclass(frozen=True, slots=True)
 class Fit:
     """What one factorisation tells about trial numbers.
@@ -41,33 +45,24 @@ class Fit:
     ----------
     square : float, T^2
         S, what the prior and the noise have to explain.
-    log_ratio : float
-        ``ln det A - ln det P0``.
+    log_determinant : float
+        ``ln det A``.
     weights : (m + 3,) array, T
         Posterior mean.
     """
 
     square: float
-    log_ratio: float
+    log_determinant: float
     weights: Scalars
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Basis:
-    """What trials of one spacing and reach share."""
+class Observed:
+    """What trials of one spacing and reach share: the data's information, and memory for sums and factors."""
 
-    cells: CellGrid
-    elimination: Elimination
     information: SplineInformation
+    sums: np.ndarray
     memory: FactorMemory
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PriorShape:
-    """Prior precision where signal and noise are the same, of which theirs is a multiple, and its log-determinant."""
-
-    stencil: np.ndarray
-    log_determinant: float
 
 
 class EvidenceSearch:
@@ -89,25 +84,34 @@ class EvidenceSearch:
     ) -> None:
         self.points, self.field, self.order, self.precision = points, field, order, precision
         self.samples_as_one = 1.0
-        self._bases: dict[tuple[float, float], Basis] = {}
+        # By spacing and reach.
+        self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
+        self._data: dict[tuple[float, float], Observed] = {}
         self._fits: dict[Hyperparameters, Fit] = {}
-        self._shapes: dict[tuple[float, float, float, float], PriorShape] = {}
+        self._shapes: dict[Shape, StencilMatrix] = {}
+        self._log_determinants: dict[Shape, float] = {}
 
     def operations(self, h: Hyperparameters) -> float:
         """Floating-point operations of one factorisation."""
-        return self._basis(h).elimination.n_operations
+        return self._model(h).elimination.n_operations
 
     def log_evidence(self, h: Hyperparameters) -> float:
         """Tempered log marginal likelihood with the noise profiled out; only ``signal_sd / noise_sd`` matters.
 
         Minus infinity where the numbers cannot be used.
         """
+        return self.log_evidence_of_noise(h) + 0.5 * self._log_determinant(h)
+
+    def log_evidence_of_noise(self, h: Hyperparameters) -> float:
+        """The same up to a number that only depends on spacing, reach, lengthscale and stiffness."""
         try:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
             return -np.inf
-        n = float(self.field.size)
-        return -0.5 * (n / self.samples_as_one * float(np.log(fit.square / n)) + fit.log_ratio)
+        n, scale, constant = float(self.field.size), _scale(h), (h.noise_sd / CONSTANT_SD) ** 2
+        log_prior = self._model(h).cells.n_nodes * np.log(scale) + 3 * np.log(constant)
+        likelihood = n / self.samples_as_one * np.log(fit.square / n)
+        return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
 
     def noise_sd(self, h: Hyperparameters) -> float:
         """Noise level of the greatest likelihood, T."""
@@ -115,9 +119,8 @@ class EvidenceSearch:
 
     def residuals(self, h: Hyperparameters) -> Vectors:
         """What the fitted mean leaves of the samples, (n, 3), T."""
-        basis = self._basis(h)
-        model = SplineModel(h, basis.cells, basis.elimination)
-        posterior = SplinePosterior(h, basis.cells, partial(model.factorise, basis.information), self._fit(h).weights)
+        model, data = self._model(h), self._observed(h).information
+        posterior = SplinePosterior(h, model.cells, partial(model.factorise, data), self._fit(h).weights)
         left: Vectors = self.field - posterior.evaluate(self.points).field
         return left
 
@@ -132,52 +135,86 @@ class EvidenceSearch:
             return 1.0
         return float(np.clip(h.spacing / 4 / max(float(np.median(step)), 1e-300), 1.0, MOST_SAMPLES_AS_ONE))
 
-    def _basis(self, h: Hyperparameters) -> Basis:
+    def fit_without(self, rows: Mask, h: Hyperparameters) -> SplinePosterior:
+        """Posterior of all samples but some; it lasts until the next factorisation."""
+        model, data = self._model(h), self._observed(h).information
+        rest = data - model.observe(self.points[rows], self.field[rows])
+        A, factor = self._factor(h, rest)
+        w, _, change = _solve(A, factor, rest.eta, model.cells)
+        return SplinePosterior(h, model.cells, factor, w + change)
+
+    def _model(self, h: Hyperparameters) -> SplineModel:
+        """Splines over all samples; those of one spacing and reach are laid once."""
         key = (h.spacing, h.reach)
         if key not in self._bases:
-            cells = lay_cells(self.points, h.spacing, h.reach)
-            model = SplineModel(h, cells, order_elimination(cells))
-            memory = FactorMemory(model.elimination, self.precision)
-            self._bases[key] = Basis(cells, model.elimination, model.observe(self.points, self.field), memory)
-        return self._bases[key]
+            cells = lay_cells(self.points, *key)
+            self._bases[key] = cells, order_elimination(cells)
+        return SplineModel(h, *self._bases[key])
+
+    def _observed(self, h: Hyperparameters) -> Observed:
+        key = (h.spacing, h.reach)
+        if key not in self._data:
+            model = self._model(h)
+            data, memory = model.observe(self.points, self.field), FactorMemory(model.elimination, self.precision)
+            self._data[key] = Observed(data, np.empty_like(data.gram.stencil), memory)
+        return self._data[key]
 
     def _fit(self, h: Hyperparameters) -> Fit:
         if h not in self._fits:
-            basis, scale = self._basis(h), (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
-            shape, constant, data = self._shape(h, basis), (h.noise_sd / CONSTANT_SD) ** 2, basis.information
-            A = StencilMatrix(
-                data.gram.stencil + scale * shape.stencil, data.gram.border, data.gram.corner + constant * np.eye(3)
-            )
-            factor = self._factorise(basis, A, scale)
-            w = factor.solve(data.eta)
-            # What the first solution leaves takes its rounding errors away: the difference of large numbers counts.
-            left = data.eta - A.times(w, basis.cells)
-            w += factor.solve(left)
-            left = data.eta - A.times(w, basis.cells)
-            square = data.square - float(data.eta @ w) - float(left @ w)
-            # Nor may they pass for a perfect fit.
+            data = self._observed(h).information
+            A, factor = self._factor(h, data)
+            w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
+            # As the first solution has it, which is off by the square of its error; and that.
+            square = data.square - float((data.eta + left) @ w) - float(left @ change)
+            # Rounding errors may not pass for a perfect fit.
             square = max(square, 1e-12 * data.square, 1e-300)
-            log_prior = shape.log_determinant + basis.cells.n_nodes * np.log(scale) + 3 * np.log(constant)
-            self._fits[h] = Fit(square, factor.log_determinant - float(log_prior), w)
+            self._fits[h] = Fit(square, factor.log_determinant, w + change)
         return self._fits[h]
 
-    def _factorise(self, basis: Basis, A: StencilMatrix, scale: float) -> CholeskyFactor:
-        """Factor in single precision where asked and possible."""
-        crowd = self.field.size / basis.cells.n_cells
-        if self.precision == np.float32 and crowd > HIGHEST_CONTRAST * scale:
-            return factorise(basis.elimination, A)
-        return factorise(basis.elimination, A, basis.memory)
+    def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
+        """Posterior precision and its factor, in single precision where asked and possible."""
+        model, shared, scale = self._model(h), self._observed(h), _scale(h)
+        np.multiply(self._shape(h).stencil, scale, out=shared.sums)
+        np.add(shared.sums, data.gram.stencil, out=shared.sums)
+        corner = data.gram.corner + np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2
+        A, crowd = StencilMatrix(shared.sums, data.gram.border, corner), self.field.size / model.cells.n_cells
+        is_risky = self.precision == np.float32 and crowd > HIGHEST_CONTRAST * scale
+        return A, factorise(model.elimination, A, None if is_risky else shared.memory)
 
-    def _shape(self, h: Hyperparameters, basis: Basis) -> PriorShape:
-        """Shape of the prior: signal and noise only scale it, so it is factorised once."""
-        key = (h.spacing, h.reach, h.lengthscale, h.stiffness)
+    def _shape(self, h: Hyperparameters) -> StencilMatrix:
+        """Prior precision where signal and noise are the same, of which theirs is a multiple."""
+        key = _shape_of(h)
         if key not in self._shapes:
             unit = replace(h, signal_sd=1.0, noise_sd=1.0, looseness=1.0)
-            prior = SplineModel(unit, basis.cells, basis.elimination).prior_precision()
-            prior.corner[:] = np.eye(3)
-            factor = factorise(basis.elimination, prior, basis.memory)
-            self._shapes[key] = PriorShape(prior.stencil, factor.log_determinant)
+            self._shapes[key] = replace(self._model(h), hyperparameters=unit).prior_precision()
+            self._shapes[key].corner[:] = np.eye(3)
         return self._shapes[key]
+
+    def _log_determinant(self, h: Hyperparameters) -> float:
+        """Of the prior's shape, factorised once."""
+        key, memory = _shape_of(h), self._observed(h).memory
+        if key not in self._log_determinants:
+            factor = factorise(self._model(h).elimination, self._shape(h), memory)
+            self._log_determinants[key] = factor.log_determinant
+        return self._log_determinants[key]
+
+
+def _shape_of(h: Hyperparameters) -> Shape:
+    return (h.spacing, h.reach, h.lengthscale, h.stiffness)
+
+
+def _scale(h: Hyperparameters) -> float:
+    """Factor from the prior's shape to the prior, in units of the noise."""
+    return (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
+
+
+def _solve(
+    A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid
+) -> tuple[Scalars, Scalars, Scalars]:
+    """Solution, what it leaves, and how that changes it: the difference of large numbers counts."""
+    w = factor.solve(rhs)
+    left = rhs - A.times(w, cells)
+    return w, left, factor.solve(left)
 
 
 def correlated_samples(residuals: Vectors, order: Indices) -> float:
