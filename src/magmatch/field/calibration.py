@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from magmatch.field.box import Box
 from magmatch.field.held_out import folds_of, has_path_order, path_stretches, space_blocks
@@ -28,6 +29,8 @@ _N_COMPARED = 400
 # Factors tried on the posterior's standard deviation.
 _INFLATIONS = np.geomspace(1.0, 8.0, 19)
 _COVERAGE, _IN_SDS = 0.95, 1.96
+# Standard errors by which neighbours' residuals must be alike to count as misfit.
+_LEAST_T = 2.0
 
 # From held-in and held-out rows to the posterior of the held-in samples.
 FitWithout = Callable[[Mask], Posterior]
@@ -115,7 +118,41 @@ def calibrated(
     def without(fold: Mask) -> Posterior:
         return model.infer(everything - model.observe(few[fold], values[fold]))
 
-    return widened(h, few, values, parts, without)
+    honest = widened(h, few, values, parts, without)
+    # Along a path neighbours share errors of their poses too.
+    least = 1.0 if parts.is_path else misfit_inflation(few, values, model.infer(everything))
+    return replace(honest, inflation=max(honest.inflation, least))
+
+
+def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> float:
+    """Factor on a posterior's standard deviation that makes room for what the model cannot follow.
+
+    Noise is each sample's own: what the residuals of nearest neighbours share is misfit, such as that of a source
+    which the prior rules out. It was taken for noise, which many samples average away; their misfit they do not.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    posterior : Posterior
+        Of these samples.
+
+    Returns
+    -------
+    float
+        At least 1, which it is unless neighbours share something beyond chance.
+    """
+    rows = np.arange(len(points))
+    residual = field - posterior.evaluate(points).field
+    nearest = np.asarray(cKDTree(points).query(points, k=2)[1])
+    # Of samples at one place either may stand first.
+    other = np.where(nearest[:, 0] == rows, nearest[:, 1], nearest[:, 0])
+    shared = (residual * residual[other]).mean(axis=1)
+    if not shared.mean() > _LEAST_T * shared.std() / np.sqrt(len(rows)):
+        return 1.0
+    covariance = posterior.covariance(points[_some(np.ones(len(rows), dtype=np.bool_))])
+    variance = np.trace(covariance, axis1=1, axis2=2).mean() / 3 / posterior.hyperparameters.inflation**2
+    return float(np.sqrt(1.0 + shared.mean() / variance))
 
 
 def widened(h: Hyperparameters, points: Points, field: Vectors, parts: Parts, fit: FitWithout) -> Hyperparameters:
