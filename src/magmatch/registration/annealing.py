@@ -7,6 +7,7 @@ from numba import njit
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.raster import find_cell, interpolate
 from magmatch.registration.scoring import Evidence, expected_variance, mixture_ratio
+from magmatch.threads import side_by_side, slices
 from magmatch.typing import Points, Scalars, Tensors
 
 
@@ -41,21 +42,24 @@ def anneal_poses(
         At the last row's inaccuracy.
     """
     R, pb, scores = rotations.copy(), anchors_base.copy(), np.zeros(len(rotations))
-    raster = base.raster
-    _anneal(
-        R, pb, anchor_rows, anchors_target, sample_rows,
-        evidence.positions, evidence.field, evidence.deviation2,
-        raster.values, raster.origin, raster.spacing,
-        np.array([
-            evidence.noise_variance, evidence.deviation_variance, outlier_share,
-            evidence.field_rms, evidence.gradient_rms, damping,
-        ]),
-        np.ascontiguousarray(schedule), scores,
-    )  # fmt: skip
+    raster, schedule = base.raster, np.ascontiguousarray(schedule)
+    scale = np.array([
+        evidence.noise_variance, evidence.deviation_variance, outlier_share,
+        evidence.field_rms, evidence.gradient_rms, damping,
+    ])  # fmt: skip
+
+    def anneal(some: slice) -> None:
+        _anneal(
+            R[some], pb[some], anchor_rows[some], anchors_target, sample_rows,
+            evidence.positions, evidence.field, evidence.deviation2,
+            raster.values, raster.origin, raster.spacing, scale, schedule, scores[some],
+        )  # fmt: skip
+
+    side_by_side(anneal, slices(len(R)))
     return R, pb, scores
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _anneal(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores):  # type: ignore[no-untyped-def]
     damping = scale[5]
     for h in range(len(R)):

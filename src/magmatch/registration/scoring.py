@@ -14,6 +14,7 @@ from numba import njit
 
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.raster import find_cell, interpolate_field
+from magmatch.threads import side_by_side, slices
 from magmatch.typing import Points, Scalars, Tensors, Vectors
 
 
@@ -109,17 +110,20 @@ def score_poses(
     (h,) array
         Log-likelihood ratios summed over the samples.
     """
-    out = np.zeros(len(rotations))
-    _score(
-        rotations, anchors_base, anchor_rows, anchors_target, sample_rows,
-        evidence.positions, evidence.field, evidence.deviation2,
-        base.raster.values, base.raster.origin, base.raster.spacing,
-        np.array([
-            evidence.noise_variance, evidence.deviation_variance, outlier_share,
-            sd_rotation, sd_translation, evidence.field_rms, evidence.gradient_rms,
-        ]),
-        out,
-    )  # fmt: skip
+    out, raster = np.zeros(len(rotations)), base.raster
+    scale = np.array([
+        evidence.noise_variance, evidence.deviation_variance, outlier_share,
+        sd_rotation, sd_translation, evidence.field_rms, evidence.gradient_rms,
+    ])  # fmt: skip
+
+    def score(some: slice) -> None:
+        _score(
+            rotations[some], anchors_base[some], anchor_rows[some], anchors_target, sample_rows,
+            evidence.positions, evidence.field, evidence.deviation2,
+            raster.values, raster.origin, raster.spacing, scale, out[some],
+        )  # fmt: skip
+
+    side_by_side(score, slices(len(rotations)))
     return out
 
 
@@ -138,7 +142,7 @@ def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gra
     return min(V, V0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
     noise, V0, eps, sd_rotation, sd_translation, field_rms, gradient_rms = scale
     for h in range(len(R)):
