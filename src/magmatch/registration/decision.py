@@ -33,7 +33,7 @@ class DecisionConfig(BaseModel):
     min_lead: float = 10.0
     # The same as a share of those odds: where rooms repeat, poses that explain the field equally well differ by what
     # their edges happen to cover.
-    min_relative_lead: float = Field(default=0.25, ge=0)
+    min_relative_lead: float = Field(default=0.5, ge=0)
     # By how much the odds must exceed what the same search reaches in places that do not exist (`decoys.py`), nats;
     # and odds that chance never comes near, for which this is not tried.
     min_decoy_lead: float = 15.0
