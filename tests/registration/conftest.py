@@ -104,3 +104,28 @@ def make_exact_pair():
         return base, target
 
     return make
+
+
+@pytest.fixture(scope="session")
+def make_moved_pair():
+    """Build (base map, target map, what the field changed by) of a room whose strongest dipoles moved in between."""
+
+    def make(seed, T_base_target, n_moved):
+        rng = np.random.default_rng(seed)
+        before = room_of_dipoles(seed)
+        samples = rng.uniform(0, [3.0, 3.0, 0.6], size=(300, 3))
+        alone = (Dipoles(before.positions[[k]], before.moments[[k]]) for k in range(len(before.positions)))
+        pull = [np.abs(one.field(samples) - EARTH).max() for one in alone]
+        chosen = np.argsort(pull)[-n_moved:]
+        positions = before.positions.copy()
+        box = np.array([3.0, 3.0, 0.6])
+        for k in chosen:
+            outward = positions[k] - np.clip(positions[k], 0, box)
+            positions[k] += 0.5 * np.cross(outward, [0.3, 0.5, 0.8]) / np.linalg.norm(outward) + 0.1 * outward
+        after = Dipoles(positions, before.moments)
+        identity = RigidTransform.identity()
+        base = exact_map(before, survey_of(before, rng, identity), identity)
+        target = exact_map(after, survey_of(after, rng, T_base_target), T_base_target)
+        return base, target, lambda x: after.field(x) - before.field(x)
+
+    return make

@@ -54,6 +54,13 @@ def test_odds_that_mirror_images_reach_are_chance_and_more_is_asked_of_a_pose_th
     assert decide([left], False, np.inf, 20.0, CONFIG).status is Status.INCONSISTENT
 
 
+def test_cells_that_differ_by_more_than_noise_are_accepted_only_beyond_all_chance():
+    assert (
+        decide([evidence(log_evidence=80.0, misfit=4.0)], False, np.inf, None, CONFIG).status is Status.INCONSISTENT
+    )
+    assert decide([evidence(log_evidence=200.0, misfit=4.0)], False, np.inf, None, CONFIG).status is Status.ACCEPTED
+
+
 def test_poses_that_explain_the_field_equally_well_are_ambiguous_however_much_there_is_to_explain():
     assert decide([evidence(log_evidence=400.0)], False, 30.0, None, CONFIG).status is Status.AMBIGUOUS
     assert decide([evidence(log_evidence=400.0)], False, 200.0, None, CONFIG).status is Status.ACCEPTED

@@ -194,11 +194,12 @@ def _statistics(best: PoseEvidence, lead: float, chance: float | None) -> dict[s
     return {
         "log_odds": best.log_evidence,
         "lead": lead if np.isfinite(lead) else None,
-        "decoy_log_odds": chance,
+        "decoy_log_odds": chance if chance is not None and np.isfinite(chance) else None,
         "misfit": best.misfit,
         "unexplained": best.unexplained,
         "agreeing_share": best.good_share,
         "n_informative": float(best.n_informative),
+        "unchanged": best.unchanged,
     }
 
 

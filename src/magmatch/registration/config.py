@@ -6,6 +6,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.field.config import FieldConfig
+from magmatch.registration.changes import ChangeConfig
 from magmatch.registration.decision import DecisionConfig
 from magmatch.registration.invariant_search import InvariantSearchConfig
 from magmatch.registration.keypoint_search import KeypointSearchConfig
@@ -31,6 +32,8 @@ class RegistrationConfig(BaseModel):
     walks: WalkConfig = Field(default_factory=WalkConfig)
     keypoints: KeypointSearchConfig = Field(default_factory=KeypointSearchConfig)
     refinement: RefinementConfig = Field(default_factory=RefinementConfig)
+    # What moved between the surveys.
+    changes: ChangeConfig = Field(default_factory=ChangeConfig)
     decision: DecisionConfig = Field(default_factory=DecisionConfig)
 
 

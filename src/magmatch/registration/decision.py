@@ -41,6 +41,8 @@ class DecisionConfig(BaseModel):
     # nothing explains may hide a wrong pose.
     misfit_price: float = Field(default=20.0, ge=0)
     certain_log_evidence: float = 150.0
+    # Largest misfit that evidence below that may leave: something moved, and no change that was tried explains it.
+    max_misfit: float = Field(default=3.0, gt=0)
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
     max_sd_rotation: float = Field(default=0.06, gt=0)
     max_sd_translation: float = Field(default=0.3, gt=0)
@@ -129,6 +131,12 @@ def _refusals(
             Status.INCONSISTENT,
             f"the evidence for the best pose is {best.log_evidence:.0f} nats (needs {config.min_log_evidence:.0f}); "
             "survey a larger common area",
+        )
+    if best.misfit > config.max_misfit and best.log_evidence < config.certain_log_evidence:
+        yield Verdict(
+            Status.INCONSISTENT,
+            f"the cells differ by {best.misfit:.1f} times what noise and maps explain under the best pose (at most "
+            f"{config.max_misfit:.1f}): too much has moved, or different places",
         )
     needed = config.min_decoy_lead + config.misfit_price * float(np.log(max(best.misfit, 1.0)))
     if chance is not None and best.log_evidence < chance + needed:

@@ -248,7 +248,9 @@ def look_up(
     _, sd, _, is_known = base.raster.lookup(transform_points(y, T_base_target))
     y, corrected = y[is_known], sensor.correct(b[is_known])
     seen = base.posterior.evaluate(transform_points(y, T_base_target), order=1).rotated(T_target_base)
-    forward = Lookup(y, seen.field, sensor.half_way(corrected - seen.field), _gradient(seen), corrected, sd[is_known])
+    forward = Lookup(
+        y, seen.field, sensor.half_way(corrected - seen.field), gradient_of(seen), corrected, sd[is_known]
+    )
 
     z = transform_points(base.samples[rows[1]], T_target_base)
     b = rotate_vectors(base.sample_field[rows[1]], T_target_base)
@@ -256,7 +258,7 @@ def look_up(
     z, b = z[is_known], b[is_known]
     seen = target.posterior.evaluate(z, order=1)
     corrected = sensor.correct(seen.field)
-    return forward, Lookup(z, b, sensor.half_way(corrected - b), _gradient(seen), corrected, sd[is_known])
+    return forward, Lookup(z, b, sensor.half_way(corrected - b), gradient_of(seen), corrected, sd[is_known])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -328,7 +330,8 @@ def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -
     return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))
 
 
-def _gradient(values: FieldValues) -> Tensors:
+def gradient_of(values: FieldValues) -> Tensors:
+    """Gradient of values that were asked for with order 1."""
     if values.gradient is None:
         msg = "the posterior gave no gradient although order 1 was asked for"
         raise ValueError(msg)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.answer import by_evidence
 from magmatch.registration.candidate import SearchResult
+from magmatch.registration.change_search import poses_beside_changes
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decoys import decoys
 from magmatch.registration.evidence import PoseEvidence, unrelated_field, weigh_pose
@@ -111,11 +112,12 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, seed: int, lead: 
 def _best_by_chance(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> float:
     """Log evidence that the same search reaches in places that do not exist."""
     log.info("searching places that do not exist")
-    reached = -np.inf
+    reached, is_beside_change = -np.inf, weighed.ranked[0].is_beside_change
     for base, prior in decoys(weighed.base, weighed.prior):
         found = _search(base, weighed.target, prior, config, np.random.default_rng(seed))
         ranked = _refine_and_rank(base, weighed.target, found, prior, config, seed)
-        reached = max([reached, *(e.log_evidence for e in ranked)])
+        # Evidence of cells and of samples beside a change are not of one scale.
+        reached = max([reached, *(e.log_evidence for e in ranked if e.is_beside_change == is_beside_change)])
     return reached
 
 
@@ -157,13 +159,19 @@ def _refine_and_rank(
         more = starts[settings.n_candidates : settings.n_candidates + settings.n_more_candidates]
         ranked += [weigh(start, ranking, tightest) for start in more]
     ranked.sort(key=_by_evidence)
+    if not ranked:
+        return ranked
+    best_alike = ranked[0].pose
     alike = settings.sensor.bias_levels[0]
-    for level in wider if ranked else ():
+    for level in wider:
         if is_soft_iron(settings.sensor, level) and ranked[0].pose.sensor_sd[0] == alike:
             break  # sensors that differ in no bias and no scale
         best = weigh(ranked[0].pose.T_base_target, ranking, level)
         if best.log_evidence > ranked[0].log_evidence + settings.sensor.min_gain:
             ranked[0] = best
+    beside = poses_beside_changes(base, target, starts, ranked[0], best_alike, unrelated, prior, config.changes, seed)
+    if beside:
+        return beside
     # The answer, and what comes near enough to be one.
     n_finished = sum(e is ranked[0] or e.log_evidence > ranked[0].log_evidence / 2 for e in ranked)
     ranked[:n_finished] = [weigh(e.pose, settings, tightest) for e in ranked[:n_finished]]

@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
 from magmatch.registration.cubes import cube_keys
-from magmatch.typing import Matrix, Points, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # More cells than this add cost, not certainty.
 MAX_CELLS = 150
@@ -57,6 +57,14 @@ class CellMeans:
             ],
             axis=1,
         )
+
+    def holds(self, rows: Indices) -> Mask:
+        """Whether each sample lies in one of these cells: (n,)."""
+        is_one = np.zeros(len(self.counts) + 1, dtype=np.bool_)
+        is_one[rows] = True
+        # Samples of cells that are left out, -1, look at the last entry.
+        inside: Mask = is_one[self.cell]
+        return inside
 
 
 @dataclass(frozen=True, eq=False, slots=True)

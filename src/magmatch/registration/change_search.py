@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where residuals show that something moved: poses that explain the cells which still agree."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.registration.changes import ChangeConfig, refine_beside_changes
+from magmatch.registration.evidence import Change, PoseEvidence, agreeing_cells, compare_cells, weigh_pose
+from magmatch.registration.pose_prior import PosePrior
+from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.refinement import RefinedPose
+from magmatch.registration.unrelated import UnrelatedField
+from magmatch.typing import Covariance6, Indices
+
+log = logging.getLogger(__name__)
+
+
+def poses_beside_changes(
+    base: PreparedMap,
+    target: PreparedMap,
+    starts: list[RigidTransform],
+    best: PoseEvidence,
+    model: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    config: ChangeConfig,
+    seed: int,
+) -> list[PoseEvidence]:
+    """Find poses beside changed fields, where the residuals of one that takes all for unchanged ask for it.
+
+    A dense refinement of all cells follows the sources that moved; the search's own poses, which a share of the
+    samples may contradict, are nearer to where the rest agrees.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    starts : list of RigidTransform
+        Poses of the search, model frame to model frame.
+    best : PoseEvidence
+        The best refined one.
+    model : RefinedPose
+        The best one for sensors that are alike.
+    unrelated : UnrelatedField
+    prior : PosePrior
+    config : ChangeConfig
+    seed : int
+
+    Returns
+    -------
+    list of PoseEvidence
+        Best first; none where residuals show no change, or no change explains them.
+    """
+    if not config.is_enabled or not config.max_misfit < best.misfit < np.inf:
+        return []
+    agreements = [
+        (_agreement(base, target, replace(model, T_base_target=T), unrelated)[1], T)
+        for T in [*starts, model.T_base_target]
+    ]
+    agreements.sort(key=lambda pair: -pair[0])
+    log.info("something may have moved; looking for poses beside changes")
+    found = [
+        _follow(base, target, replace(model, T_base_target=T), unrelated, prior, config, seed)
+        for agreement, T in agreements[: config.n_candidates]
+        if agreement > config.min_agreement
+    ]
+    beside = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
+    return beside if beside and beside[0].log_evidence > 0 else []
+
+
+def _agreement(
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrelated: UnrelatedField
+) -> tuple[Indices, float, float, int]:
+    """Cells that agree, their evidence, what choosing them costs, and how many there are to choose from."""
+    field = pose.sensor.correct(target.sample_field)
+    seen = compare_cells(base, target, pose.T_base_target, field, unrelated)
+    return (*agreeing_cells(seen, unrelated), len(seen.rows))
+
+
+def _follow(
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    config: ChangeConfig,
+    seed: int,
+) -> PoseEvidence | None:
+    """Refine a pose on the cells that agree, then on those that agree with what was found."""
+    rounds: list[PoseEvidence] = []
+    for _ in range(config.n_rounds):
+        rows, _, price, n_cells = _agreement(base, target, pose, unrelated)
+        agrees, rng = unrelated.cells.holds(rows), np.random.default_rng(seed)
+        found = refine_beside_changes(base, target, pose, agrees, prior, config, rng)
+        if found is None:
+            break
+        pose = found.pose
+        change = Change(found.change_at(target.samples), rows, len(rows) / n_cells, found.log_ratio - price)
+        weighed = weigh_pose(base, target, pose, unrelated, prior, change)
+        if weighed.misfit < config.max_misfit and found.noise < config.max_noise:
+            rounds.append(weighed)
+    if not rounds:
+        return None
+    best = max(rounds, key=lambda e: e.log_evidence)
+    return best if best.covariance is None else replace(best, covariance=best.covariance + _scatter(best, rounds))
+
+
+def _scatter(best: PoseEvidence, rounds: list[PoseEvidence]) -> Covariance6:
+    """Spread about the best pose of those that other choices of agreeing cells gave, each as likely as it is."""
+    scatter = np.zeros((6, 6))
+    for other in rounds:
+        moved = best.pose.T_base_target.inv() * other.pose.T_base_target
+        center = best.pose.center
+        step = np.concatenate([moved.rotation.as_rotvec(), moved.apply(center) - center])
+        scatter += np.exp(other.log_evidence - best.log_evidence) * np.outer(step, step)
+    return scatter
