@@ -37,7 +37,7 @@ class InvariantSearchConfig(BaseModel):
     # Samples that judge the few poses left.
     n_fine_samples: int = Field(default=600, ge=20)
     # Poses that are refined coarsely, and distinct ones that are refined further.
-    n_coarse: int = Field(default=200, ge=1)
+    n_coarse: int = Field(default=600, ge=1)
     n_fine: int = Field(default=40, ge=1)
     # Distinct poses handed on.
     n_candidates: int = Field(default=8, ge=1)
