@@ -252,3 +252,16 @@ def test_transform_takes_target_points_to_base_points(prepared_pair):
     b_base = base.field_map.posterior.evaluate(transform_points(target.samples, T_true)).field
     residual = b_base - target.sample_field @ T_true.rotation.as_matrix().T
     assert np.sqrt((residual**2).mean()) < 0.4e-6
+
+
+def test_cells_stand_out_against_what_is_stated_or_what_is_shown_not_against_both(prepared_pair):
+    base, target, T_model = prepared_pair
+    rng = np.random.default_rng(0)
+    base, target = (replace(m, noise_sd=6e-6) for m in (base, target))
+    unrelated = unrelated_field(base, target)
+    pose = refine(base, target, T_model, FLAT, RefinementConfig(), rng)
+    noisy = replace(target, sample_field=target.sample_field + 1e-6 * rng.standard_normal(target.sample_field.shape))
+    as_stated, noisier = (weigh_pose(base, t, pose, unrelated, FLAT) for t in (target, noisy))
+    assert noisier.misfit > 1.2 * as_stated.misfit
+    assert noisier.misfit < 1
+    assert noisier.n_informative == as_stated.n_informative > 0

@@ -142,7 +142,8 @@ def weigh_pose(
     # A sensor that must differ implausibly speaks against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
     n2 = ((unrelated.field[rows] - unrelated.field.mean(axis=0)) ** 2).sum(axis=1)
-    V = variance + np.median(r2) / MEDIAN_CHI2_3
+    # What noise and map state, or what the residuals show: both together would count one error twice.
+    V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
     is_informative = n2 > 9 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else unrelated.cells.holds(rows))]
     return PoseEvidence(
