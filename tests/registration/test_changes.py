@@ -14,8 +14,8 @@ from magmatch.registration.prepared import prepare
 from magmatch.registration.refinement import RefinementConfig, perturbation, refine
 
 FLAT = PosePrior(10.0)
-# One try, in a small room.
-REFINEMENT, CONFIG = RefinementConfig(), ChangeConfig(n_samples=600, n_candidates=1, n_rounds=1)
+# One candidate, in a small room.
+REFINEMENT, CONFIG = RefinementConfig(), ChangeConfig(n_samples=600, n_candidates=1)
 
 
 @pytest.fixture(scope="module")

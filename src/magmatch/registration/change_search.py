@@ -13,7 +13,7 @@ from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.refinement import RefinedPose
 from magmatch.registration.unrelated import UnrelatedField
-from magmatch.typing import Covariance6, Indices
+from magmatch.typing import Indices
 
 log = logging.getLogger(__name__)
 
@@ -88,31 +88,27 @@ def _follow(
     config: ChangeConfig,
     seed: int,
 ) -> PoseEvidence | None:
-    """Refine a pose on the cells that agree, then on those that agree with what was found."""
-    rounds: list[PoseEvidence] = []
+    """Refine a pose on the cells that agree, then on those that agree with what was found, until it stays."""
     for _ in range(config.n_rounds):
         rows, _, price, n_cells = _agreement(base, target, pose, unrelated)
         agrees, rng = unrelated.cells.holds(rows), np.random.default_rng(seed)
         found = refine_beside_changes(base, target, pose, agrees, prior, config, rng)
         if found is None:
-            break
-        pose = found.pose
+            return None
         change = Change(found.change_at(target.samples), rows, len(rows) / n_cells, found.log_ratio - price)
-        weighed = weigh_pose(base, target, pose, unrelated, prior, change)
-        if weighed.misfit < config.max_misfit and found.noise < config.max_noise:
-            rounds.append(weighed)
-    if not rounds:
-        return None
-    best = max(rounds, key=lambda e: e.log_evidence)
-    return best if best.covariance is None else replace(best, covariance=best.covariance + _scatter(best, rounds))
+        weighed = weigh_pose(base, target, found.pose, unrelated, prior, change)
+        if weighed.covariance is None:
+            return None
+        step, pose = _step_between(pose, found.pose), found.pose
+        if float(step @ np.linalg.solve(weighed.covariance, step)) > len(step):
+            continue
+        # Where no cells agree better than others, the change answers whatever the pose is.
+        explains = weighed.misfit < config.max_misfit and found.noise < config.max_noise
+        return weighed if len(rows) < n_cells and explains else None
+    return None
 
 
-def _scatter(best: PoseEvidence, rounds: list[PoseEvidence]) -> Covariance6:
-    """Spread about the best pose of those that other choices of agreeing cells gave, each as likely as it is."""
-    scatter = np.zeros((6, 6))
-    for other in rounds:
-        moved = best.pose.T_base_target.inv() * other.pose.T_base_target
-        center = best.pose.center
-        step = np.concatenate([moved.rotation.as_rotvec(), moved.apply(center) - center])
-        scatter += np.exp(other.log_evidence - best.log_evidence) * np.outer(step, step)
-    return scatter
+def _step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
+    """Perturbation about the centre that takes one pose to the other."""
+    moved = before.T_base_target.inv() * after.T_base_target
+    return np.concatenate([moved.rotation.as_rotvec(), moved.apply(before.center) - before.center])

@@ -57,10 +57,10 @@ class ChangeConfig(BaseModel):
     # Largest variance of what a change leaves, in units of what is stated: where more is left, it explains nothing.
     max_noise: float = Field(default=1.1, ge=1)
     # Poses that are tried, the least evidence of the cells that agree for one to be (nats; other places reach 31),
-    # and how often each is refined on them.
+    # and in how many rounds each must come to rest on the cells that agree with it: one that wanders is wrong.
     n_candidates: int = Field(default=2, ge=1)
     min_agreement: float = 35.0
-    n_rounds: int = Field(default=2, ge=1)
+    n_rounds: int = Field(default=6, ge=1)
     # Samples compared, and most charges that stand for the change: with half as many of both, fields of the target's
     # own are described so badly that wrong poses win.
     n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
