@@ -19,7 +19,7 @@ from magmatch.field.kernels import N_ROWS
 from magmatch.field.linear_model import Axes
 from magmatch.field.spline_basis import GRADIENT_INDEX, SECOND_INDEX
 from magmatch.field.values import FieldValues
-from magmatch.typing import Mask, Matrix, Points, Vector3
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -50,21 +50,21 @@ class SourceShell:
         Of the sources from the nearest point of the region.
     spacing : float, m
         Of neighbouring sources.
-    scale : float, m^2
-        Charge per unit weight.
-    holes : cKDTree or None
-        Those sources that stand in holes among the samples.
-    hole_distance : float, m
-        Of these from any sample.
+    scale : (m,) array, m^2
+        Charge per unit weight of each source.
+    inner : cKDTree or None
+        Those sources that stand nearer than the layer, among the samples or next to them.
+    inner_distance : float, m
+        Of these from any sample, at least.
     """
 
     sources: Points
     region: cKDTree
     distance: float
     spacing: float
-    scale: float
-    holes: cKDTree | None = None
-    hole_distance: float = 0.0
+    scale: Scalars
+    inner: cKDTree | None = None
+    inner_distance: float = 0.0
 
     @property
     def n_weights(self) -> int:
@@ -75,15 +75,16 @@ class SourceShell:
         """Where the basis alone is the prior: near the region, not next to a charge. Elsewhere it is silent."""
         near, _ = self.region.query(points, distance_upper_bound=_REACH_RATIO * self.distance)
         is_near = np.isfinite(near)
-        if self.holes is None:
+        if self.inner is None:
             return is_near
-        beside, _ = self.holes.query(points, distance_upper_bound=(1 - _REACH_RATIO) * self.hole_distance)
+        beside, _ = self.inner.query(points, distance_upper_bound=(1 - _REACH_RATIO) * self.inner_distance)
         return is_near & ~np.isfinite(beside)
 
-    def with_holes(self, charges: Points, distance: float) -> "SourceShell":
-        """The same with further charges at a distance from all samples."""
+    def with_charges(self, charges: Points, scale: Scalars, samples: Points) -> "SourceShell":
+        """The same with further charges, each of its own scale, among or next to samples."""
         sources = np.ascontiguousarray(np.concatenate([self.sources, charges]))
-        return replace(self, sources=sources, holes=cKDTree(charges), hole_distance=distance)
+        scales, distance = np.concatenate([self.scale, scale]), float(np.min(cKDTree(samples).query(charges)[0]))
+        return replace(self, sources=sources, scale=scales, inner=cKDTree(charges), inner_distance=distance)
 
     def everywhere(self, points: Points) -> Matrix:
         """Field per unit of each weight, be the basis silent there or not: (3 n, m), component-major."""
@@ -149,7 +150,7 @@ def lay_shell(region: Points, distance: float, spacing: float, max_sources: int)
         h *= max(1.02, (len(sources) / max_sources) ** 0.5)
     some = np.ascontiguousarray(region[:: -(-len(region) // _N_SCALED)])
     variance = float((charge_design(some, sources, 0) ** 2).sum() / (3 * len(some)))
-    return SourceShell(sources, tree, h / ratio, h, variance**-0.5)
+    return SourceShell(sources, tree, h / ratio, h, np.full(len(sources), variance**-0.5))
 
 
 def _affordable(h: float, extent: np.ndarray, ratio: float) -> float:

@@ -10,10 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from magmatch.field.box import Box
 from magmatch.field.calibration import calibrated, divide
 from magmatch.field.held_out import typical_length
-from magmatch.field.holes import fill_holes
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_model import InducingModel
 from magmatch.field.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
+from magmatch.field.inner_sources import with_inner_sources
 from magmatch.field.kernels import CurlFreeKernel
 from magmatch.field.shell import SourceShell, lay_shell
 from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
@@ -21,8 +21,8 @@ from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
-# Holes are filled by what noise and signal a first layer left, then by what is left with them.
-_ROUNDS_OF_HOLES = 2
+# Inner sources are found by the noise and signal that a first layer left, then by what is left with them.
+_ROUNDS_OF_SOURCES = 2
 
 
 class HarmonicConfig(BaseModel):
@@ -92,7 +92,7 @@ class HarmonicPrior:
         some = self._some(points)
         fit = self._search(points, field, some, length, box)
         h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
-        h = self._with_holes(points, field, h, box)
+        h = self._with_sources(points, field, h, box)
         return self.calibrated(points, field, h, box) if calibrate else h
 
     def calibrated(
@@ -119,7 +119,7 @@ class HarmonicPrior:
         ----------
         points : (n, 3) array, m
         field : (n, 3) array, T
-            Shows where sources stand in holes among the samples.
+            Shows where sources stand among the samples or next to them.
         hyperparameters : Hyperparameters
             A distance that takes more charges than allowed is widened, with a warning.
         box : Box, optional
@@ -144,7 +144,7 @@ class HarmonicPrior:
             )  # fmt: skip
         return InducingModel.of_independent_weights(
             points, h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd=self.config.constant_sd,
-            known_reach=self.config.known_ratio * shell.distance, sources=shell.holes,
+            known_reach=self.config.known_ratio * shell.distance, sources=shell.inner,
         )  # fmt: skip
 
     def _shell(self, points: Points, distance: float, spacing: float, box: Box | None, most: int) -> SourceShell:
@@ -157,19 +157,19 @@ class HarmonicPrior:
         return lay_shell(region, farther, spacing * farther / distance, most)
 
     def _filled(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> SourceShell:
-        """Layer with charges in those holes where the data show sources; a box that is declared has none."""
+        """Layer with further charges where the data show sources nearer than it; a box that is declared has none."""
         shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
         if box is not None:
             return shell
         some = self._some(points)
-        return fill_holes(shell, points[some], field[some], h, self.config.constant_sd)
+        return with_inner_sources(shell, points[some], field[some], h, self.config.constant_sd)
 
-    def _with_holes(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> Hyperparameters:
-        """Signal and noise once sources among the samples are no longer noise; with less of it more of them show."""
+    def _with_sources(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> Hyperparameters:
+        """Signal and noise once inner sources are no longer noise; with less of it more of them show."""
         some = self._some(points)
-        for _ in range(_ROUNDS_OF_HOLES):
+        for _ in range(_ROUNDS_OF_SOURCES):
             shell = self._filled(points, field, h, box)
-            if shell.holes is None:
+            if shell.inner is None:
                 break
             fit = fit_shell(shell, points[some], field[some], divide(points[some], h.lengthscale))
             h = replace(h, signal_sd=fit.signal_sd, noise_sd=fit.noise_sd)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Claims about charges in holes among the samples: they stand for what is there, and only for that."""
+"""Claims about charges among the samples: they stand for what is there, and only for that."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,10 @@ from magmatch.data.survey import Survey
 from magmatch.field.box import Box
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.holes import fill_holes
+from magmatch.field.holes import hole_charges
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inner_sources import with_inner_sources
+from magmatch.field.magnets import find_magnets
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
 from magmatch.field.shell import lay_shell
 
@@ -72,7 +74,7 @@ def test_curl_and_divergence_stay_zero(furnished):
 
 
 def test_the_map_knows_nothing_next_to_such_a_charge(furnished):
-    charges = furnished.model.basis.holes.data
+    charges = furnished.model.basis.inner.data
     assert not furnished.knows(charges).any()
     beside = charges[:3] + 0.01
     sd = np.sqrt(np.trace(furnished.covariance(beside), axis1=1, axis2=2) / 3)
@@ -85,7 +87,7 @@ def test_holes_of_chance_stay_empty(seed):
     points = np.random.default_rng(seed).uniform(0, BOX, size=(500, 3))
     field = field_at(points, 0.0) + np.random.default_rng(9).normal(scale=NOISE, size=points.shape)
     shell = lay_shell(points, 0.4, 0.2, 600)
-    assert fill_holes(shell, points, field, H, 1e-4) is shell
+    assert with_inner_sources(shell, points, field, H, 1e-4) is shell
 
 
 def test_along_a_path_and_in_a_plane_there_are_no_holes():
@@ -93,14 +95,28 @@ def test_along_a_path_and_in_a_plane_there_are_no_holes():
     path = np.stack([1.6 * s, 0.6 + 0.5 * np.sin(40 * s), 0.4 + 0.3 * np.cos(55 * s)], axis=1)
     plane = around_hole(600, 1) * [1, 1, 0.01]
     for points in (path, plane):
-        shell = lay_shell(points, 0.4, 0.2, 600)
-        assert fill_holes(shell, points, field_at(points, 0.5), H, 1e-4) is shell
+        assert len(hole_charges(lay_shell(points, 0.4, 0.2, 600), points)[0]) == 0
+
+
+def test_magnets_under_a_lane_are_found_where_they_are():
+    x, y = np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 0.8, 0.1))
+    lanes = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=1)
+    magnets, rng = np.array([[0.2, 0.3, 0.02], [0.7, 0.5, 0.0], [0.55, 0.1, 0.03]]), np.random.default_rng(0)
+    moments = 1e-8 * np.array([[0.5, 1.0, 3.0], [2.0, 0.0, -3.0], [0.0, 1.0, 2.0]])
+    field = np.array([18e-6, 2e-6, -44e-6]) + rng.normal(scale=NOISE, size=lanes.shape)
+    for at, moment in zip(magnets, moments, strict=True):
+        r, d = lanes - at, np.linalg.norm(lanes - at, axis=1)[:, None]
+        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+    found, strengths = find_magnets(lanes, field, 0.3)
+    order = [int(np.argmin(np.linalg.norm(found - at, axis=1))) for at in magnets]
+    np.testing.assert_allclose(found[order], magnets, atol=2e-3)
+    np.testing.assert_allclose(strengths[order], moments, atol=1e-9)
 
 
 def test_a_declared_box_is_kept_free_of_charges_whatever_the_data_show():
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
-    assert PRIOR.build(*room(0.5), H, box).basis.holes is None
-    assert PRIOR.build(*room(0.5), H).basis.holes is not None
+    assert PRIOR.build(*room(0.5), H, box).basis.inner is None
+    assert PRIOR.build(*room(0.5), H).basis.inner is not None
 
 
 def test_a_map_with_charges_in_holes_is_saved_and_loaded(tmp_path):
