@@ -14,7 +14,7 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
 # samples: so its moment, and where it stands exactly, are left open.
 _CLUSTER, _CLUSTER_SIZE = np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]), 0.2
 
-_MOST_SAMPLES, _MOST_MAGNETS = 1500, 32
+_FEWEST_SAMPLES, _MOST_SAMPLES, _MOST_MAGNETS = 40, 1500, 32
 # Where a further one is looked for: around so many samples of large residuals, seen by so many neighbours each, in
 # the directions to the neighbours of a cube and at so many distances.
 _ANCHORS, _WITNESSES, _DISTANCES = 12, 80, 5
@@ -68,9 +68,10 @@ def find_magnets(points: Points, field: Vectors, reach: float) -> tuple[Points, 
     """
     some = slice(None, None, -(-len(points) // _MOST_SAMPLES))
     x, y = points[some] - points.mean(axis=0), field[some]
-    tree = cKDTree(x)
+    positions, moments, tree = np.zeros((0, 3)), np.zeros((0, 3)), cKDTree(x)
     nearest = float(np.median(np.asarray(tree.query(x, k=2)[0])[:, 1]))
-    positions, moments = np.zeros((0, 3)), np.zeros((0, 3))
+    if len(x) < _FEWEST_SAMPLES or not nearest > 0:
+        return positions, moments
     residual = _solved(x, y, positions)[1]
     while len(positions) < _MOST_MAGNETS:
         candidate = _candidate(x, residual, tree, nearest, reach)
@@ -135,7 +136,8 @@ def _refined(
 def _solved(x: Points, y: Vectors, positions: Points) -> tuple[Scalars, Vectors]:
     """Moments (after the background's eight numbers) that fit best, and what they leave."""
     A = _columns(x, positions)
-    scale = np.linalg.norm(A, axis=0)
+    # A survey in a line or a point says nothing about some gradients.
+    scale = np.linalg.norm(A, axis=0) + 1e-300
     A /= scale
     H = A.T @ A
     H[np.diag_indices_from(H)] += 1e-9
