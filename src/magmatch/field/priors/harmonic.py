@@ -21,6 +21,8 @@ from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
+# A layer so much farther out than was asked for is the nearest there is; one so little farther is the same.
+_SAME_DISTANCE = 1.01
 # Inner sources are found by the noise and signal that a first layer left, then by what is left with them.
 _ROUNDS_OF_SOURCES = 2
 
@@ -184,9 +186,15 @@ class HarmonicPrior:
         ratio, most = self.config.spacing_ratio, self.config.max_search_sources
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         parts = divide(points[some], length)
+        nearest: list[ShellFit] = []
 
         def fit_at(distance: float) -> ShellFit:
+            if nearest and distance < _SAME_DISTANCE * nearest[0].distance:
+                return nearest[0]
             shell = self._shell(points, distance, ratio * distance, box, most)
-            return fit_shell(shell, points[some], field[some], parts)
+            fit = fit_shell(shell, points[some], field[some], parts)
+            if shell.distance > _SAME_DISTANCE * distance:
+                nearest.append(fit)
+            return fit
 
         return search_distance(fit_at, length / 2, length / 10, extent / 2)
