@@ -69,5 +69,7 @@ def test_finer_splines_are_taken_while_the_evidence_grows():
 
         log_evidence_of_noise = log_evidence
 
-    best, _ = settle(Finer(START), START, lambda h: replace(h, spacing=h.spacing / 1.4), is_settled=True)
-    assert best.spacing == pytest.approx(0.2 / 1.4**2)
+    for is_settled in (True, False):
+        best, _ = settle(Finer(START), START, lambda h: replace(h, spacing=h.spacing / 1.4), is_settled)
+        assert best.spacing == pytest.approx(0.2 / 1.4**2)
+        assert best.noise_sd == pytest.approx(START.noise_sd)

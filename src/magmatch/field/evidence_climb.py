@@ -65,10 +65,14 @@ def settle(
     noise_sd : float, T
         Level of the greatest likelihood there.
     """
-    best = _along(search.log_evidence, start, [finer]) if finer(start) is not None else start
-    if is_settled and best == start:
-        return best, search.noise_sd(best)
-    best = _along(search.log_evidence_of_noise, best, _steps("noise_sd", FINE_NOISE))
+    best, noise_sd = (start, search.noise_sd(start)) if is_settled else _settled_noise(search, start)
+    # Not before: finer splines make up for a noise that is too large.
+    closer = _along(search.log_evidence, best, [finer]) if finer(best) is not None else best
+    return (best, noise_sd) if closer == best else _settled_noise(search, closer)
+
+
+def _settled_noise(search: EvidenceSearch, start: Hyperparameters) -> tuple[Hyperparameters, float]:
+    best = _along(search.log_evidence_of_noise, start, _steps("noise_sd", FINE_NOISE))
     final = _highest_between(search.log_evidence_of_noise, best, FINE_NOISE)
     return final, _noise_between(search, best, final)
 

@@ -20,8 +20,8 @@ log = logging.getLogger(__name__)
 FEWEST_SAMPLES = 40
 # Where all samples lie at one place, m.
 LONELY_LENGTHSCALE = 0.5
-# In units of the samples' distance: closer splines are more than samples tell apart, and the reach follows what these
-# may leave between them, and half a cell.
+# In units of the samples' distance: closer splines are more than samples tell apart, and where these lie anywhere the
+# reach follows what they may leave between them, and half a cell.
 CLOSEST_SPLINES, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.75, 0.4, 1.3
 # The search starts here: spacing and lengthscale from the variogram, signal over noise and stiffness that suit most;
 # along a path a field so smooth that what it leaves shows which errors neighbours share.
@@ -66,8 +66,7 @@ class Layout:
 
     def reach(self, spacing: float) -> float:
         """How far beyond samples cells of a spacing have to reach."""
-        least = REACH_OF_A_PATH if self.is_path else REACH
-        return rounded(max(least, WIDEST_GAP * self.distance / spacing + 0.5))
+        return REACH_OF_A_PATH if self.is_path else rounded(max(REACH, WIDEST_GAP * self.distance / spacing + 0.5))
 
     def finer(self, points: Points, h: Hyperparameters) -> Hyperparameters | None:
         """The next spacing, where samples tell it apart and the survey can afford it."""
