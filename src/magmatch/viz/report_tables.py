@@ -29,6 +29,7 @@ EVIDENCE = {
     "unexplained": "share of the field's variance left unexplained",
     "agreeing_share": "share of informative cells that agree",
     "n_informative": "informative cells",
+    "unchanged": "share of cells taken as unchanged",
 }
 MM, DEG = 1e3, 180 / np.pi
 
