@@ -261,3 +261,14 @@ def test_a_survey_of_few_samples_leaves_no_gaps_and_costs_no_more_than_one_of_ma
         assert model.infer(model.observe(x, b)).knows(between).mean() > 0.98
     assert operations[150] < 1.5 * operations[1500]
     assert h[150].spacing > h[1500].spacing
+
+
+def test_above_a_plane_the_field_is_told_as_far_as_its_lengthscale_says():
+    rng = np.random.default_rng(3)
+    x = np.c_[rng.uniform(0, 3, (1500, 2)), 0.3 + 0.005 * rng.normal(size=1500)]
+    b = dipole_field(x, 3, 8) + 3e-7 * rng.normal(size=x.shape)
+    h = PRIORS["spline"].choose_hyperparameters(x, b)
+    assert h.spacing < 0.25 * h.lengthscale  # close splines: 1.5 of them do not reach far
+    model = PRIORS["spline"].build(x, b, h)
+    above = np.c_[rng.uniform(0.2, 1.8, (200, 2)), np.full(200, 0.3 + 0.3 * h.lengthscale)]
+    assert model.infer(model.observe(x, b)).knows(above).all()

@@ -39,9 +39,10 @@ def affordable_spacing(points: Points, hyperparameters: Hyperparameters) -> floa
     return spacing
 
 
-def is_affordable(points: Points, hyperparameters: Hyperparameters) -> bool:
-    """Whether a survey can be fitted at a spacing that is finer than it has to be."""
-    return _operations(points, hyperparameters, hyperparameters.spacing) <= _budget(FINE_OPERATIONS, len(points))
+def is_affordable(points: Points, hyperparameters: Hyperparameters, times: float = 1.0) -> bool:
+    """Whether a survey can be fitted at a spacing finer than it has to be; ``times``: of what that may cost."""
+    budget = times * _budget(FINE_OPERATIONS, len(points))
+    return _operations(points, hyperparameters, hyperparameters.spacing) <= budget
 
 
 def _operations(points: Points, h: Hyperparameters, spacing: float) -> float:

@@ -29,6 +29,9 @@ LENGTHSCALE_IN_SPACINGS = 4.0
 START, START_OF_A_PATH = (36.0, 3000.0), (12.0, 300.0)
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
+# In lengthscales: so far beyond samples that lie anywhere a smooth field is told of, however close the splines; and
+# what that is worth, in units of what closer splines are.
+TOLD_BEYOND, WORTH_OF_BEYOND = 0.4, 4.0
 # The next spacing that is tried.
 FINER = 0.75
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
@@ -67,6 +70,14 @@ class Layout:
     def reach(self, spacing: float) -> float:
         """How far beyond samples cells of a spacing have to reach."""
         return REACH_OF_A_PATH if self.is_path else rounded(max(REACH, WIDEST_GAP * self.distance / spacing + 0.5))
+
+    def told(self, points: Points, h: Hyperparameters) -> Hyperparameters:
+        """Numbers whose reach covers what their field tells of, as far as the survey can afford it."""
+        if self.is_path:
+            return h
+        farthest = TOLD_BEYOND * h.lengthscale / h.spacing + 0.5
+        tried = (replace(h, reach=rounded(share * farthest)) for share in (1.0, 0.8, 0.65))
+        return next((t for t in tried if t.reach > h.reach and is_affordable(points, t, WORTH_OF_BEYOND)), h)
 
     def finer(self, points: Points, h: Hyperparameters) -> Hyperparameters | None:
         """The next spacing, where samples tell it apart and the survey can afford it."""
@@ -109,7 +120,7 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
         alone, misses = noise, passes.misses(_with_noise(best, noise))
         noise = max(noise, misses.size)
         inflation = misses.inflation(noise) * alone / noise
-    chosen = replace(_with_noise(best, noise), inflation=max(LEAST_INFLATION, inflation))
+    chosen = layout.told(points, replace(_with_noise(best, noise), inflation=max(LEAST_INFLATION, inflation)))
     log.info("%.0f samples count as one, %s", search.samples_as_one, chosen)
     return chosen
 
