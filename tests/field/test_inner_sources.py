@@ -11,7 +11,7 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.holes import hole_charges
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inner_sources import with_inner_sources
+from magmatch.field.inner_sources import find_inner_sources
 from magmatch.field.magnets import find_magnets
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
 from magmatch.field.shell import lay_shell
@@ -87,7 +87,7 @@ def test_holes_of_chance_stay_empty(seed):
     points = np.random.default_rng(seed).uniform(0, BOX, size=(500, 3))
     field = field_at(points, 0.0) + np.random.default_rng(9).normal(scale=NOISE, size=points.shape)
     shell = lay_shell(points, 0.4, 0.2, 600)
-    assert with_inner_sources(shell, points, field, H, 1e-4) is shell
+    assert find_inner_sources(shell, points, field).filled(H, 1e-4) is shell
 
 
 def test_along_a_path_and_in_a_plane_there_are_no_holes():

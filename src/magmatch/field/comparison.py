@@ -8,6 +8,7 @@ do not (magnets among the samples, walks of any length), and it costs least.
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -19,6 +20,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.fit import declared_box
 from magmatch.field.held_out import choose_part, typical_length
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import LinearModel
 from magmatch.field.priors import PRIORS
 from magmatch.typing import Scalars
 
@@ -44,11 +46,14 @@ class Rival:
     hyperparameters : Hyperparameters
     log_errors : (p,) array
         Logarithm of the root mean square error (T) of each part.
+    fitted : tuple, optional
+        Model laid over the samples that are compared, and the information in all of them.
     """
 
     name: str
     hyperparameters: Hyperparameters
     log_errors: Scalars
+    fitted: tuple[LinearModel[Any], Any] | None = None
 
     @property
     def error(self) -> float:
@@ -91,8 +96,8 @@ def choose_prior(
         names = [PREFERRED, *(rival.name for rival in rivals[1:] if _may_be_better(rival, rivals[0]))]
     if len(names) > 1 or not rivals:
         rivals = _compared(names, samples, parts, config, T_domain_model)
-        if any(_is_open(rival, rivals[0]) for rival in rivals[1:]):
-            rivals = _compared_further(rivals, samples, parts, config, T_domain_model)
+        if _is_undecided(rivals):
+            rivals = _compared_further(rivals, samples, parts)
         taken = _best(rivals)
     else:
         named = config.model_copy(update={"prior": PREFERRED})
@@ -154,7 +159,11 @@ def _compared(
         named = config.model_copy(update={"prior": name})
         try:
             h = resolved_hyperparameters(samples, named, T_domain_model, calibrate=False)
-            rivals.append(Rival(name, h, _log_errors(few, thinned, h, named, T_domain_model)))
+            # Laid over all samples: what is compared is the field between them, not how far each basis reaches.
+            box = declared_box(named, T_domain_model)
+            model = PRIORS[name].build(few.positions, few.field, h, box)
+            everything = model.observe(few.positions, few.field)
+            rivals.append(Rival(name, h, _log_errors(few, thinned, model, everything), (model, everything)))
         except (MagmatchError, ValueError, np.linalg.LinAlgError) as error:
             if name == PREFERRED:
                 raise
@@ -162,15 +171,13 @@ def _compared(
     return rivals
 
 
-def _compared_further(
-    rivals: list[Rival], samples: Survey, parts: Parts, config: FieldConfig, T_domain_model: RigidTransform
-) -> list[Rival]:
+def _compared_further(rivals: list[Rival], samples: Survey, parts: Parts) -> list[Rival]:
     """The preferred prior and those that may yet beat it, on all parts of the survey instead of some."""
     few, rest = _thinned(samples, replace(parts, folds=parts.rest))
     out = []
     for rival in (rivals[0], *(other for other in rivals[1:] if _may_be_better(other, rivals[0]))):
-        named = config.model_copy(update={"prior": rival.name})
-        errors = _log_errors(few, rest, rival.hyperparameters, named, T_domain_model)
+        assert rival.fitted is not None  # it was compared
+        errors = _log_errors(few, rest, *rival.fitted)
         out.append(replace(rival, log_errors=np.concatenate([rival.log_errors, errors])))
     return out
 
@@ -182,14 +189,9 @@ def _thinned(samples: Survey, parts: Parts) -> tuple[Survey, Parts]:
     return samples.subset(some), Parts(parts.number[some], folds, parts.is_path)
 
 
-def _log_errors(
-    samples: Survey, parts: Parts, h: Hyperparameters, config: FieldConfig, T_domain_model: RigidTransform
-) -> Scalars:
+def _log_errors(samples: Survey, parts: Parts, model: LinearModel[Any], everything: Any) -> Scalars:
     """Logarithm of the error of each left-out part that holds enough samples."""
     points, field, out = samples.positions, samples.field, []
-    # Laid over all samples: what is compared is the field between them, not how far each basis reaches.
-    model = PRIORS[config.prior].build(points, field, h, declared_box(config, T_domain_model))
-    everything = model.observe(points, field)
     for fold in parts.folds:
         posterior = model.infer(everything - model.observe(points[fold], field[fold]))
         square = ((posterior.evaluate(points[fold]).field - field[fold]) ** 2).sum(axis=1)
@@ -216,10 +218,11 @@ def _is_clearly_better(rival: Rival, preferred: Rival) -> bool:
     return bool(gain.mean() > max(_LEAST_GAIN, _LEAST_T * standard_error))
 
 
-def _is_open(rival: Rival, preferred: Rival) -> bool:
-    """Whether a rival is ahead, but not clearly."""
-    is_ahead = len(rival.log_errors) > 0 and rival.error < preferred.error
-    return is_ahead and not _is_clearly_better(rival, preferred)
+def _is_undecided(rivals: list[Rival]) -> bool:
+    """Whether a rival is ahead of all that would be taken, but not clearly ahead of the preferred one."""
+    taken = _best(rivals)
+    ahead = (rival for rival in rivals if len(rival.log_errors) > 0 and rival.error < taken.error)
+    return any(not _is_clearly_better(rival, rivals[0]) for rival in ahead)
 
 
 def _may_be_better(rival: Rival, preferred: Rival) -> bool:

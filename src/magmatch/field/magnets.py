@@ -6,6 +6,7 @@ are found one after the other, each where it explains most of what is left, and 
 """
 
 import numpy as np
+from numba import njit
 from scipy.spatial import cKDTree
 
 from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
@@ -72,7 +73,7 @@ def find_magnets(points: Points, field: Vectors, reach: float) -> tuple[Points, 
     nearest = float(np.median(np.asarray(tree.query(x, k=2)[0])[:, 1]))
     if len(x) < _FEWEST_SAMPLES or not nearest > 0:
         return positions, moments
-    residual = _solved(x, y, positions)[1]
+    residual = _solved(x, y, positions)[2]
     while len(positions) < _MOST_MAGNETS:
         candidate = _candidate(x, residual, tree, nearest, reach)
         tried = _refined(x, y, np.concatenate([positions, candidate[None]]), tree, nearest)
@@ -88,44 +89,65 @@ def _candidate(x: Points, residual: Vectors, tree: cKDTree, nearest: float, reac
     order = np.argsort(-(residual**2).sum(axis=1), kind="stable")
     anchors = order[:: max(1, len(order) // (10 * _ANCHORS))][:_ANCHORS]
     offsets = (np.geomspace(nearest, reach, _DISTANCES)[:, None, None] * _DIRECTIONS).reshape(-1, 3)
-    best, where = -np.inf, x[anchors[0]] + offsets[0]
-    for anchor in anchors:
-        at = x[anchor] + offsets
-        at = at[np.asarray(tree.query(at)[0]) > 0.5 * nearest]
-        rows = np.atleast_1d(tree.query(x[anchor], k=min(_WITNESSES, len(x)))[1])
-        for p in at:
-            A = _dipole(x[rows], p).reshape(-1, 3)
-            u = A.T @ residual[rows].ravel()
-            gain = float(u @ np.linalg.solve(A.T @ A, u))
-            if gain > best:
-                best, where = gain, p
-    return np.asarray(where)
+    at = x[anchors][:, None] + offsets
+    rows = np.asarray(tree.query(x[anchors], k=min(_WITNESSES, len(x)))[1]).reshape(len(anchors), -1)
+    gram, u = _seen(x, residual, rows, at)
+    gains = (u * np.linalg.solve(gram, u[..., None])[..., 0]).sum(axis=-1)
+    gains[np.asarray(tree.query(at)[0]) <= 0.5 * nearest] = -np.inf
+    return np.asarray(at.reshape(-1, 3)[np.argmax(gains)])
+
+
+@njit(cache=True)
+def _seen(x: np.ndarray, residual: np.ndarray, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of one dipole's moment at each place: sums of ``3 r r^T / d^8 + I / d^6`` and of A b."""
+    gram, u = np.zeros((*at.shape, 3)), np.zeros(at.shape)
+    for i in range(at.shape[0]):
+        for j in range(at.shape[1]):
+            G, v = gram[i, j], u[i, j]
+            for row in rows[i]:
+                r0, r1, r2 = x[row, 0] - at[i, j, 0], x[row, 1] - at[i, j, 1], x[row, 2] - at[i, j, 2]
+                b = residual[row]
+                # No witness stands where a dipole is tried that counts.
+                inverse = 1.0 / max(r0 * r0 + r1 * r1 + r2 * r2, 1e-30)
+                cube = inverse * np.sqrt(inverse)
+                six, along = cube * cube, 3.0 * inverse * (r0 * b[0] + r1 * b[1] + r2 * b[2])
+                eight = 3.0 * six * inverse
+                G[0, 0] += eight * r0 * r0 + six
+                G[1, 1] += eight * r1 * r1 + six
+                G[2, 2] += eight * r2 * r2 + six
+                G[0, 1] += eight * r0 * r1
+                G[0, 2] += eight * r0 * r2
+                G[1, 2] += eight * r1 * r2
+                v[0] += cube * (along * r0 - b[0])
+                v[1] += cube * (along * r1 - b[1])
+                v[2] += cube * (along * r2 - b[2])
+            G[1, 0], G[2, 0], G[2, 1] = G[0, 1], G[0, 2], G[1, 2]
+    return gram, u
 
 
 def _refined(
     x: Points, y: Vectors, positions: Points, tree: cKDTree, nearest: float
 ) -> tuple[Points, Vectors, Vectors]:
     """Positions by damped Gauss-Newton steps, moments and residuals for them."""
-    weights, left = _solved(x, y, positions)
+    columns, weights, left = _solved(x, y, positions)
     damping = 1e-3
     for _ in range(_STEPS):
         moments = weights[8:].reshape(-1, 3)
-        slopes = [_by_position(x, p, m).reshape(-1, 3) for p, m in zip(positions, moments, strict=True)]
-        A = np.hstack([_columns(x, positions), *slopes])
-        scale = np.linalg.norm(A, axis=0) + 1e-300
-        A /= scale
-        H, g = A.T @ A, A.T @ left.ravel()
+        A = np.concatenate([columns, _by_position(x, positions, moments)])
+        H, scale = _scaled_gram(A)
+        g = A @ left.ravel() / scale
         settled = True
         while damping < 1e4:
-            step = (np.linalg.solve(H + damping * np.eye(len(H)), g) / scale)[8 + 3 * len(positions) :].reshape(-1, 3)
+            step = (np.linalg.solve(H + damping * np.eye(len(H)), g) / scale)[len(columns) :].reshape(-1, 3)
             limit = _LARGEST_STEP * np.asarray(tree.query(positions)[0])
             step *= np.minimum(1, limit / np.maximum(np.linalg.norm(step, axis=1), 1e-300))[:, None]
             moved = positions + step
-            new_weights, new_left = _solved(x, y, moved)
-            before, after = (left**2).sum(), (new_left**2).sum()
+            tried = _solved(x, y, moved)
+            before, after = (left**2).sum(), (tried[2] ** 2).sum()
             if after < before and np.asarray(tree.query(moved)[0]).min() > 0.5 * nearest:
                 settled = after > (1 - _SETTLED) * before
-                positions, weights, left, damping = moved, new_weights, new_left, damping / 5
+                positions, damping = moved, damping / 5
+                columns, weights, left = tried
                 break
             damping *= 5
         if settled:
@@ -133,40 +155,60 @@ def _refined(
     return positions, weights[8:].reshape(-1, 3), left
 
 
-def _solved(x: Points, y: Vectors, positions: Points) -> tuple[Scalars, Vectors]:
-    """Moments (after the background's eight numbers) that fit best, and what they leave."""
-    A = _columns(x, positions)
-    # A survey in a line or a point says nothing about some gradients.
-    scale = np.linalg.norm(A, axis=0) + 1e-300
-    A /= scale
-    H = A.T @ A
+def _solved(x: Points, y: Vectors, positions: Points) -> tuple[Matrix, Scalars, Vectors]:
+    """Columns (as rows), the moments (after the background's eight numbers) that fit best, and what they leave."""
+    A = np.concatenate([_background(x), _dipoles(x, positions)])
+    H, scale = _scaled_gram(A)
     H[np.diag_indices_from(H)] += 1e-9
-    w = np.linalg.solve(H, A.T @ y.ravel())
-    return w / scale, y - (A @ w).reshape(-1, 3)
+    w = np.linalg.solve(H, A @ y.ravel() / scale) / scale
+    return A, w, y - (w @ A).reshape(-1, 3)
 
 
-def _columns(x: Points, positions: Points) -> Matrix:
-    """Field of a constant, of the five gradients that air allows, and of the dipoles' moments: (3 n, 8 + 3 k)."""
-    n = len(x)
-    background = np.zeros((n, 3, 8))
-    background[:, range(3), range(3)] = 1.0
+def _scaled_gram(A: Matrix) -> tuple[Matrix, Scalars]:
+    """Products of rows brought to unit length, and their lengths: a survey in a line says nothing about some."""
+    H = A @ A.T
+    scale = np.sqrt(np.diag(H)) + 1e-300
+    return H / scale / scale[:, None], scale
+
+
+def _background(x: Points) -> Matrix:
+    """A constant field and the five gradients that air allows: (8, 3 n)."""
+    out = np.zeros((8, len(x), 3))
+    out[range(3), :, range(3)] = 1.0
     for k, (a, b) in enumerate(((0, 1), (0, 2), (1, 2))):
-        background[:, a, 3 + k], background[:, b, 3 + k] = x[:, b], x[:, a]
+        out[3 + k, :, a], out[3 + k, :, b] = x[:, b], x[:, a]
     for k, a in enumerate((0, 1)):
-        background[:, a, 6 + k], background[:, 2, 6 + k] = x[:, a], -x[:, 2]
-    return np.hstack([background.reshape(3 * n, 8), *(_dipole(x, p).reshape(-1, 3) for p in positions)])
+        out[6 + k, :, a], out[6 + k, :, 2] = x[:, a], -x[:, 2]
+    return out.reshape(8, -1)
 
 
-def _dipole(x: Points, position: np.ndarray) -> np.ndarray:
-    """Field per unit moment: (n, 3, 3)."""
-    r = x - position
-    d = np.linalg.norm(r, axis=1)[:, None, None]
-    return np.asarray(3 * r[:, :, None] * r[:, None, :] / d**5 - np.eye(3) / d**3)
+@njit(cache=True)
+def _dipoles(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Field of dipoles per unit of each moment: (3 k, 3 n)."""
+    out = np.empty((3 * len(positions), 3 * len(x)))
+    for k in range(len(positions)):
+        for i in range(len(x)):
+            r = x[i] - positions[k]
+            inverse = 1.0 / (r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
+            cube = inverse * np.sqrt(inverse)
+            for a in range(3):
+                for b in range(3):
+                    out[3 * k + a, 3 * i + b] = cube * (3 * inverse * r[a] * r[b] - (1.0 if a == b else 0.0))
+    return out
 
 
-def _by_position(x: Points, position: np.ndarray, moment: np.ndarray) -> np.ndarray:
-    """Derivative of a dipole's field by its position: (n, 3, 3)."""
-    r = x - position
-    d, along = np.linalg.norm(r, axis=1)[:, None, None], (r @ moment)[:, None, None]
-    mixed = r[:, :, None] * moment + moment[:, None] * r[:, None, :]
-    return np.asarray(15 * along * r[:, :, None] * r[:, None, :] / d**7 - 3 * (mixed + along * np.eye(3)) / d**5)
+@njit(cache=True)
+def _by_position(x: np.ndarray, positions: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """Derivatives of dipoles' fields by their positions: (3 k, 3 n)."""
+    out = np.empty((3 * len(positions), 3 * len(x)))
+    for k in range(len(positions)):
+        m = moments[k]
+        for i in range(len(x)):
+            r = x[i] - positions[k]
+            inverse = 1.0 / (r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
+            along, five = r[0] * m[0] + r[1] * m[1] + r[2] * m[2], inverse * inverse * np.sqrt(inverse)
+            for a in range(3):
+                for b in range(3):
+                    mixed = r[a] * m[b] + m[a] * r[b] + (along if a == b else 0.0)
+                    out[3 * k + a, 3 * i + b] = five * (15 * along * inverse * r[a] * r[b] - 3 * mixed)
+    return out

@@ -13,7 +13,7 @@ from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_model import InducingModel
 from magmatch.field.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
-from magmatch.field.inner_sources import with_inner_sources
+from magmatch.field.inner_sources import InnerSources, find_inner_sources
 from magmatch.field.kernels import CurlFreeKernel
 from magmatch.field.shell import SourceShell, lay_shell
 from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
@@ -94,7 +94,8 @@ class HarmonicPrior:
         some = self._some(points)
         fit = self._search(points, field, some, length, box)
         h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
-        h = self._with_sources(points, field, h, box)
+        # A box that is declared holds no sources.
+        h = h if box is not None else self._with_sources(points, field, h)
         return self.calibrated(points, field, h, box) if calibrate else h
 
     def calibrated(
@@ -138,7 +139,10 @@ class HarmonicPrior:
         """
         check_samples(points, field)
         h = hyperparameters
-        shell = self._filled(points, field, h, box)
+        if box is None:
+            shell = self._sources(points, field, h).filled(h, self.config.constant_sd)
+        else:
+            shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
         if shell.distance > 1.01 * h.lengthscale:
             log.warning(
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
@@ -158,19 +162,17 @@ class HarmonicPrior:
         region = np.concatenate([points, box.lattice(step)])
         return lay_shell(region, farther, spacing * farther / distance, most)
 
-    def _filled(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> SourceShell:
-        """Layer with further charges where the data show sources nearer than it; a box that is declared has none."""
-        shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
-        if box is not None:
-            return shell
+    def _sources(self, points: Points, field: Vectors, h: Hyperparameters) -> InnerSources:
+        """Where the data may show sources nearer than the layer."""
         some = self._some(points)
-        return with_inner_sources(shell, points[some], field[some], h, self.config.constant_sd)
+        shell = self._shell(points, h.lengthscale, h.spacing, None, self.config.max_sources)
+        return find_inner_sources(shell, points[some], field[some])
 
-    def _with_sources(self, points: Points, field: Vectors, h: Hyperparameters, box: Box | None) -> Hyperparameters:
+    def _with_sources(self, points: Points, field: Vectors, h: Hyperparameters) -> Hyperparameters:
         """Signal and noise once inner sources are no longer noise; with less of it more of them show."""
-        some = self._some(points)
+        some, found = self._some(points), self._sources(points, field, h)
         for _ in range(_ROUNDS_OF_SOURCES):
-            shell = self._filled(points, field, h, box)
+            shell = found.filled(h, self.config.constant_sd)
             if shell.inner is None:
                 break
             fit = fit_shell(shell, points[some], field[some], divide(points[some], h.lengthscale))
