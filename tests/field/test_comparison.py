@@ -88,6 +88,18 @@ def test_only_a_clear_margin_leaves_the_spline():
     assert _best(few).name == "spline"
 
 
+def test_further_parts_are_asked_only_where_they_may_change_what_is_taken():
+    scatter = np.tile([-1.0, 1.0], 20)
+    spline = Rival("spline", H, np.zeros(40))
+    clear = Rival("harmonic", H, 0.01 * scatter - 0.3)
+    behind, ahead = (Rival("curl_free", H, 3.0 * scatter - gain) for gain in (0.2, 0.4))
+    assert not comparison._is_undecided([spline])
+    assert not comparison._is_undecided([spline, clear])
+    assert not comparison._is_undecided([spline, behind, clear])
+    assert comparison._is_undecided([spline, behind])
+    assert comparison._is_undecided([spline, ahead, clear])
+
+
 def test_parts_cover_a_survey_and_its_end():
     points, _ = room(inside=False)
     parts = divide(points, 0.5)

@@ -7,6 +7,7 @@ slice is what lies beyond a survey: there a model extrapolates, and is over-conf
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 from magmatch.field.box import Box
 from magmatch.field.held_out import folds_of, has_path_order, path_stretches, space_blocks
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Posterior, Prior
+from magmatch.field.linear_model import LinearModel, Posterior, Prior
 from magmatch.field.marginal_likelihood import choose_samples
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
@@ -90,7 +91,12 @@ def divide(points: Points, lengthscale: float) -> Parts:
 
 
 def calibrated(
-    prior: Prior, points: Points, field: Vectors, h: Hyperparameters, box: Box | None = None
+    prior: Prior,
+    points: Points,
+    field: Vectors,
+    h: Hyperparameters,
+    box: Box | None = None,
+    model: LinearModel[Any] | None = None,
 ) -> Hyperparameters:
     """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
 
@@ -102,6 +108,8 @@ def calibrated(
     h : Hyperparameters
     box : Box, optional
         What the prior is laid over beside the points.
+    model : LinearModel, optional
+        The prior with these numbers where it is laid over these points already.
 
     Returns
     -------
@@ -112,7 +120,7 @@ def calibrated(
     parts = divide(few, h.lengthscale)
     if not parts.folds:
         return h
-    model = prior.build(points, field, h, box)
+    model = prior.build(points, field, h, box) if model is None else model
     everything = model.observe(few, values)
 
     def without(fold: Mask) -> Posterior:

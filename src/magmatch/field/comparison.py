@@ -101,12 +101,14 @@ def choose_prior(
         taken = _best(rivals)
     else:
         named = config.model_copy(update={"prior": PREFERRED})
-        taken = replace(rivals[0], hyperparameters=resolved_hyperparameters(samples, named, T_domain_model))
+        h = resolved_hyperparameters(samples, named, T_domain_model)
+        taken = replace(rivals[0], hyperparameters=h, fitted=None)
     comparison = {rival.name: rival.error for rival in rivals if len(rival.log_errors)}
     _tell(taken, comparison)
     config = config.model_copy(update={"prior": taken.name, "comparison": comparison})
     box = declared_box(config, T_domain_model)
-    h = PRIORS[taken.name].calibrated(points, field, taken.hyperparameters, box)
+    model = taken.fitted[0] if taken.fitted is not None and len(samples) <= _N_COMPARED else None
+    h = PRIORS[taken.name].calibrated(points, field, taken.hyperparameters, box, model)
     return config, replace(h, **_given(config))
 
 

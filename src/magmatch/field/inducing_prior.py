@@ -3,6 +3,7 @@
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,6 +17,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing_grid import InducingGrid, lay_affordable_grid
 from magmatch.field.inducing_model import InducingModel
 from magmatch.field.kernels import GaussianKernel, Term
+from magmatch.field.linear_model import LinearModel
 from magmatch.field.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.typing import Points, Vectors
 
@@ -122,10 +124,15 @@ class InducingPrior:
         return self.calibrated(points, field, h) if calibrate else h
 
     def calibrated(
-        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+        self,
+        points: Points,
+        field: Vectors,
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,
+        model: LinearModel[Any] | None = None,
     ) -> Hyperparameters:
         """Chosen numbers with the noise and the spread that held-out samples ask for."""
-        return calibrated(self, points, field, hyperparameters, box)
+        return calibrated(self, points, field, hyperparameters, box, model)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether the inducing points allowed follow the field's typical length."""

@@ -120,9 +120,17 @@ class Prior(Protocol):
         ...
 
     def calibrated(
-        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+        self,
+        points: Points,
+        field: Vectors,
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,
+        model: LinearModel[Any] | None = None,
     ) -> Hyperparameters:
-        """Chosen numbers with the noise and the spread that held-out samples ask for."""
+        """Chosen numbers with the noise and the spread that held-out samples ask for.
+
+        ``model``: what `build` makes of the same arguments, where it is at hand.
+        """
         ...
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:

@@ -3,6 +3,7 @@
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,6 +16,7 @@ from magmatch.field.inducing_model import InducingModel
 from magmatch.field.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
 from magmatch.field.inner_sources import InnerSources, find_inner_sources
 from magmatch.field.kernels import CurlFreeKernel
+from magmatch.field.linear_model import LinearModel
 from magmatch.field.shell import SourceShell, lay_shell
 from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
 from magmatch.typing import Points, Vectors
@@ -99,10 +101,15 @@ class HarmonicPrior:
         return self.calibrated(points, field, h, box) if calibrate else h
 
     def calibrated(
-        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
+        self,
+        points: Points,
+        field: Vectors,
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,
+        model: LinearModel[Any] | None = None,
     ) -> Hyperparameters:
         """Chosen numbers with the noise and the spread that held-out samples ask for."""
-        return calibrated(self, points, field, hyperparameters, box)
+        return calibrated(self, points, field, hyperparameters, box, model)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether the charges allowed can stand as near as the field's typical length asks for."""

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The default prior: a potential of cubic splines on cells near the data, smooth, with a soft law div B = 0."""
 
+from typing import Any
+
 from magmatch.field.box import Box
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import LinearModel
 from magmatch.field.region_model import lay_splines
 from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.field.spline_model import SplineModel
@@ -31,6 +34,7 @@ class SplinePrior:
         field: Vectors,  # noqa: ARG002
         hyperparameters: Hyperparameters,
         box: Box | None = None,  # noqa: ARG002
+        model: LinearModel[Any] | None = None,  # noqa: ARG002
     ) -> Hyperparameters:
         """As they are: the choice holds their calibration."""
         return hyperparameters
