@@ -2,6 +2,7 @@
 """The mapping table: every prior on every kind of survey, with its error, its gradient's error, coverage and time.
 
 Usage: python benchmarks/bench_priors.py [--data ../shared/data] [--rows room ...] [--priors spline harmonic ...]
+`--priors auto` takes what `prior="auto"` takes, the comparison included in its time; `--samples` for the rooms.
 Run with OPENBLAS_NUM_THREADS=1; needs the extra 'simulation'. RMSE is of 3-vectors. On simulations the truth is exact
 and intervals are those of the noise-free field; on recordings a part is left out and intervals include the noise.
 """
@@ -16,6 +17,8 @@ import numpy as np
 
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
+from magmatch.field.comparison import choose_prior
+from magmatch.field.config import FieldConfig
 from magmatch.field.priors import PRIORS
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import INSIDE_CLEARANCE, build_scene
@@ -46,11 +49,12 @@ def truth_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return points, scene.base_field(points), np.stack(gradient, axis=-1)
 
 
-def rooms() -> Iterator[Case]:
+def rooms(n_samples: int) -> Iterator[Case]:
     """The volume of the design notes, and the same with furniture among the samples."""
+    config = ROOM.model_copy(update={"n_samples": n_samples})
     for label, scenario in (("room", "office"), ("inside", "office-inside")):
         for seed in (0, 1, 2):
-            scene, base = build_scene(scenario, ROOM, Streams(seed)), simulate(scenario, seed, ROOM).base
+            scene, base = build_scene(scenario, config, Streams(seed)), simulate(scenario, seed, config).base
             world = np.random.default_rng(5).uniform(-1, 1, size=(4 * N_QUERIES, 3)) * np.array(ROOM.room_size) / 2
             # Where a sensor can be: not in the furniture, nor where its own samples keep off.
             free = is_clear(list(scene.base_sources), world, INSIDE_CLEARANCE)
@@ -112,9 +116,14 @@ def left_out(name: str, survey: Survey, n_blocks: int) -> Case:
 def measure(case: Case, name: str) -> None:
     """Print one line for each test of a case."""
     T = case.survey.principal_frame()
-    samples, prior = case.survey.transformed(T.inv()), PRIORS[name]
+    samples = case.survey.transformed(T.inv())
     start = time.process_time()
-    h = prior.choose_hyperparameters(samples.positions, samples.field)
+    if name == "auto":
+        config, h = choose_prior(samples, FieldConfig(prior="auto"), T)
+        name, prior = f"auto: {config.prior}", PRIORS[config.prior]
+    else:
+        prior = PRIORS[name]
+        h = prior.choose_hyperparameters(samples.positions, samples.field)
     model = prior.build(samples.positions, samples.field, h)
     posterior = model.infer(model.observe(samples.positions, samples.field))
     seconds = time.process_time() - start
@@ -142,9 +151,10 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[1] / "../shared/data")
     parser.add_argument("--rows", nargs="+", default=[], help="Only cases whose name starts with one of these.")
     parser.add_argument("--priors", nargs="+", default=list(PRIORS))
+    parser.add_argument("--samples", type=int, default=ROOM.n_samples, help="Of each room.")
     arguments = parser.parse_args()
     print(f"{'case':16s} {'where':13s} {'prior':16s} RMSE,uT rel.grad cover  s")
-    sets = [rooms(), planes(), tables()]
+    sets = [rooms(arguments.samples), planes(), tables()]
     if arguments.data.exists():
         sets.append(recordings(arguments.data))
     for cases in sets:
