@@ -29,9 +29,10 @@ class SensorConfig(BaseModel):
     # 'auto': bias and scale at the level the evidence asks for, and soft iron where it asks for that; 'none':
     # identical sensors; 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
     mode: SensorMode = "auto"
-    # Prior standard deviations of bias (T) and scale, tightest first: same sensor, same kind, uncalibrated.
-    bias_levels: tuple[float, ...] = (0.2e-6, 0.7e-6, 3e-6)
-    scale_levels: tuple[float, ...] = (0.002, 0.007, 0.03)
+    # Prior standard deviations of bias (T) and scale, tightest first: same sensor, the same on another day, of one
+    # kind, uncalibrated.
+    bias_levels: tuple[float, ...] = (0.05e-6, 0.2e-6, 0.7e-6, 3e-6)
+    scale_levels: tuple[float, ...] = (0.0005, 0.002, 0.007, 0.03)
     # How much more log evidence (nats) a wider level must bring to be taken.
     min_gain: float = Field(default=15.0, ge=0)
 
