@@ -19,7 +19,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, permutations
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +32,12 @@ from magmatch.simulation.config import SimulationConfig
 # Overlap: tolerance in m and degrees.
 TOLERANCE = {1.0: (0.005, 0.2), 0.75: (0.01, 0.3), 0.5: (0.015, 0.4), 0.3: (0.02, 0.6), 0.15: (0.03, 0.8)}
 ROOM = SimulationConfig(room_size=(3.0, 3.0, 0.6))
-KEPT_MAPS = 300
+# Pairs are drawn within blocks of so many maps, so that a worker need not load one for each, nor keep them all.
+BLOCK, PAIRS_OF_A_BLOCK = 40, 400
 Rows = dict[str, dict[str, object]]
 
 
-@lru_cache(maxsize=KEPT_MAPS)
+@lru_cache(maxsize=BLOCK)
 def load(path: Path) -> mm.FieldMap:
     """A map, kept for the next pair it is in."""
     return mm.FieldMap.load(path)
@@ -97,10 +98,12 @@ def crossed(folders: list[Path], n: int, seed: int) -> Iterator[str]:
     maps = sorted(path for folder in folders for path in folder.glob("*.map"))
     rng = np.random.default_rng(seed)
     while n:
-        base, target = (maps[k] for k in rng.choice(len(maps), 2, replace=False))
-        if site_of(base) != site_of(target):
-            n -= 1
-            yield f"{base} / {target}"
+        block = list(permutations(rng.choice(len(maps), min(BLOCK, len(maps)), replace=False), 2))
+        for k in rng.permutation(len(block))[:PAIRS_OF_A_BLOCK]:
+            base, target = (maps[side] for side in block[k])
+            if site_of(base) != site_of(target) and n:
+                n -= 1
+                yield f"{base} / {target}"
 
 
 def site_of(path: Path) -> str:
