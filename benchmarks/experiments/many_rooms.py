@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 
 import magmatch as mm
-from magmatch.evaluation.trial import nees_of
+from magmatch.evaluation.statistics import wilson_interval
+from magmatch.evaluation.trial import best_pose, nees_of
 from magmatch.geometry import transform_error
 from magmatch.simulation.config import SimulationConfig
 
@@ -58,9 +59,7 @@ def same_place(name: str, folder: Path) -> dict[str, object]:
     start = time.process_time()
     result = mm.register(*maps)
     seconds = time.process_time() - start
-    best = result.T_base_target
-    if best is None and result.alternatives:
-        best = result.alternatives[0].T_base_target
+    best = best_pose(result)
     distance, angle = np.inf, np.inf
     if best is not None:
         distance, angle = transform_error(best, pair.T_base_target, pair.target.centroid)
@@ -133,13 +132,6 @@ def run(names: Iterator[str], path: Path, jobs: int, seconds: float, total: int)
                     print(f"{len(found)} of {total}", file=sys.stderr)
 
 
-def wilson(k: int, n: int) -> tuple[float, float]:
-    """95 % bounds of a rate of which k of n were seen."""
-    z, p = 1.96, k / n
-    middle, half = p + z**2 / 2 / n, z * np.sqrt(p * (1 - p) / n + z**2 / 4 / n**2)
-    return (middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)
-
-
 def report_rooms(found: Rows) -> None:
     """One line per overlap."""
     print("overlap  pairs  accepted within tolerance (95 % bounds)  wrong  refused  mm / deg: median, 95 %  NEES  s")
@@ -151,7 +143,7 @@ def report_rooms(found: Rows) -> None:
         accepted = np.array([r["status"] == "accepted" for r in rows])
         good = accepted & (distance < max_m) & (angle < max_deg)
         wrong = accepted & ((distance > 0.1) | (angle > 3))
-        low, high = wilson(int(good.sum()), len(rows))
+        low, high = wilson_interval(int(good.sum()), len(rows))
         quantiles = " ".join(
             f"{1e3 * np.quantile(distance, q, method='higher'):7.1f} / {np.quantile(angle, q, method='higher'):.2f}"
             for q in (0.5, 0.95)

@@ -28,7 +28,6 @@ from magmatch.field.config import FieldConfig
 from magmatch.geometry import log_se3, random_transform, transform_error, transform_points
 from magmatch.registration.pair_search import tabulate_pairs
 from magmatch.registration.prepared import prepare
-from magmatch.registration.raster import Raster
 from magmatch.registration.register_walk import WalkConfig, WalkIndex, index_walks, register_walk
 
 LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -72,9 +71,9 @@ def cut_out(index: WalkIndex, path_model: np.ndarray, radius: float, config: Wal
     raster = index.base.raster
     known = np.argwhere(raster.sd >= 0)
     near = cKDTree(path_model).query(raster.origin + raster.spacing * known, distance_upper_bound=radius)[0] < radius
-    sd = raster.sd.copy()
-    sd[tuple(known[near].T)] = -1.0
-    base = replace(index.base, raster=Raster.of(raster.origin, raster.spacing, raster.field, sd))
+    values = raster.values.copy()
+    values[(*known[near].T, 3)] = -1.0
+    base = replace(index.base, raster=replace(raster, values=values))
     return replace(index, base=base, table=tabulate_pairs(base, index.length, index.noise.total_sd, config.search))
 
 

@@ -4,6 +4,7 @@
 import json
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from magmatch.data.quaternions import QUATERNION, rotations_of
 from magmatch.data.table import Table, read_table, write_table
 from magmatch.errors import DataFormatError
 from magmatch.geometry import rotate_vectors, transform_points
-from magmatch.typing import Points, Scalars, Vector3, Vectors
+from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
 POSITION_COLUMNS = ("x", "y", "z")
 FIELD_COLUMNS = ("bx", "by", "bz")
@@ -237,6 +238,24 @@ class Survey:
         R *= sign
         R[:, 2] = np.cross(R[:, 0], R[:, 1])
         return RigidTransform.from_components(self.centroid, Rotation.from_matrix(R))
+
+
+def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
+    """Surveys without some of their samples, and without those of which none is left.
+
+    Parameters
+    ----------
+    surveys : tuple of Survey
+    kept : (n,) bool array
+        Of the samples of all surveys, in order.
+
+    Returns
+    -------
+    tuple of Survey
+    """
+    ends = np.cumsum([0, *(len(survey) for survey in surveys)])
+    parts = (survey.subset(kept[a:b]) for survey, (a, b) in zip(surveys, pairwise(ends), strict=True))
+    return tuple(part for part in parts if len(part))
 
 
 def _concatenate(first: Rotation, second: Rotation) -> Rotation:

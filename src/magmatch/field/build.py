@@ -3,11 +3,10 @@
 
 import logging
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, subsets
 from magmatch.field.comparison import choose_prior, resolved_hyperparameters
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
@@ -67,9 +66,7 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     if _power_share(field_map, is_out) < LITTLE_POWER:
         # What hardly moved the fit hardly moved the numbers it was fitted with, nor the tiles that did not see it.
         return field_map.without_samples(is_out, run)
-    ends = np.cumsum([0, *(len(part) for part in surveys)])
-    kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(surveys, pairwise(ends), strict=True)]
-    return _fitted(tuple(part for part in kept if len(part)), config, run)
+    return _fitted(subsets(surveys, ~is_out), config, run)
 
 
 def _power_share(field_map: FieldMap, rows: Mask) -> float:

@@ -78,7 +78,8 @@ class CellGrid:
     def locate(self, points: Points) -> tuple[np.ndarray, Points]:
         """Active cell of each point (-1 where there is none) and the position in it, 0 to 1 along each axis."""
         cell, t = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
-        _locate(np.asarray(points, dtype=np.float64), self.spacing, self.first, self.cell_index, cell, t)
+        u = lattice_coordinate(np.asarray(points, dtype=np.float64), self.spacing) - self.first
+        _locate(u, self.cell_index, cell, t)
         return cell, t
 
     def stencil_shifts(self) -> np.ndarray:
@@ -96,17 +97,16 @@ class CellGrid:
 
 
 @njit(cache=True)
-def _locate(points, spacing, first, cell_index, cell, t):  # type: ignore[no-untyped-def]
-    """Active cell of each point and the position in it; -1 where there is none, NaN included."""
+def _locate(u, cell_index, cell, t):  # type: ignore[no-untyped-def]
+    """Active cell of each point, given in cells from the first, and the position in it; -1 where there is none."""
     ijk = np.zeros(3, dtype=np.int64)
-    for n in range(len(points)):
-        is_inside = True
+    for n in range(len(u)):
+        is_inside = True  # which NaN is nowhere
         for axis in range(3):
-            u = points[n, axis] / spacing + 0.5 - first[axis]
-            t[n, axis] = u - np.floor(u)
-            is_inside = is_inside and 0 <= u < cell_index.shape[axis]
+            t[n, axis] = u[n, axis] - np.floor(u[n, axis])
+            is_inside = is_inside and 0 <= u[n, axis] < cell_index.shape[axis]
             if is_inside:
-                ijk[axis] = int(np.floor(u))
+                ijk[axis] = int(np.floor(u[n, axis]))
         cell[n] = cell_index[ijk[0], ijk[1], ijk[2]] if is_inside else -1
 
 

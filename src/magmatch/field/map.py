@@ -2,13 +2,12 @@
 """The noun of this room: a field map, the posterior of the field over the region a survey covers."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, subsets
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
 from magmatch.field.fit import check_finite, fit_posterior
@@ -275,9 +274,7 @@ class FieldMap:
         -------
         FieldMap
         """
-        ends = np.cumsum([0, *(len(part) for part in self.surveys)])
-        kept = [part.subset(~is_out[a:b]) for part, (a, b) in zip(self.surveys, pairwise(ends), strict=True)]
-        parts, fitted = tuple(part for part in kept if len(part)), self._fitted().subset(~is_out)
+        parts, fitted = subsets(self.surveys, ~is_out), self._fitted().subset(~is_out)
         tiles = self._tiles()
         # A region in one piece has no tile that saw none of them.
         stored = tiles if len(tiles) > 1 else None

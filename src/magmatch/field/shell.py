@@ -86,12 +86,6 @@ class SourceShell:
         scales, distance = np.concatenate([self.scale, scale]), float(np.min(cKDTree(samples).query(charges)[0]))
         return replace(self, sources=sources, scale=scales, inner=cKDTree(charges), inner_distance=distance)
 
-    def everywhere(self, points: Points) -> Matrix:
-        """Field per unit of each weight, be the basis silent there or not: (3 n, m), component-major."""
-        distinct = charge_design(np.ascontiguousarray(points), self.sources, 0)
-        distinct *= self.scale
-        return distinct.reshape(-1, self.n_weights)
-
     def design(self, points: Points, order: int = 0) -> Matrix:
         """Field and derivatives per unit of each weight, component-major rows: (rows n, m)."""
         n, is_near = len(points), self.is_whole(points)

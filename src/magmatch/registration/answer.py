@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.geometry import rotate_vectors, rotation_matrix, transform_points
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.covariance import free_directions, to_survey_axes
 from magmatch.registration.decision import (
@@ -218,7 +218,7 @@ def _free_directions(
         best.covariance,
         best.pose.center,
         target.T_map_model,
-        _to_surveys(best.pose.T_base_target, base, target).rotation.as_matrix(),
+        rotation_matrix(_to_surveys(best.pose.T_base_target, base, target)),
         config.max_sd_rotation,
         config.max_sd_translation * min(base.lengthscale, target.lengthscale),
     )
@@ -248,7 +248,7 @@ def _sensor(best: PoseEvidence, target: PreparedMap) -> dict[str, Any] | None:
     sensor = best.pose.sensor
     if best.pose.sensor_sd.max() <= TIED_SD:
         return None
-    R = target.T_map_model.rotation.as_matrix()
+    R = rotation_matrix(target.T_map_model)
     gain = R @ sensor.gain @ R.T
     return {
         "bias": [float(c) for c in R @ sensor.bias],

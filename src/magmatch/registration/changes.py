@@ -179,7 +179,8 @@ def refine_beside_changes(
     gram = samples.charges.T @ (samples.weight[:, None] * samples.charges)
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
     k = 6 + len(pose.sensor_sd)
-    estimate = _solve(_look_up(base, samples, pose), samples, gram, pose, prior)
+    lookup = _look_up(base, samples, pose)
+    estimate = _solve(lookup, samples, gram, pose, prior)
     for _ in range(config.n_steps):
         xi = estimate.values[:k] / max(1.0, float(np.abs(estimate.values[:6] / longest).max()))
         pose = replace(
@@ -188,10 +189,10 @@ def refine_beside_changes(
             sensor=pose.sensor.stepped(xi[6:], 4 * pose.sensor_sd),
         )
         is_close = float(xi @ np.linalg.solve(estimate.covariance[:k, :k], xi)) < CLOSE**2
-        estimate = _solve(_look_up(base, samples, pose), samples, gram, pose, prior, estimate)
+        lookup = _look_up(base, samples, pose)
+        estimate = _solve(lookup, samples, gram, pose, prior, estimate)
         if is_close:
             break
-    lookup = _look_up(base, samples, pose)
     direction = _direction(lookup, samples, gram, pose, estimate)
     known = prior.rows(pose.T_base_target, pose.center)[0]
     refined = replace(pose, prior_information=known, directions=(direction,))
@@ -300,8 +301,9 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
         gram[np.ix_(left, left)], charges.T @ Wr, nothing, estimate.strengths, estimate.noise, float(r @ Wr), len(r)
     )
     b, constant = samples.field.ravel(), np.tile(np.eye(3), (len(samples.field), 1))
-    Wb, cross = samples.weight * b, (samples.weight[:, None] * constant).T @ samples.charges
-    A = np.block([[(samples.weight[:, None] * constant).T @ constant, cross], [cross.T, gram]])
+    Wb, Wc = samples.weight * b, samples.weight[:, None] * constant
+    cross = Wc.T @ samples.charges
+    A = np.block([[Wc.T @ constant, cross], [cross.T, gram]])
     v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
     before, noise, power = np.eye(3) / CONSTANT_SD**2, 4.0, float(b @ Wb)
     strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.geometry import rotation_matrix
 from magmatch.registration.invariant_search import distinct_poses
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Vectors
 
@@ -118,7 +119,7 @@ def vector_msac(
     supported = [c for c in settled if c.is_inlier.sum() >= config.min_inliers]
     if not supported:
         return []
-    R = np.stack([c.T_base_target.rotation.as_matrix() for c in supported])
+    R = np.stack([rotation_matrix(c.T_base_target) for c in supported])
     t = np.stack([c.T_base_target.translation for c in supported]) / inlier_distance
     costs = np.array([c.cost for c in supported])
     return [supported[k] for k in _distinct(R, t, costs, center, config.n_candidates)]

@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import skew
+from magmatch.geometry import rotation_matrix, skew
 from magmatch.registration.path_noise import PathNoise
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import PreparedMap
@@ -129,7 +129,7 @@ def weigh_walk(
     distance = cdist(walk.positions, walk.positions)
     squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0))
     null = UnrelatedWalk.most_likely(walk, distance, noise, length)
-    R = np.stack([T.rotation.as_matrix() for T in starts])
+    R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False), config)
     if not len(coarse.chi2):

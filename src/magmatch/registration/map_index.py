@@ -161,12 +161,10 @@ class IndexFile:
 
     def _raster(self) -> Raster:
         arrays, about = self.content.arrays, self.content.attributes["raster"]
-        shape = tuple(about["shape"])
-        field, sd = np.zeros((*shape, 3)), np.full(shape, -1.0)
-        rows = arrays["raster.rows"]
-        field.reshape(-1, 3)[rows] = arrays["raster.field"]
-        sd.ravel()[rows] = arrays["raster.sd"]
-        return Raster.of(np.array(about["origin"]), about["spacing"], field, sd)
+        return Raster.knowing(
+            np.array(about["origin"]), about["spacing"], tuple(about["shape"]),
+            arrays["raster.rows"], arrays["raster.field"], arrays["raster.sd"],
+        )  # fmt: skip
 
 
 def index_map(field_map: FieldMap, config: RegistrationConfig) -> MapIndex:

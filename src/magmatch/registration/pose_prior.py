@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import skew
+from magmatch.geometry import rotation_matrix, skew
 from magmatch.typing import Indices, Mask, Matrix, Points, Tensors, Vector3
 
 # Standard deviations within which a pose must lie to be searched.
@@ -140,7 +140,7 @@ class PosePrior:
             J = np.zeros((6, 6))
             # Of log(R Exp(theta)) to first order in the angle already there.
             J[:3, :3] = np.eye(3) + 0.5 * skew(turn[None])[0]
-            J[3:, 3:] = difference.rotation.as_matrix()
+            J[3:, 3:] = rotation_matrix(difference)
             r = np.concatenate([turn, shift]) / self.sd
             J /= self.sd[:, None]
             A += J.T @ J

@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
-from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
+from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
 MAX_POINTS = 1_500_000
 # Least share of the map's own samples that its raster must know.
@@ -39,9 +39,14 @@ class Raster:
     values: np.ndarray
 
     @classmethod
-    def of(cls, origin: np.ndarray, spacing: float, field: np.ndarray, sd: np.ndarray) -> Self:
-        """Raster of a field (nx, ny, nz, 3) and its standard deviation (nx, ny, nz), both in T."""
-        return cls(origin, spacing, np.concatenate([field, sd[..., None]], axis=-1))
+    def knowing(
+        cls, origin: np.ndarray, spacing: float, shape: tuple[int, ...], rows: Indices, field: Vectors, sd: Scalars
+    ) -> Self:
+        """Raster of a shape (nx, ny, nz) that knows the field at some points, rows of the flattened grid, alone."""
+        values = np.zeros((int(np.prod(shape)), 4))
+        values[:, 3] = -1.0
+        values[rows, :3], values[rows, 3] = field, sd
+        return cls(origin, spacing, values.reshape(*shape, 4))
 
     @property
     def field(self) -> np.ndarray:
@@ -126,10 +131,8 @@ def _rasterize(field_map: FieldMap, samples: Points, spacing: float, draws: Sequ
     power = np.zeros(len(rows))
     for weights in draws:
         power += ((posterior.evaluate(points[rows], 0, weights).field - mean) ** 2).mean(axis=1)
-    values = np.zeros((grid.n_points, 4))
-    values[:, 3] = -1.0
-    values[rows, :3], values[rows, 3] = mean, np.sqrt(power / len(draws))
-    return Raster(grid.T_map_grid.translation, spacing, values.reshape(*grid.shape, 4))
+    sd = np.sqrt(power / len(draws))
+    return Raster.knowing(grid.T_map_grid.translation, spacing, grid.shape, rows, mean, sd)
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import transform_points
+from magmatch.geometry import rotation_matrix, transform_points
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.covariance import free_directions, to_survey_axes
 from magmatch.registration.decision import Verdict, odds_in_words
@@ -89,7 +89,7 @@ def by_line_evidence(
         covariance,
         best.center,
         walk.T_survey_walk,
-        poses[0].rotation.as_matrix(),
+        rotation_matrix(poses[0]),
         config.max_sd_rotation,
         config.max_sd_translation * length,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
-from magmatch.geometry import exp_se3, skew, transform_points
+from magmatch.geometry import exp_se3, rotation_matrix, skew, transform_points
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Matrix, Points, Scalars, Vector3
 
@@ -66,7 +66,7 @@ def ellipsoids_at(covariance: Matrix, T_base_target: RigidTransform, center: Vec
     place, turn : Ellipsoid
         In m, and in rad.
     """
-    R = T_base_target.rotation.as_matrix()
+    R = rotation_matrix(T_base_target)
     J = np.hstack([-skew(np.asarray(center)[None])[0], np.eye(3)])
     return _ellipsoid(R @ J @ covariance @ J.T @ R.T), _ellipsoid(R @ covariance[:3, :3] @ R.T)
 

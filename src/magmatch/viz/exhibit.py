@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Slerp
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.geometry import rotation_matrix
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars
 from magmatch.viz.plotting import UT_PER_TESLA, magnitude_ut, thinned
@@ -92,7 +93,7 @@ class Exhibit:
         """Where the target's frame stands on the way from as it was recorded (0) to registered (1)."""
         if self.T_base_target is None:
             return RigidTransform.identity()
-        ends = np.stack([np.eye(3), self.T_base_target.rotation.as_matrix()])
+        ends = np.stack([np.eye(3), rotation_matrix(self.T_base_target)])
         turn = Slerp([0.0, 1.0], type(self.T_base_target.rotation).from_matrix(ends))(share)
         return RigidTransform.from_components(share * self.T_base_target.translation, turn)
 
