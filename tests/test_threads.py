@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Parts run side by side give the same bits, and their faults come through."""
 
+import contextvars
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -30,6 +32,44 @@ def test_a_fault_in_a_part_is_raised():
         side_by_side(fail, range(2))
     with pytest.raises(np.linalg.LinAlgError, match="pivot 3"):
         on_one_core(side_by_side, fail, range(2))
+
+
+def test_results_come_in_the_order_of_their_parts():
+    assert side_by_side(lambda k: k * k, range(9)) == [k * k for k in range(9)]
+
+
+def test_parts_of_parts_never_take_more_cores_than_there_are(monkeypatch):
+    monkeypatch.setattr("magmatch.threads._spare_cores", threading.Semaphore(2))
+    lock, running, most = threading.Lock(), [0], [0]
+
+    def leaf(_):
+        with lock:
+            running[0] += 1
+            most[0] = max(most[0], running[0])
+        time.sleep(0.005)
+        with lock:
+            running[0] -= 1
+
+    # The first parts are done early, and their cores go to those within the last.
+    side_by_side(lambda k: side_by_side(leaf, range(1 + 8 * k)), range(4))
+    assert most[0] == 3
+    side_by_side(leaf, range(6))
+    assert most[0] == 3
+
+
+def test_cores_come_back_from_parts_that_fail(monkeypatch):
+    monkeypatch.setattr("magmatch.threads._spare_cores", spare := threading.Semaphore(2))
+    for _ in range(3):
+        with pytest.raises(ZeroDivisionError):
+            side_by_side(lambda k: 1 / (k - 1), range(5))
+    assert [spare.acquire(blocking=False) for _ in range(3)] == [True, True, False]
+
+
+def test_limits_of_a_task_hold_for_its_parts():
+    assert on_one_core(side_by_side, lambda _: threading.get_ident(), range(3)) == [threading.get_ident()] * 3
+    context = contextvars.ContextVar("context", default=0)
+    context.set(7)
+    assert side_by_side(lambda _: context.get(), range(3)) == [7, 7, 7]
 
 
 def test_a_worker_stays_on_its_thread():

@@ -6,10 +6,11 @@ The same bits come out whatever else runs, and worker processes do not fight ove
 
 import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import ContextVar
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextvars import ContextVar, copy_context
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from threading import Semaphore
+from typing import ParamSpec, TypeVar, cast
 
 from threadpoolctl import threadpool_limits
 
@@ -58,8 +59,10 @@ def on_one_core(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         _is_worker.reset(token)
 
 
-def side_by_side(task: Callable[[A], None], parts: Iterable[A]) -> None:
+def side_by_side(task: Callable[[A], T], parts: Iterable[A]) -> list[T]:
     """Run a task on independent parts, at once where there are cores for it.
+
+    A part may itself be cut into parts: they take the cores that are free by then.
 
     Parameters
     ----------
@@ -67,16 +70,37 @@ def side_by_side(task: Callable[[A], None], parts: Iterable[A]) -> None:
         Releases the interpreter most of the time (BLAS, compiled loops) and writes where no other part does.
     parts : iterable
         One argument each.
+
+    Returns
+    -------
+    list
+        What each part gave, in their order. Raises what the first of them raised.
     """
     listed = list(parts)
-    n = min(len(listed), _n_cores())
-    if n < 2 or _is_worker.get():
-        for part in listed:
-            task(part)
-        return
-    with ThreadPoolExecutor(n) as pool:
-        # Waits for all, and raises what the first of them raised.
-        list(pool.map(task, listed))
+    n_helpers = 0 if _is_worker.get() else _take_spare_cores(len(listed) - 1)
+    if n_helpers == 0:
+        return [task(part) for part in listed]
+    numbers, results, leaving = iter(range(len(listed))), [cast("T", None)] * len(listed), iter(range(n_helpers))
+
+    def work() -> None:
+        try:
+            # The next number is given to one thread only: iterators of ranges hold the interpreter.
+            for k in numbers:
+                results[k] = task(listed[k])
+        finally:
+            # Whoever finds nothing left gives a core back; the last one's is the caller's own.
+            if next(leaving, None) is not None:
+                _spare_cores.release()
+
+    with ThreadPoolExecutor(n_helpers) as pool:
+        helpers = [pool.submit(copy_context().run, work) for _ in range(n_helpers)]
+        try:
+            work()
+        finally:
+            wait(helpers)
+    for helper in helpers:
+        helper.result()
+    return results
 
 
 def slices(n: int) -> list[slice]:
@@ -97,3 +121,15 @@ def slices(n: int) -> list[slice]:
 
 def _n_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# Cores of this process that no thread is at work on, beside that of whoever asks.
+_spare_cores = Semaphore(_n_cores() - 1)
+
+
+def _take_spare_cores(most: int) -> int:
+    """As many as are free, without waiting for any."""
+    n = 0
+    while n < most and _spare_cores.acquire(blocking=False):
+        n += 1
+    return n

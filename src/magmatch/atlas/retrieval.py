@@ -131,7 +131,7 @@ def _best_score(
     return max(float(scores.max()), 0.0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _largest_agreement(R, centers, pair_rows, weights, angle, distance):  # type: ignore[no-untyped-def]
     """Largest weight of poses around one of the poses, each pair counted once; poses of a pair stand together."""
     least_trace, best = 1.0 + 2.0 * np.cos(angle), 0.0

@@ -11,7 +11,6 @@ from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_folder
-from magmatch.cli.registering import register_keeping_base
 from magmatch.cli.words import tell_result
 from magmatch.errors import MissingExtraError
 
@@ -39,20 +38,19 @@ def demo(
     check_folder(out)
     from magmatch.data.read import read_survey
     from magmatch.registration.config import PRESETS
-    from magmatch.registration.register import as_map
+    from magmatch.registration.register import as_map, register_keeping_maps
 
     with as_file(files("magmatch.data") / "samples" / "office") as folder:
         base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
     settings = PRESETS["default"]
-    target_map = as_map(target, settings)
-    base_map, result = register_keeping_base(base, target_map, settings, seed)
+    base_map, mapped, result = register_keeping_maps(base, target, settings, seed=seed)
     out.mkdir(exist_ok=True)
     result.save(out / "result.json")
     report: Path | None = out / "report.html"
     try:
         from magmatch.viz.report import write_report
 
-        write_report(out / "report.html", base_map, target_map, result, f"magmatch demo --seed {seed}")
+        write_report(out / "report.html", base_map, as_map(mapped, settings), result, f"magmatch demo --seed {seed}")
     except MissingExtraError as error:
         report = None
         say(f"No picture: {error}")

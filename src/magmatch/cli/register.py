@@ -13,7 +13,7 @@ from magmatch.cli.inputs import read_survey_or_map
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.prior import with_prior
-from magmatch.cli.registering import read_base, register_in_folder, register_keeping_base
+from magmatch.cli.registering import read_base, register_in_folder
 from magmatch.cli.settings import registration_config
 from magmatch.cli.words import tell_result
 
@@ -85,7 +85,7 @@ def register(
 
         require_plotly()
     read = read_survey_or_map(target, layouts, "target")
-    base_map, result = _register(base, read, layouts, settings, seed)
+    base_map, mapped, result = _register(base, read, layouts, settings, seed)
     if out is not None:
         result.save(out)
     if report is not None:
@@ -93,7 +93,7 @@ def register(
         from magmatch.viz.report import write_report
 
         # Of a folder where no map fits there is nothing to draw, but all the words.
-        target_map = None if base_map is None else as_map(read, settings)
+        target_map = None if base_map is None else as_map(mapped, settings)
         write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
     if json:
         put(as_json(result.to_dict()))
@@ -109,10 +109,12 @@ def command_again(base: Path, target: Path, layouts: Layouts, seed: int) -> str:
 
 def _register(
     base: Path, target: "Survey | FieldMap", layouts: Layouts, settings: "RegistrationConfig", seed: int
-) -> "tuple[FieldMap | None, RegistrationResult]":
-    """Register against a file or a folder; the map that the answer speaks of (None where it speaks of none)."""
+) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
+    """Register against a file or a folder; the maps that the answer speaks of (no base where it speaks of none)."""
     from magmatch.atlas.atlas import is_atlas
+    from magmatch.registration.register import register_keeping_maps
 
     if is_atlas(base):
-        return register_in_folder(base, target, settings, seed)
-    return register_keeping_base(read_base(base, layouts, settings), target, settings, seed)
+        base_map, result = register_in_folder(base, target, settings, seed)
+        return base_map, target, result
+    return register_keeping_maps(read_base(base, layouts, settings), target, settings, seed=seed)

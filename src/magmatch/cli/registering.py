@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `register` and `demo` call: the library's verbs, keeping the base's map for a picture."""
+"""What `register` calls beside the library's verb: a folder of maps as the base, and a saved map with its index."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,37 +13,6 @@ if TYPE_CHECKING:
     from magmatch.registration.config import RegistrationConfig
     from magmatch.registration.map_index import MapIndex
     from magmatch.registration.result import RegistrationResult
-
-
-def register_keeping_base(
-    base: "Survey | FieldMap | MapIndex", target: "Survey | FieldMap", settings: "RegistrationConfig", seed: int
-) -> "tuple[FieldMap, RegistrationResult]":
-    """Register, and hand on the map of the base that was made on the way.
-
-    Parameters
-    ----------
-    base : Survey, FieldMap or MapIndex
-    target : Survey or FieldMap
-    settings : RegistrationConfig
-    seed : int
-
-    Returns
-    -------
-    base_map : FieldMap
-    result : RegistrationResult
-        The same as `magmatch.register` gives; its seconds include the mapping.
-    """
-    from magmatch.data.survey import Survey
-    from magmatch.registration.map_index import MapIndex
-    from magmatch.registration.register import as_map, register
-    from magmatch.registration.stopwatch import Stopwatch
-
-    clock = Stopwatch()
-    made = clock.time("base map", as_map, base, settings) if isinstance(base, Survey) else base
-    result = register(made, target, settings, seed=seed)
-    seconds = {stage: s for stage, s in result.seconds.items() if stage != "total"}
-    base_map = made.field_map if isinstance(made, MapIndex) else made
-    return base_map, replace(result, seconds=seconds | clock.seconds())
 
 
 def register_in_folder(

@@ -96,7 +96,7 @@ class CellGrid:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _locate(u, cell_index, cell, t):  # type: ignore[no-untyped-def]
     """Active cell of each point, given in cells from the first, and the position in it; -1 where there is none."""
     ijk = np.zeros(3, dtype=np.int64)
@@ -231,7 +231,7 @@ def _distances(occupied: np.ndarray, shape: np.ndarray, reach: float) -> np.ndar
     return distance
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _spread(occupied: np.ndarray, offsets: np.ndarray, length: np.ndarray, distance: np.ndarray) -> None:
     for i in range(occupied.shape[0]):
         for k in range(offsets.shape[0]):
@@ -239,7 +239,7 @@ def _spread(occupied: np.ndarray, offsets: np.ndarray, length: np.ndarray, dista
             distance[x, y, z] = min(distance[x, y, z], length[k])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _mark_nodes(cells: np.ndarray, node_index: np.ndarray) -> None:
     for n in range(cells.shape[0]):
         for a in range(4):
@@ -248,7 +248,7 @@ def _mark_nodes(cells: np.ndarray, node_index: np.ndarray) -> None:
                     node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3] = 0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _list_nodes(cells: np.ndarray, node_index: np.ndarray, cell_nodes: np.ndarray) -> None:
     for n in range(cells.shape[0]):
         for k in range(64):

@@ -193,7 +193,7 @@ def _rows_of(positions: np.ndarray, start: int, stop: int, border: np.ndarray) -
     return np.where(positions < stop, positions - start, later).astype(np.int64)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _collect(
     lists: np.ndarray, chosen: np.ndarray, stop: int, stamp: int, mark: np.ndarray, found: np.ndarray, count: int
 ) -> int:

@@ -184,7 +184,7 @@ def _near_surface(region: Points, distance: float, step: float) -> Points:
     return np.asarray(origin + step * np.argwhere(np.abs(away - distance) <= 1.4 * step))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _first_of(pairs: np.ndarray, n: int) -> np.ndarray:
     """Points of which no earlier one that stays is a close neighbour; pairs in ascending order."""
     stays = np.ones(n, dtype=np.bool_)

@@ -55,7 +55,7 @@ def derivative_table(order: int) -> np.ndarray:
     return np.concatenate([FIRST, SECOND, THIRD][: order + 1])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def spline_values(t: float, values: np.ndarray) -> None:
     """Fill ``values[d, i]`` with the d-th derivative of the i-th cubic spline at ``0 <= t < 1``."""
     t2 = t * t
@@ -79,7 +79,7 @@ def spline_values(t: float, values: np.ndarray) -> None:
     values[3, 3] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def derivative_rows(
     vx: np.ndarray, vy: np.ndarray, vz: np.ndarray, derivatives: np.ndarray, spacing: float, rows: np.ndarray
 ) -> None:

@@ -74,7 +74,7 @@ def _places(derivatives: np.ndarray) -> np.ndarray:
     return np.asarray(derivatives[:, 2] * _WIDTH + in_plane, dtype=np.uint64)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _axis_table(t: np.ndarray, spacing: float) -> np.ndarray:
     """Splines and their derivatives along one axis, per metre: (n, 4, 4)."""
     tables = np.zeros((len(t), 4, 4))
@@ -85,7 +85,7 @@ def _axis_table(t: np.ndarray, spacing: float) -> np.ndarray:
     return tables
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _contract(  # type: ignore[no-untyped-def]  # noqa: PLR0912
     ix, iy, iz, vx, vy, vz, cell_index, node_index, weights, n_in_plane, first, second_index, third, field, gradient,
     second,
@@ -129,7 +129,7 @@ def _contract(  # type: ignore[no-untyped-def]  # noqa: PLR0912
                         second[row, q] = sums[third[q]]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _span(index, n):  # type: ignore[no-untyped-def]
     """First node and one past the last that cells of an axis touch, as far as they exist."""
     low, high = n, 0
@@ -139,7 +139,7 @@ def _span(index, n):  # type: ignore[no-untyped-def]
     return min(low, high), high
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _load_slab(x, y_low, z_low, node_index, weights, slab):  # type: ignore[no-untyped-def]
     """Coefficients of the four layers of nodes that a layer of cells touches; 0 where there is no node."""
     for a in range(4):
@@ -149,7 +149,7 @@ def _load_slab(x, y_low, z_low, node_index, weights, slab):  # type: ignore[no-u
                 slab[a, y, z] = weights[node] if node >= 0 else 0.0
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
 def _fill_line(y, v, highest, plane, line):  # type: ignore[no-untyped-def]
     """All derivatives in the plane along one line of nodes."""
     for p in range((highest + 1) * (highest + 2) // 2):
@@ -163,7 +163,7 @@ def _fill_line(y, v, highest, plane, line):  # type: ignore[no-untyped-def]
             )
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
 def _sum_line(z, v, n_in_plane, line, sums):  # type: ignore[no-untyped-def]
     """All derivatives at one point of a line: more than are asked for, since known counts become vector code."""
     # Unsigned, or every access would first ask whether to count from the end.

@@ -164,7 +164,7 @@ def normals(seed: int, names: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def fill_normals(start: np.ndarray, out: np.ndarray) -> None:
     """Fill each row by Box and Muller's transform of a splitmix64 stream from its start."""
     for i in range(out.shape[0]):
@@ -184,7 +184,7 @@ def fill_normals(start: np.ndarray, out: np.ndarray) -> None:
                 out[i, j + 1] = radius * np.sin(2 * np.pi * u[1])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def scatter_add(values: np.ndarray, cell_nodes: np.ndarray, out: np.ndarray) -> None:
     """Add one value per cell and node of it to the nodes."""
     for n in range(cell_nodes.shape[0]):

@@ -8,6 +8,7 @@ its samples where a covariance is asked for.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from magmatch.field.tile_fit import Samples, TileTask, fit_weights
 from magmatch.field.tile_tasks import TileTasks
 from magmatch.field.tiled_posterior import FACTORED_BYTES, FACTORED_TILES, Recent, TiledPosterior
 from magmatch.field.tiles import Index, Tiling
-from magmatch.threads import single_threaded
+from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Applies a function to every task, results in the order of the tasks.
@@ -98,7 +99,7 @@ class TiledModel:
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
         if run is map:
             # Outliers and draws ask for the factors next: made here, those of a small map stay.
-            fitted: Iterable[Scalars] = (_fit_here(tasks, k, factors) for k in numbers)
+            fitted: Iterable[Scalars] = side_by_side(partial(_fit_here, tasks, factors), numbers)
         else:
             fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
@@ -117,7 +118,7 @@ class TiledModel:
 
 
 @single_threaded
-def _fit_here(tasks: TileTasks, number: int, factors: Recent) -> Scalars:
+def _fit_here(tasks: TileTasks, factors: Recent, number: int) -> Scalars:
     """What `fit_weights` gives of a tile, whose factor is offered to those who want it later."""
     posterior = tasks.task(number).infer()
     factors.offer(number, posterior)

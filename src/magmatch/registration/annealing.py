@@ -83,7 +83,7 @@ def _anneal(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, s
         )
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _normal_equations(R, pb, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift):  # type: ignore[no-untyped-def]
     """Weighted normal equations of the left perturbation (dth, dp) about the anchor, and the score."""
     noise, V0, eps, field_rms, gradient_rms = scale[0], scale[1], scale[2], scale[3], scale[4]
@@ -134,7 +134,7 @@ def _normal_equations(R, pb, pt, rows, x, b, b2, values, origin, spacing, scale,
     return A, v, total + np.log(product)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _rotation(th):  # type: ignore[no-untyped-def]
     """Rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.sqrt((th**2).sum())

@@ -182,7 +182,7 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
     return rows
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
     """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
     n = len(shuffled)
@@ -215,7 +215,7 @@ def distinct_poses(
     return np.asarray(order[kept], dtype=np.int64)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _first_distinct(R, centers, trace, distance2, limit):  # type: ignore[no-untyped-def]
     """Rows in order that no kept row before them resembles: trace of the relative rotation, squared distance."""
     kept = np.zeros(min(limit, len(R)), dtype=np.int64)

@@ -91,7 +91,7 @@ class NeighbourTree:
         return np.asarray(self.rows[found], dtype=np.int64), distance2
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _query(points, axes, values, targets, found, distance2):  # type: ignore[no-untyped-def]
     n, d = points.shape
     k, n_inner = found.shape[1], len(axes)

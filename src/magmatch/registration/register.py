@@ -3,6 +3,7 @@
 
 import logging
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -23,12 +24,11 @@ from magmatch.registration.result import RegistrationResult
 from magmatch.registration.serialization import describe_input
 from magmatch.registration.stopwatch import Stopwatch
 from magmatch.registration.walk import choose_search
-from magmatch.threads import single_threaded
+from magmatch.threads import side_by_side, single_threaded
 
 log = logging.getLogger(__name__)
 
 
-@single_threaded
 def register(
     base: Survey | FieldMap | MapIndex,
     target: Survey | FieldMap,
@@ -58,21 +58,54 @@ def register(
     SurveyError
         If a survey holds NaN, impossible values or too few samples.
     """
+    return register_keeping_maps(base, target, config, seed=seed)[2]
+
+
+@single_threaded
+def register_keeping_maps(
+    base: Survey | FieldMap | MapIndex,
+    target: Survey | FieldMap,
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+) -> tuple[FieldMap, Survey | FieldMap, RegistrationResult]:
+    """Register, and hand on the maps that were made on the way: for pictures, or for the next registration.
+
+    Parameters
+    ----------
+    base, target, config, seed
+        As `register` says.
+
+    Returns
+    -------
+    base_map : FieldMap
+    target : Survey or FieldMap
+        A survey only where the answer needed no map of it.
+    result : RegistrationResult
+        What `register` gives.
+    """
     config = config or PRESETS["default"]
-    clock = Stopwatch()
-    base_map = base.field_map if isinstance(base, MapIndex) else clock.time("base map", as_map, base, config)
+    clock, inputs = Stopwatch(), (describe_input(survey_of(base)), describe_input(survey_of(target)))
+    if isinstance(base, Survey):
+        # Both at once: a base that has to be mapped first leaves a core for the target.
+        base, target = clock.time("maps", side_by_side, partial(as_map, config=config), (base, target))
+    base_map = base.field_map if isinstance(base, MapIndex) else base
     if config.search == "keypoints" and config.decision.rule == "fitness":
-        target_map = clock.time("target map", as_map, target, config)
-        answer = register_by_keypoints(base_map, target_map, config, seed, clock)
+        target = clock.time("maps", as_map, target, config)
+        answer = register_by_keypoints(base_map, target, config, seed, clock)
     else:
-        answer = register_by_field(base if isinstance(base, MapIndex) else base_map, target, config, seed, clock)
-    return replace(
-        answer,
-        seconds=clock.seconds(),
-        config=config.model_dump(mode="json"),
-        version=__version__,
-        seed=seed,
-        inputs=(describe_input(base_map.survey), describe_input(survey_of(target))),
+        answer = register_by_field(base, target, config, seed, clock)
+    return (
+        base_map,
+        target,
+        replace(
+            answer,
+            seconds=clock.seconds(),
+            config=config.model_dump(mode="json"),
+            version=__version__,
+            seed=seed,
+            inputs=inputs,
+        ),
     )
 
 
@@ -124,7 +157,7 @@ def settle_walk(
 
 def prepare_target(target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch) -> PreparedMap:
     """Map a target where it is none yet, and put it into the form that maps are compared in."""
-    target_map = clock.time("target map", as_map, target, config)
+    target_map = clock.time("maps", as_map, target, config)
     return clock.time("prepare", prepare, target_map, config.invariants.n_draws, np.random.default_rng(seed))
 
 
@@ -139,8 +172,10 @@ def register_by_keypoints(
     return by_fitness(found, fitness, config.decision)
 
 
-def survey_of(survey_or_map: Survey | FieldMap) -> Survey:
+def survey_of(survey_or_map: Survey | FieldMap | MapIndex) -> Survey:
     """Samples of a survey, or those that a map was made from."""
+    if isinstance(survey_or_map, MapIndex):
+        return survey_or_map.field_map.survey
     return survey_or_map.survey if isinstance(survey_or_map, FieldMap) else survey_or_map
 
 

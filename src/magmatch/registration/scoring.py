@@ -127,14 +127,14 @@ def score_poses(
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
     """'Mostly explained by the base' over 'unrelated field' for one sample."""
     s = V0 / V
     return outlier_share + (1 - outlier_share) * s * np.sqrt(s) * np.exp(0.5 * (b2 / V0 - r2 / V))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0):  # type: ignore[no-untyped-def]
     """Residual variance of a sample at squared distance d2 from the anchor of an inaccurate pose."""
     turn2 = sd_rotation * sd_rotation

@@ -86,7 +86,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
     return Walk(T_survey_walk, positions, field, counts, survey.pose_sd)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
     """Bin of each sample: a new one begins at a sample that is farther than ``side`` from the bin's first."""
     rows = np.zeros(len(positions), dtype=np.int64)
