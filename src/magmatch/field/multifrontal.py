@@ -3,7 +3,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +12,11 @@ from scipy.linalg import blas
 from magmatch.field.blas import cholesky, divide_right_transposed, subtract_square
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.nested_dissection import Elimination
+from magmatch.field.reserve import RESERVE
 from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
+
+NOTHING = np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,61 +80,10 @@ class CholeskyFactor:
         return blas.dtrsm if self.precision == np.float64 else blas.strsm
 
 
-class Workspace:
-    """Matrices in memory that is used again: fresh pages would cost a fifth of the time.
-
-    Parameters
-    ----------
-    size : int
-        Numbers in the largest matrix.
-    precision : numpy type
-    """
-
-    def __init__(self, size: int, precision: npt.DTypeLike = np.float64) -> None:
-        self._size, self._precision = max(1, size), precision
-        self._free: list[np.ndarray] = []
-
-    def take(self, n_rows: int, n_columns: int) -> np.ndarray:
-        """Matrix with arbitrary content, column by column."""
-        memory = self._free.pop() if self._free else np.empty(self._size, dtype=self._precision)
-        return memory[: n_rows * n_columns].reshape((n_rows, n_columns), order="F")
-
-    def give_back(self, *matrices: np.ndarray) -> None:
-        """Let others use the memory of matrices that came from `take`."""
-        self._free.extend(m.base for m in matrices if m.base is not None)
-
-
-class FactorMemory:
-    """Where a factor lies, and what is at work while it is made; a next factor made in it overwrites the last.
-
-    Parameters
-    ----------
-    elimination : Elimination
-    precision : numpy type
-    """
-
-    def __init__(self, elimination: Elimination, precision: npt.DTypeLike = np.float64) -> None:
-        sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
-        memory = np.empty(sum(n * (n + k) for n, k in sizes), dtype=precision)
-        self.pivots: list[np.ndarray] = []
-        self.below: list[np.ndarray] = []
-        self.nothing = np.zeros((0, 0), dtype=precision, order="F")
-        start = 0
-        for n, k in sizes:
-            self.pivots.append(memory[start : start + n * n].reshape((n, n), order="F"))
-            self.below.append(memory[start + n * n : start + n * (n + k)].reshape((k, n), order="F"))
-            start += n * (n + k)
-        largest = max(k * k for _, k in sizes)
-        self._new_space = partial(Workspace, largest, precision)
-        self._spaces: dict[range, Workspace] = {}
-
-    def space(self, fronts: range) -> Workspace:
-        """Memory for the updates of a part of the tree."""
-        return self._spaces.setdefault(fronts, self._new_space())
-
-
 @single_threaded
-def factorise(elimination: Elimination, matrix: StencilMatrix, memory: FactorMemory | None = None) -> CholeskyFactor:
+def factorise(
+    elimination: Elimination, matrix: StencilMatrix, precision: npt.DTypeLike = np.float64
+) -> CholeskyFactor:
     """Factorise a positive definite matrix.
 
     Parameters
@@ -140,8 +91,8 @@ def factorise(elimination: Elimination, matrix: StencilMatrix, memory: FactorMem
     elimination : Elimination
         Order and fronts for the matrix' cells.
     matrix : StencilMatrix
-    memory : FactorMemory, optional
-        Where the factor is to lie, and in which precision; in fresh memory and double by default.
+    precision : numpy type
+        Of the factor.
 
     Returns
     -------
@@ -152,18 +103,30 @@ def factorise(elimination: Elimination, matrix: StencilMatrix, memory: FactorMem
     numpy.linalg.LinAlgError
         If the matrix is not positive definite; names the pivot.
     """
-    memory = memory or FactorMemory(elimination)
+    pivots, below = _blocks(elimination, precision)
     root = len(elimination.fronts) - 1
-    updates: list[np.ndarray] = [memory.nothing] * len(elimination.fronts)
+    updates = [NOTHING] * len(elimination.fronts)
 
     def eliminate(fronts: range) -> None:
-        row_of, space = np.full(elimination.n_unknowns, -1, dtype=np.int64), memory.space(fronts)
+        row_of = np.full(elimination.n_unknowns, -1, dtype=np.int64)
         for k in fronts:
-            updates[k] = _eliminate(elimination, k, matrix, row_of, updates, memory, space)
+            updates[k] = _eliminate(elimination, k, matrix, row_of, updates, pivots[k], below[k])
 
     side_by_side(eliminate, elimination.branches)
     eliminate(range(root, root + 1))
-    return CholeskyFactor(elimination, memory.pivots, memory.below)
+    return CholeskyFactor(elimination, pivots, below)
+
+
+def _blocks(elimination: Elimination, precision: npt.DTypeLike) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Where a factor's pivots and what is below them are to lie: one piece of memory."""
+    sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
+    memory = RESERVE.take(sum(n * (n + k) for n, k in sizes), 1, precision).ravel(order="K")
+    pivots, below, start = [], [], 0
+    for n, k in sizes:
+        pivots.append(memory[start : start + n * n].reshape((n, n), order="F"))
+        below.append(memory[start + n * n : start + n * (n + k)].reshape((k, n), order="F"))
+        start += n * (n + k)
+    return pivots, below
 
 
 def _eliminate(
@@ -172,19 +135,18 @@ def _eliminate(
     matrix: StencilMatrix,
     row_of: np.ndarray,
     updates: list[np.ndarray],
-    memory: FactorMemory,
-    space: Workspace,
+    A: np.ndarray,
+    X: np.ndarray,
 ) -> np.ndarray:
     """Write a front's columns of the factor; gives what is left for its parent, uses up what its children left."""
     front, is_leaf = e.fronts[k], True
-    A, X = memory.pivots[k], memory.below[k]
     entries = (matrix.stencil, matrix.border, matrix.corner)
     _assemble(front.unknowns, e.flat_nodes, e.shifts, e.node_index, *entries, row_of, A, X)
-    S = space.take(len(X), len(X))
+    S = RESERVE.take(len(X), len(X), A.dtype)
     for child, rows in zip(front.children, front.child_rows, strict=True):
         _extend_add(updates[child], rows, A, X, S, is_leaf)
-        space.give_back(updates[child])
-        updates[child], is_leaf = memory.nothing, False
+        # Its memory serves the next front.
+        updates[child], is_leaf = NOTHING, False
     failed = _factor_front(A, X, S, is_leaf)
     if failed:
         msg = f"matrix is not positive definite: pivot {front.start + failed} of {e.n_unknowns} fails"

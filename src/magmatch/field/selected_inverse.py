@@ -12,7 +12,8 @@ from magmatch.field.blas import (
     subtract_transposed_product,
 )
 from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
-from magmatch.field.multifrontal import CholeskyFactor, Workspace
+from magmatch.field.multifrontal import CholeskyFactor
+from magmatch.field.reserve import RESERVE
 from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
 
@@ -36,27 +37,22 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     """
     e = factor.elimination
     out = StencilMatrix.zeros(e.n_unknowns - 3)
-    largest = max(len(f.border) ** 2 for f in e.fronts)
-    widest = max((f.stop - f.start) * max(f.stop - f.start, len(f.border)) for f in e.fronts)
     root = len(e.fronts) - 1
     inherited: dict[int, np.ndarray] = {root: np.zeros((0, 0), dtype=factor.precision, order="F")}
 
     def descend(fronts: range) -> None:
         row_of = np.full(e.n_unknowns, -1, dtype=np.int64)
-        space, own = Workspace(largest, factor.precision), Workspace(widest, factor.precision)
         for k in reversed(fronts):
             front, L, X, Z22 = e.fronts[k], factor.pivots[k], factor.below[k], inherited.pop(k)
-            L_inverse, W, Z11, Z21 = (own.take(*A.shape) for A in (L, X, L, X))
+            L_inverse, W, Z11, Z21 = (RESERVE.take(len(A), len(L), factor.precision) for A in (L, X, L, X))
             _front_inverse(L, X, Z22, L_inverse, W, Z11, Z21)
             for child, rows in zip(front.children, front.child_rows, strict=True):
-                inherited[child] = space.take(len(rows), len(rows))
+                inherited[child] = RESERVE.take(len(rows), len(rows), factor.precision)
                 _take_block(Z11, Z21, Z22, rows, inherited[child])
             _store(
                 front.unknowns, e.flat_nodes, e.shifts, e.node_index, row_of, Z11, Z21,
                 out.stencil, out.border, out.corner,
             )  # fmt: skip
-            own.give_back(L_inverse, W, Z11, Z21)
-            space.give_back(Z22)
 
     descend(range(root, root + 1))
     side_by_side(descend, e.branches)

@@ -18,7 +18,7 @@ import numpy as np
 from magmatch.field.cells import CellGrid, lay_cells
 from magmatch.field.held_out import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.multifrontal import CholeskyFactor, FactorMemory, factorise
+from magmatch.field.multifrontal import CholeskyFactor, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
 from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.stencil_matrix import StencilMatrix
@@ -58,11 +58,10 @@ class Fit:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Observed:
-    """What trials of one spacing and reach share: the data's information, and memory for sums and factors."""
+    """What trials of one spacing and reach share: the data's information, and memory for sums."""
 
     information: SplineInformation
     sums: np.ndarray
-    memory: FactorMemory
 
 
 class EvidenceSearch:
@@ -155,8 +154,8 @@ class EvidenceSearch:
         key = (h.spacing, h.reach)
         if key not in self._data:
             model = self._model(h)
-            data, memory = model.observe(self.points, self.field), FactorMemory(model.elimination, self.precision)
-            self._data[key] = Observed(data, np.empty_like(data.gram.stencil), memory)
+            data = model.observe(self.points, self.field)
+            self._data[key] = Observed(data, np.empty_like(data.gram.stencil))
         return self._data[key]
 
     def _fit(self, h: Hyperparameters) -> Fit:
@@ -179,7 +178,7 @@ class EvidenceSearch:
         corner = data.gram.corner + np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2
         A, crowd = StencilMatrix(shared.sums, data.gram.border, corner), self.field.size / model.cells.n_cells
         is_risky = self.precision == np.float32 and crowd > HIGHEST_CONTRAST * scale
-        return A, factorise(model.elimination, A, None if is_risky else shared.memory)
+        return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
 
     def _shape(self, h: Hyperparameters) -> StencilMatrix:
         """Prior precision where signal and noise are the same, of which theirs is a multiple."""
@@ -192,9 +191,9 @@ class EvidenceSearch:
 
     def _log_determinant(self, h: Hyperparameters) -> float:
         """Of the prior's shape, factorised once."""
-        key, memory = _shape_of(h), self._observed(h).memory
+        key = _shape_of(h)
         if key not in self._log_determinants:
-            factor = factorise(self._model(h).elimination, self._shape(h), memory)
+            factor = factorise(self._model(h).elimination, self._shape(h), self.precision)
             self._log_determinants[key] = factor.log_determinant
         return self._log_determinants[key]
 
