@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from magmatch.threads import side_by_side, slices
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # A squared-exponential potential's field differs from itself one lengthscale away by this share of its variance.
@@ -46,7 +47,8 @@ def typical_length(points: Points, field: Vectors) -> float:
     subset = points if n <= 20_000 else points[:: -(-n // 20_000)]
     values = field if n <= 20_000 else field[:: -(-n // 20_000)]
     ranks = ranks[ranks < len(subset)]
-    distance, other = _neighbours(points[anchors], subset, ranks)
+    found = side_by_side(lambda some: _neighbours(points[anchors[some]], subset, ranks), slices(len(anchors)))
+    distance, other = (np.concatenate(part) for part in zip(*found, strict=True))
     half_square = 0.5 * ((values[other] - field[anchors][:, None]) ** 2).sum(axis=2)
     order = np.argsort(distance, axis=None)
     d, g = distance.ravel()[order], half_square.ravel()[order]

@@ -10,7 +10,7 @@ from numba import njit
 from scipy.linalg import blas
 
 from magmatch.field.blas import cholesky, divide_right_transposed, subtract_square
-from magmatch.field.cells import FULL_STENCIL, HALF_STENCIL
+from magmatch.field.cells import HALF_STENCIL
 from magmatch.field.nested_dissection import Elimination
 from magmatch.field.reserve import RESERVE
 from magmatch.field.stencil_matrix import StencilMatrix
@@ -108,9 +108,9 @@ def factorise(
     updates = [NOTHING] * len(elimination.fronts)
 
     def eliminate(fronts: range) -> None:
-        row_of = np.full(elimination.n_unknowns, -1, dtype=np.int64)
+        row_at = np.full(len(elimination.node_index), -1, dtype=np.int32)
         for k in fronts:
-            updates[k] = _eliminate(elimination, k, matrix, row_of, updates, pivots[k], below[k])
+            updates[k] = _eliminate(elimination, k, matrix, row_at, updates, pivots[k], below[k])
 
     side_by_side(eliminate, elimination.branches)
     eliminate(range(root, root + 1))
@@ -133,7 +133,7 @@ def _eliminate(
     e: Elimination,
     k: int,
     matrix: StencilMatrix,
-    row_of: np.ndarray,
+    row_at: np.ndarray,
     updates: list[np.ndarray],
     A: np.ndarray,
     X: np.ndarray,
@@ -141,7 +141,7 @@ def _eliminate(
     """Write a front's columns of the factor; gives what is left for its parent, uses up what its children left."""
     front, is_leaf = e.fronts[k], True
     entries = (matrix.stencil, matrix.border, matrix.corner)
-    _assemble(front.unknowns, e.flat_nodes, e.shifts, e.node_index, *entries, row_of, A, X)
+    _assemble(front.unknowns, e.flat_nodes, e.shifts, row_at, *entries, A, X)
     S = RESERVE.take(len(X), len(X), A.dtype)
     for child, rows in zip(front.children, front.child_rows, strict=True):
         _extend_add(updates[child], rows, A, X, S, is_leaf)
@@ -155,36 +155,46 @@ def _eliminate(
 
 
 @njit(cache=True, nogil=True)
-def _assemble(unknowns, flat, shifts, lookup, stencil, border, corner, row_of, A, X):  # type: ignore[no-untyped-def]
+def _assemble(unknowns, flat, shifts, row_at, stencil, border, corner, A, X):  # type: ignore[no-untyped-def]
     """Copy the matrix' own entries of a front's columns into its dense blocks, 0 elsewhere."""
-    n, m = A.shape[0], stencil.shape[0]
     A[:], X[:] = 0, 0
-    for row in range(len(unknowns)):
-        row_of[unknowns[row]] = row
+    nodes = unknowns[unknowns < len(stencil)]
+    for row in range(len(nodes)):
+        row_at[flat[nodes[row]]] = row
+    _copy_stencils(nodes, flat, shifts, row_at, stencil, A, X)
+    _copy_constant(unknowns, border, corner, A, X)
+    row_at[flat[nodes]] = -1
+
+
+@njit(cache=True, nogil=True)
+def _copy_stencils(nodes, flat, shifts, row_at, stencil, A, X):  # type: ignore[no-untyped-def]
+    """Entries between nodes, of which those that were eliminated before have no row."""
+    n = len(A)
+    for j in range(min(n, len(nodes))):
+        for o in range(HALF_STENCIL):
+            row = row_at[flat[nodes[j]] + shifts[HALF_STENCIL - 1 + o]]
+            if row >= n:
+                X[row - n, j] = stencil[nodes[j], o]
+            elif row >= 0:
+                A[max(row, j), min(row, j)] = stencil[nodes[j], o]
+        # The front's own nodes on the other side meet this one on theirs.
+        for o in range(1, HALF_STENCIL):
+            row = row_at[flat[nodes[j]] + shifts[HALF_STENCIL - 1 - o]]
+            if row >= n:
+                X[row - n, j] = stencil[nodes[row], o]
+
+
+@njit(cache=True, nogil=True)
+def _copy_constant(unknowns, border, corner, A, X):  # type: ignore[no-untyped-def]
+    """Entries of the constant, which comes last in every front."""
+    n, m, first = len(A), len(border), len(unknowns) - 3
     for j in range(n):
-        i = unknowns[j]
-        if i >= m:
-            for c in range(i - m, 3):
-                A[row_of[m + c], j] = corner[c, i - m]
-            continue
-        for o in range(FULL_STENCIL):
-            q = lookup[flat[i] + shifts[o]]
-            # Unknowns of other fronts have no row; rows before the diagonal were filled from the other side.
-            if q < 0 or row_of[q] < j:
-                continue
-            row = row_of[q]
-            value = stencil[i, o - HALF_STENCIL + 1] if o >= HALF_STENCIL - 1 else stencil[q, HALF_STENCIL - 1 - o]
-            if row < n:
-                A[row, j] = value
+        for c in range(max(0, unknowns[j] - m), 3):
+            value = border[unknowns[j], c] if unknowns[j] < m else corner[c, unknowns[j] - m]
+            if first + c < n:
+                A[first + c, j] = value
             else:
-                X[row - n, j] = value
-        for c in range(3):
-            row = row_of[m + c]
-            if row < n:
-                A[row, j] = border[i, c]
-            else:
-                X[row - n, j] = border[i, c]
-    row_of[unknowns] = -1
+                X[first + c - n, j] = value
 
 
 @njit(cache=True, nogil=True)

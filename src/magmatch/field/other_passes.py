@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from magmatch.field.held_out import folds_of, path_stretches
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline_evidence import EvidenceSearch
+from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Vectors
 
 # Half of what is left out, nearest to other passes, counts; the rest crosses none and tells nothing. Of their errors
@@ -76,9 +77,11 @@ class OtherPasses:
 
     def misses(self, h: Hyperparameters) -> Misses:
         """Predict every stretch that is left out."""
-        errors, variances = [], []
-        for fold in self._folds:
+
+        def predict(fold: Mask) -> tuple[Vectors, Vectors]:
             posterior, x = self._search.fit_without(fold, h), self._search.points[fold]
-            errors.append(posterior.evaluate(x).field - self._search.field[fold])
-            variances.append(np.diagonal(posterior.covariance(x), axis1=1, axis2=2))
+            error = posterior.evaluate(x).field - self._search.field[fold]
+            return error, np.diagonal(posterior.covariance(x), axis1=1, axis2=2)
+
+        errors, variances = zip(*side_by_side(predict, self._folds), strict=True)
         return Misses(np.concatenate(errors), np.concatenate(variances), self._is_near)

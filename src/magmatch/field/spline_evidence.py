@@ -15,11 +15,12 @@ from functools import partial
 
 import numpy as np
 
-from magmatch.field.cells import CellGrid, lay_cells
+from magmatch.field.cells import HALF_STENCIL, CellGrid, lay_cells
 from magmatch.field.held_out import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import CholeskyFactor, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
+from magmatch.field.reserve import RESERVE
 from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
@@ -56,14 +57,6 @@ class Fit:
     weights: Scalars
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Observed:
-    """What trials of one spacing and reach share: the data's information, and memory for sums."""
-
-    information: SplineInformation
-    sums: np.ndarray
-
-
 class EvidenceSearch:
     """Evidence of trial hyperparameters for given samples, each computed once.
 
@@ -85,7 +78,7 @@ class EvidenceSearch:
         self.samples_as_one = 1.0
         # By spacing and reach.
         self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
-        self._data: dict[tuple[float, float], Observed] = {}
+        self._data: dict[tuple[float, float], SplineInformation] = {}
         self._fits: dict[Hyperparameters, Fit] = {}
         self._shapes: dict[Shape, StencilMatrix] = {}
         self._log_determinants: dict[Shape, float] = {}
@@ -118,7 +111,7 @@ class EvidenceSearch:
 
     def residuals(self, h: Hyperparameters) -> Vectors:
         """What the fitted mean leaves of the samples, (n, 3), T."""
-        model, data = self._model(h), self._observed(h).information
+        model, data = self._model(h), self._observed(h)
         posterior = SplinePosterior(h, model.cells, partial(model.factorise, data), self._fit(h).weights)
         left: Vectors = self.field - posterior.evaluate(self.points).field
         return left
@@ -135,8 +128,8 @@ class EvidenceSearch:
         return float(np.clip(h.spacing / 4 / max(float(np.median(step)), 1e-300), 1.0, MOST_SAMPLES_AS_ONE))
 
     def fit_without(self, rows: Mask, h: Hyperparameters) -> SplinePosterior:
-        """Posterior of all samples but some; it lasts until the next factorisation."""
-        model, data = self._model(h), self._observed(h).information
+        """Posterior of all samples but some."""
+        model, data = self._model(h), self._observed(h)
         rest = data - model.observe(self.points[rows], self.field[rows])
         A, factor = self._factor(h, rest)
         w, _, change = _solve(A, factor, rest.eta, model.cells)
@@ -150,17 +143,16 @@ class EvidenceSearch:
             self._bases[key] = cells, order_elimination(cells)
         return SplineModel(h, *self._bases[key])
 
-    def _observed(self, h: Hyperparameters) -> Observed:
+    def _observed(self, h: Hyperparameters) -> SplineInformation:
+        """What the samples say about splines of one spacing and reach, said once."""
         key = (h.spacing, h.reach)
         if key not in self._data:
-            model = self._model(h)
-            data = model.observe(self.points, self.field)
-            self._data[key] = Observed(data, np.empty_like(data.gram.stencil))
+            self._data[key] = self._model(h).observe(self.points, self.field)
         return self._data[key]
 
     def _fit(self, h: Hyperparameters) -> Fit:
         if h not in self._fits:
-            data = self._observed(h).information
+            data = self._observed(h)
             A, factor = self._factor(h, data)
             w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
             # As the first solution has it, which is off by the square of its error; and that.
@@ -172,11 +164,12 @@ class EvidenceSearch:
 
     def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
-        model, shared, scale = self._model(h), self._observed(h), _scale(h)
-        np.multiply(self._shape(h).stencil, scale, out=shared.sums)
-        np.add(shared.sums, data.gram.stencil, out=shared.sums)
+        model, scale = self._model(h), _scale(h)
+        stencil = RESERVE.take(HALF_STENCIL, model.cells.n_nodes).T
+        np.multiply(self._shape(h).stencil, scale, out=stencil)
+        np.add(stencil, data.gram.stencil, out=stencil)
         corner = data.gram.corner + np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2
-        A, crowd = StencilMatrix(shared.sums, data.gram.border, corner), self.field.size / model.cells.n_cells
+        A, crowd = StencilMatrix(stencil, data.gram.border, corner), self.field.size / model.cells.n_cells
         is_risky = self.precision == np.float32 and crowd > HIGHEST_CONTRAST * scale
         return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
 

@@ -18,7 +18,7 @@ from magmatch.threads import single_threaded
 from magmatch.typing import Points, Scalars, Vectors
 
 # Changes with whatever lets the same samples and numbers give other weights: stored fits are then done again.
-LAYOUT = "magmatch.tile/1"
+LAYOUT = "magmatch.tile/2"
 # Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd.
 REFIT_TOLERANCE = 1e-6
 # Samples at which a refitted field is compared with the stored one.
@@ -113,12 +113,17 @@ class TileTask:
         return total
 
     def infer(self) -> SplinePosterior:
-        """Fit the tile."""
-        model = self.model()
-        return model.infer(self.observe(model))
+        """Fit the tile; of many, with a factor in single precision."""
+        return self._fit(self.model(), is_light=self.tiling is not None)
 
-    def recall(self, weights: Scalars) -> SplinePosterior:
+    def recall(self, weights: Scalars, is_light: bool = False) -> SplinePosterior:
         """The posterior that has these weights, which an earlier fit gave; factorised only once that is needed.
+
+        Parameters
+        ----------
+        weights : (m + 3,) array, T
+        is_light : bool
+            Whether a factor in single precision will do.
 
         Raises
         ------
@@ -128,20 +133,24 @@ class TileTask:
         cells = self.cells()
         if weights.shape != (cells.n_nodes + 3,):
             raise FitError(self.index, f"{len(weights)} weights are stored, {cells.n_nodes + 3} are needed")
-        return SplinePosterior(self.hyperparameters, cells, partial(self._factorise_again, cells, weights), weights)
+        return SplinePosterior(
+            self.hyperparameters, cells, partial(self._factorise_again, cells, weights, is_light), weights
+        )
 
-    def _factorise_again(self, cells: CellGrid, weights: Scalars) -> CholeskyFactor:
+    def _fit(self, model: SplineModel, is_light: bool) -> SplinePosterior:
+        information = self.observe(model)
+        return model.infer_lightly(information) if is_light else model.infer(information)
+
+    def _factorise_again(self, cells: CellGrid, weights: Scalars, is_light: bool) -> CholeskyFactor:
         """Factor of the fit, once it is seen to give the field that was stored."""
         model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
-        information = self.observe(model)
-        factor = model.factorise(information)
-        fitted = SplinePosterior(self.hyperparameters, cells, factor, factor.solve(information.eta))
+        fitted = self._fit(model, is_light)
         if not np.array_equal(fitted.weights, weights):
             points = self.around[:: -(-len(self.around) // N_CHECKED)]
             change = fitted.evaluate(points).field - fitted.evaluate(points, weights=weights).field
             if not np.abs(change).max() <= REFIT_TOLERANCE * self.hyperparameters.noise_sd:
                 raise FitError(self.index, "fitting its samples again gives another field than was stored")
-        return factor
+        return fitted.factor
 
     def _inside(self, part: Samples) -> Samples:
         """Samples in the tile's box; those beyond only shape its cells."""

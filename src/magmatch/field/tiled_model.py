@@ -13,9 +13,10 @@ from functools import partial
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.recent import Recent
 from magmatch.field.tile_fit import Samples, TileTask, fit_weights
 from magmatch.field.tile_tasks import TileTasks
-from magmatch.field.tiled_posterior import FACTORED_BYTES, FACTORED_TILES, Recent, TiledPosterior
+from magmatch.field.tiled_posterior import LIGHT_BYTES, TiledPosterior
 from magmatch.field.tiles import Index, Tiling
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
@@ -95,16 +96,16 @@ class TiledModel:
 
     def infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner = map) -> TiledPosterior:
         """Fit those tiles that are not known yet; see `infer`."""
-        found, factors = dict(known), Recent(FACTORED_TILES, FACTORED_BYTES)
+        found, light = dict(known), Recent(LIGHT_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
         if run is map:
-            # Outliers and draws ask for the factors next: made here, those of a small map stay.
-            fitted: Iterable[Scalars] = side_by_side(partial(_fit_here, tasks, factors), numbers)
+            # Outliers and draws ask for the factors next: made here, some of them stay.
+            fitted: Iterable[Scalars] = side_by_side(partial(_fit_here, tasks, light), numbers)
         else:
             fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
-        return TiledPosterior(tasks, [found[index] for index in self.tiles], factors)
+        return TiledPosterior(tasks, [found[index] for index in self.tiles], light)
 
     def tasks(self, information: TiledInformation) -> TileTasks:
         """What the fit of each tile depends on."""
@@ -118,8 +119,8 @@ class TiledModel:
 
 
 @single_threaded
-def _fit_here(tasks: TileTasks, factors: Recent, number: int) -> Scalars:
+def _fit_here(tasks: TileTasks, light: Recent, number: int) -> Scalars:
     """What `fit_weights` gives of a tile, whose factor is offered to those who want it later."""
     posterior = tasks.task(number).infer()
-    factors.offer(number, posterior)
+    light.offer(number, posterior)
     return posterior.weights

@@ -13,7 +13,6 @@ a weighted mean is at most the weighted mean of the errors (squares are convex),
 ``cov B <= sum w_k cov B_k``. That bound is what `covariance` gives.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -22,16 +21,18 @@ import numpy as np
 from magmatch.field.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
+from magmatch.field.recent import Recent
 from magmatch.field.spline_model import SplinePosterior, outside_covariance
 from magmatch.field.tile_tasks import TileTasks
 from magmatch.field.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles import Index, TileKeys, Tiling
 from magmatch.field.values import FieldValues
+from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Points, Scalars, Vector3
 
-# How many tiles are kept ready for evaluation (2 MB each), and how many with their factor: as many as take so many
-# bytes, and one more (at most 0.2 GB).
-READY_TILES, FACTORED_TILES, FACTORED_BYTES = 64, 64, 8e8
+# Bytes of factors that are kept, in single precision (for outliers and draws) and in double (for covariances): so
+# many, and one more factor of at most 0.2 GB.
+LIGHT_BYTES, FACTORED_BYTES = 8e8, 4e8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -44,15 +45,16 @@ class TiledPosterior:
         What each tile was fitted from.
     tile_weights : list of (m + 3,) arrays, T
         Posterior mean of each tile's weights.
-    factors : Recent
-        Tiles with their factor, as the fit left them or made again when they are needed.
+    light : Recent
+        Tiles with a factor in single precision, as the fit left them or made again when they are needed.
     """
 
     tasks: TileTasks
     tile_weights: list[Scalars]
-    factors: "Recent" = field(default_factory=lambda: Recent(FACTORED_TILES, FACTORED_BYTES), repr=False)
+    light: Recent = field(default_factory=lambda: Recent(LIGHT_BYTES), repr=False)
     _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
-    _ready: "Recent" = field(default_factory=lambda: Recent(READY_TILES), init=False, repr=False)
+    _ready: Recent = field(default_factory=Recent, init=False, repr=False)
+    _factored: Recent = field(default_factory=lambda: Recent(FACTORED_BYTES), init=False, repr=False)
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -127,7 +129,7 @@ class TiledPosterior:
         As if tiles erred independently of one another, each with the square root of its share.
         """
         p = np.asarray(points, dtype=np.float64)
-        out, left = self._joined(p, SplinePosterior.joint_covariance)
+        out, left = self._joined(p, self.factored, SplinePosterior.joint_covariance)
         outside = np.flatnonzero(left > SMALLEST_SHARE)
         share, own = np.sqrt(left[outside]), self._outside()[:3, :3] - self._spread()
         out[outside[:, None], :, outside] += np.outer(share, share)[:, :, None, None] * self._spread()
@@ -140,25 +142,28 @@ class TiledPosterior:
         As if each tile bore on its neighbours with the square root of its share: exact inside of tiles.
         """
         p = np.asarray(points, dtype=np.float64)
-        return self._joined(p, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
+        return self._joined(p, self.lightly_factored, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
 
     def _joined(
-        self, points: Points, of_tile: Callable[[SplinePosterior, Points], np.ndarray]
+        self,
+        points: Points,
+        tile: Callable[[int], SplinePosterior],
+        of_tile: Callable[[SplinePosterior, Points], np.ndarray],
     ) -> tuple[np.ndarray, Scalars]:
         """Joint matrix of all points, (n, 3, n, 3), each tile's with the square root of its share; share without."""
-        n = len(points)
+        n, shares = len(points), list(self._shares(points, 0))
+        joints = side_by_side(lambda share: of_tile(tile(share[0]), points[share[1]]), shares)
         out, left = np.zeros((n, 3, n, 3)), np.ones(n)
-        for number, rows, shares in self._shares(points, 0):
-            root = np.sqrt(shares[0])
-            joint = of_tile(self.factored(number), points[rows]).reshape(len(rows), 3, len(rows), 3)
-            joint *= root[:, None, None, None] * root[:, None]
-            out[rows[:, None], :, rows] += joint.transpose(0, 2, 1, 3)
-            left[rows] -= shares[0]
+        for (_, rows, weights), joint in zip(shares, joints, strict=True):
+            root = np.sqrt(weights[0])
+            shared = joint.reshape(len(rows), 3, len(rows), 3) * (root[:, None, None, None] * root[:, None])
+            out[rows[:, None], :, rows] += shared.transpose(0, 2, 1, 3)
+            left[rows] -= weights[0]
         return out, left
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
-        return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
+        return TiledDraws(self.tasks, self.lightly_factored, n_draws, int(rng.integers(2**62))).draws()
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
@@ -173,8 +178,14 @@ class TiledPosterior:
         return self._ready.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
 
     def factored(self, number: int) -> SplinePosterior:
-        """Posterior of one tile that may be asked for its factor; few are kept, since they are large."""
-        return self.factors.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+        """Posterior of one tile that may be asked for its covariance; few are kept, since factors are large."""
+        return self._factored.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+
+    def lightly_factored(self, number: int) -> SplinePosterior:
+        """Posterior of one tile with a factor in single precision, where a thousandth does not matter."""
+        return self.light.find(
+            number, lambda: self.tasks.task(number).recall(self.tile_weights[number], is_light=True)
+        )
 
     def _shares(self, points: Points, order: int) -> Iterator[Share]:
         """Each tile with a say at some points."""
@@ -201,38 +212,3 @@ class TiledPosterior:
     def _spread(self) -> np.ndarray:
         """Covariance of the tiles' constants about their mean: (3, 3)."""
         return np.asarray(np.cov(np.array([w[-3:] for w in self.tile_weights]).T, bias=True))
-
-
-class Recent:
-    """Keeps the last few things made.
-
-    Parameters
-    ----------
-    n_kept : int
-    n_bytes : float
-        Of their factors.
-    """
-
-    def __init__(self, n_kept: int, n_bytes: float = np.inf) -> None:
-        self._n_kept, self._n_bytes, self._made = n_kept, n_bytes, OrderedDict[int, SplinePosterior]()
-        self._is_open = True
-
-    def find(self, number: int, make: Callable[[], SplinePosterior]) -> SplinePosterior:
-        """What was made under a number, or else make it."""
-        if number not in self._made:
-            while self._is_full():
-                self._made.popitem(last=False)
-            self._made[number] = make()
-        self._made.move_to_end(number)
-        return self._made[number]
-
-    def offer(self, number: int, posterior: SplinePosterior) -> None:
-        """Keep what was made already, if all that is offered can be kept: asked in turn, a part would help nobody."""
-        if self._is_open:
-            self._made[number] = posterior
-        if self._is_full():
-            self._made.clear()
-            self._is_open = False
-
-    def _is_full(self) -> bool:
-        return len(self._made) >= self._n_kept or sum(made.n_bytes for made in self._made.values()) > self._n_bytes
