@@ -143,7 +143,7 @@ class LiveTiles:
 
     def _forget(self) -> None:
         """Drop fitted tiles that were asked for longest ago, as far as memory demands."""
-        n_bytes = [fit.posterior.factor.n_bytes for fit in self._fits.values()]
+        n_bytes = [fit.posterior.n_bytes for fit in self._fits.values()]
         while len(n_bytes) > LEAST_FITTED and sum(n_bytes) > FITTED_BYTES:
             self._fits.popitem(last=False)
             n_bytes.pop(0)

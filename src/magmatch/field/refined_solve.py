@@ -10,7 +10,7 @@ from magmatch.typing import Scalars
 
 # What the next correction may still change, relative to the largest entry (a solution in double is right to 1e-12);
 # how many may be needed, and by how much each has to be smaller than the last.
-TOLERANCE, MOST_CORRECTIONS, SLOWEST = 1e-11, 6, 0.1
+TOLERANCE, MOST_CORRECTIONS, SLOWEST = 1e-11, 8, 0.2
 
 
 def refined_solve(A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid) -> Scalars | None:

@@ -106,7 +106,7 @@ def fit_splines(
     SplinePosterior or TiledPosterior
     """
     if not stored and isinstance(model, SplineModel):
-        return model.infer(model.observe(points, field))
+        return model.infer_lightly(model.observe(points, field))
     tasks = tasks_of(model, points, field)
     known = {i: tile.weights for i, tile in (stored or {}).items() if tile.fingerprint == tasks.fingerprint(i)}
     if isinstance(model, TiledModel):

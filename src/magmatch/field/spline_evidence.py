@@ -16,12 +16,13 @@ from functools import partial
 import numpy as np
 
 from magmatch.field.cells import HALF_STENCIL, CellGrid, lay_cells
+from magmatch.field.factors import Factors
 from magmatch.field.held_out import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import CholeskyFactor, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
 from magmatch.field.reserve import RESERVE
-from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior
+from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior, prior_scale
 from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
@@ -30,7 +31,7 @@ SMALLEST_CORRELATION = 0.1
 # More than so many samples never count as one: what is correlated over longer stretches lives in few directions, and
 # the rest of what those samples say stands.
 MOST_SAMPLES_AS_ONE = 16.0
-# Measured values per cell over the prior's share: beyond, rounding in single precision would be seen.
+# `SplineModel.contrast` beyond which rounding in single precision would be seen in the evidence.
 HIGHEST_CONTRAST = 1e6
 
 
@@ -100,7 +101,7 @@ class EvidenceSearch:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
             return -np.inf
-        n, scale, constant = float(self.field.size), _scale(h), (h.noise_sd / CONSTANT_SD) ** 2
+        n, scale, constant = float(self.field.size), prior_scale(h), (h.noise_sd / CONSTANT_SD) ** 2
         log_prior = self._model(h).cells.n_nodes * np.log(scale) + 3 * np.log(constant)
         likelihood = n / self.samples_as_one * np.log(fit.square / n)
         return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
@@ -112,7 +113,8 @@ class EvidenceSearch:
     def residuals(self, h: Hyperparameters) -> Vectors:
         """What the fitted mean leaves of the samples, (n, 3), T."""
         model, data = self._model(h), self._observed(h)
-        posterior = SplinePosterior(h, model.cells, partial(model.factorise, data), self._fit(h).weights)
+        factors = Factors(partial(factorise, model.elimination, model.precision(data)))
+        posterior = SplinePosterior(h, model.cells, factors, self._fit(h).weights)
         left: Vectors = self.field - posterior.evaluate(self.points).field
         return left
 
@@ -133,7 +135,7 @@ class EvidenceSearch:
         rest = data - model.observe(self.points[rows], self.field[rows])
         A, factor = self._factor(h, rest)
         w, _, change = _solve(A, factor, rest.eta, model.cells)
-        return SplinePosterior(h, model.cells, factor, w + change)
+        return SplinePosterior(h, model.cells, Factors.of(factor), w + change)
 
     def _model(self, h: Hyperparameters) -> SplineModel:
         """Splines over all samples; those of one spacing and reach are laid once."""
@@ -164,13 +166,13 @@ class EvidenceSearch:
 
     def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
-        model, scale = self._model(h), _scale(h)
+        model, scale = self._model(h), prior_scale(h)
         stencil = RESERVE.take(HALF_STENCIL, model.cells.n_nodes).T
         np.multiply(self._shape(h).stencil, scale, out=stencil)
         np.add(stencil, data.gram.stencil, out=stencil)
         corner = data.gram.corner + np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2
-        A, crowd = StencilMatrix(stencil, data.gram.border, corner), self.field.size / model.cells.n_cells
-        is_risky = self.precision == np.float32 and crowd > HIGHEST_CONTRAST * scale
+        A = StencilMatrix(stencil, data.gram.border, corner)
+        is_risky = self.precision == np.float32 and model.contrast(data) > HIGHEST_CONTRAST
         return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
 
     def _shape(self, h: Hyperparameters) -> StencilMatrix:
@@ -193,11 +195,6 @@ class EvidenceSearch:
 
 def _shape_of(h: Hyperparameters) -> Shape:
     return (h.spacing, h.reach, h.lengthscale, h.stiffness)
-
-
-def _scale(h: Hyperparameters) -> float:
-    """Factor from the prior's shape to the prior, in units of the noise."""
-    return (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
 
 
 def _solve(

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The spline potential as a linear model: cells, information of samples, posterior."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from magmatch.field.cells import HALF_OFFSET, CellGrid, lay_cells
 from magmatch.field.element_matrices import cell_weights, lone_cell_covariance, prior_element
+from magmatch.field.factors import Factors
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes
 from magmatch.field.multifrontal import CholeskyFactor, factorise
@@ -28,6 +29,8 @@ CONSTANT_SD = 1e-4
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
 LARGEST_SHARE_FOR_SOLVES = 0.1
+# `SplineModel.contrast` up to which a factor in single precision needs few corrections.
+HIGHEST_CONTRAST = 1e5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -108,16 +111,15 @@ class SplineModel:
         return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2)
 
     def infer(self, information: SplineInformation) -> "SplinePosterior":
-        """Posterior of the weights given information."""
-        factor = self.factorise(information)
-        return SplinePosterior(self.hyperparameters, self.cells, factor, factor.solve(information.eta))
+        """Posterior of the weights given information, with its factor."""
+        factor = factorise(self.elimination, self.precision(information))
+        return SplinePosterior(self.hyperparameters, self.cells, Factors.of(factor), factor.solve(information.eta))
 
     def infer_lightly(self, information: SplineInformation) -> "SplinePosterior":
-        """The same mean by a factor in single precision: two thirds of the time, half the memory.
-
-        Its spread is right to a thousandth. The factor is double where single precision does not do.
-        """
-        A = self._precision(information)
+        """The same mean by a factor in single precision, in two thirds of the time; in double where that must be."""
+        if self.contrast(information) > HIGHEST_CONTRAST:
+            return self.infer(information)
+        A = self.precision(information)
         try:
             factor = factorise(self.elimination, A, np.float32)
         except np.linalg.LinAlgError:
@@ -125,13 +127,15 @@ class SplineModel:
         weights = refined_solve(A, factor, information.eta, self.cells)
         if weights is None:
             return self.infer(information)
-        return SplinePosterior(self.hyperparameters, self.cells, factor, weights)
+        factors = Factors(partial(factorise, self.elimination, A), factor)
+        return SplinePosterior(self.hyperparameters, self.cells, factors, weights)
 
-    def factorise(self, information: SplineInformation) -> CholeskyFactor:
-        """Factor of the posterior precision times the noise variance."""
-        return factorise(self.elimination, self._precision(information))
+    def contrast(self, information: SplineInformation) -> float:
+        """Measured values per cell over the prior's share: where it is large, single precision shows its rounding."""
+        return information.n_values / self.cells.n_cells / prior_scale(self.hyperparameters)
 
-    def _precision(self, information: SplineInformation) -> StencilMatrix:
+    def precision(self, information: SplineInformation) -> StencilMatrix:
+        """Posterior precision times the noise variance."""
         return information.gram + self.prior_precision()
 
 
@@ -141,10 +145,15 @@ def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, h.reach)
 
 
+def prior_scale(h: Hyperparameters) -> float:
+    """Factor from the prior's shape to the prior, in units of the noise."""
+    return (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
+
+
 def cell_precision(h: Hyperparameters) -> np.ndarray:
     """Prior precision of one cell of weight 1 in units of the noise's: (64, 64)."""
     element, covariance = prior_terms(h)
-    return np.asarray(element * ((h.noise_sd / (h.looseness * h.signal_sd)) ** 2 * covariance[0, 0]))
+    return np.asarray(element * (prior_scale(h) * covariance[0, 0]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -155,33 +164,27 @@ class SplinePosterior:
     ----------
     hyperparameters : Hyperparameters
     cells : CellGrid
-    factor_source : CholeskyFactor or callable
-        Factor of the posterior precision times the noise variance, or what gives it when it is first needed: the
-        mean does without.
+    factors : Factors
+        Of the posterior precision times the noise variance; the mean does without.
     weights : (m + 3,) array, T
         Posterior mean.
     """
 
     hyperparameters: Hyperparameters
     cells: CellGrid
-    factor_source: CholeskyFactor | Callable[[], CholeskyFactor]
+    factors: Factors
     weights: np.ndarray
-    _factor: list[CholeskyFactor] = field(default_factory=list, init=False, repr=False)
     _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
 
     @property
     def factor(self) -> CholeskyFactor:
-        """Of the posterior precision times the noise variance."""
-        if not self._factor:
-            source = self.factor_source
-            self._factor.append(source if isinstance(source, CholeskyFactor) else source())
-        return self._factor[0]
+        """Of the posterior precision times the noise variance, in double precision."""
+        return self.factors.full
 
     @property
     def n_bytes(self) -> int:
-        """Memory of the factor, as far as it was made."""
-        is_made = self._factor or isinstance(self.factor_source, CholeskyFactor)
-        return self.factor.n_bytes if is_made else 0
+        """Memory of the factors that were made."""
+        return self.factors.n_bytes
 
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points; outside the active cells the constant field alone."""
@@ -230,25 +233,32 @@ class SplinePosterior:
         Points without splines share the constant with the others and nothing else.
         """
         h = self.hyperparameters
-        out = (h.inflation * h.noise_sd) ** 2 * self.influence(points)
+        out = (h.inflation * h.noise_sd) ** 2 * self._joined(points, self.factors.full)
         outside = np.repeat(~self.knows(points), 3)
         out[outside, outside] += h.signal_sd**2
         return out
 
     def influence(self, points: Points) -> np.ndarray:
-        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``."""
-        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
-        return joint_covariances(self.factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
+
+        To a thousandth.
+        """
+        return self._joined(points, self.factors.light)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
-        """Posterior samples of the weights, (n_draws, m + 3)."""
+        """Posterior samples of the weights, (n_draws, m + 3); their spread is right to a thousandth."""
         white = rng.standard_normal((len(self.weights), n_draws))
         scale = self.hyperparameters.inflation * self.hyperparameters.noise_sd
-        return np.ascontiguousarray(self.weights + scale * self.factor.solve_half(white).T)
+        return np.ascontiguousarray(self.weights + scale * self.factors.light.solve_half(white).T)
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
         return np.asarray(self.cells.locate(np.asarray(points, dtype=np.float64))[0] >= 0)
+
+    def _joined(self, points: Points, factor: CholeskyFactor) -> np.ndarray:
+        """Joint covariance of the field in units of the noise, (3 n, 3 n)."""
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        return joint_covariances(factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
 
     def _selected_inverse(self) -> StencilMatrix:
         """Compute once, on first use: it costs about twice a factorisation."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from magmatch.errors import MagmatchError
 from magmatch.field.cells import CellGrid, lay_cells
+from magmatch.field.factors import Factors
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import CholeskyFactor
 from magmatch.field.nested_dissection import order_elimination
@@ -113,17 +114,12 @@ class TileTask:
         return total
 
     def infer(self) -> SplinePosterior:
-        """Fit the tile; of many, with a factor in single precision."""
-        return self._fit(self.model(), is_light=self.tiling is not None)
+        """Fit the tile."""
+        model = self.model()
+        return model.infer_lightly(self.observe(model))
 
-    def recall(self, weights: Scalars, is_light: bool = False) -> SplinePosterior:
+    def recall(self, weights: Scalars) -> SplinePosterior:
         """The posterior that has these weights, which an earlier fit gave; factorised only once that is needed.
-
-        Parameters
-        ----------
-        weights : (m + 3,) array, T
-        is_light : bool
-            Whether a factor in single precision will do.
 
         Raises
         ------
@@ -133,24 +129,20 @@ class TileTask:
         cells = self.cells()
         if weights.shape != (cells.n_nodes + 3,):
             raise FitError(self.index, f"{len(weights)} weights are stored, {cells.n_nodes + 3} are needed")
-        return SplinePosterior(
-            self.hyperparameters, cells, partial(self._factorise_again, cells, weights, is_light), weights
-        )
+        factors = Factors(partial(self._factorise_again, cells, weights))
+        return SplinePosterior(self.hyperparameters, cells, factors, weights)
 
-    def _fit(self, model: SplineModel, is_light: bool) -> SplinePosterior:
-        information = self.observe(model)
-        return model.infer_lightly(information) if is_light else model.infer(information)
-
-    def _factorise_again(self, cells: CellGrid, weights: Scalars, is_light: bool) -> CholeskyFactor:
+    def _factorise_again(self, cells: CellGrid, weights: Scalars, precision: type[np.floating]) -> CholeskyFactor:
         """Factor of the fit, once it is seen to give the field that was stored."""
         model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
-        fitted = self._fit(model, is_light)
+        fit = model.infer if precision == np.float64 else model.infer_lightly
+        fitted = fit(self.observe(model))
         if not np.array_equal(fitted.weights, weights):
             points = self.around[:: -(-len(self.around) // N_CHECKED)]
             change = fitted.evaluate(points).field - fitted.evaluate(points, weights=weights).field
             if not np.abs(change).max() <= REFIT_TOLERANCE * self.hyperparameters.noise_sd:
                 raise FitError(self.index, "fitting its samples again gives another field than was stored")
-        return fitted.factor
+        return fitted.factors.light
 
     def _inside(self, part: Samples) -> Samples:
         """Samples in the tile's box; those beyond only shape its cells."""

@@ -96,9 +96,9 @@ def draw_tile(
     if any(part.sign < 0 for part in task.parts):
         # What was taken off leaves no noise to share: such tiles draw on their own.
         white = np.stack([normals(s, _names(TILE, np.array([task.index])), len(posterior.weights))[0] for s in seeds])
-        deviation = posterior.factor.solve_half(white.T)
+        deviation = posterior.factors.light.solve_half(white.T)
     else:
-        deviation = posterior.factor.solve(_noise(task, sample_numbers, posterior.cells, seeds))
+        deviation = posterior.factors.light.solve(_noise(task, sample_numbers, posterior.cells, seeds))
     return np.ascontiguousarray(posterior.weights + h.inflation * h.noise_sd * deviation.T)
 
 

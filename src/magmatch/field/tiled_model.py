@@ -16,7 +16,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.recent import Recent
 from magmatch.field.tile_fit import Samples, TileTask, fit_weights
 from magmatch.field.tile_tasks import TileTasks
-from magmatch.field.tiled_posterior import LIGHT_BYTES, TiledPosterior
+from magmatch.field.tiled_posterior import FACTORED_BYTES, TiledPosterior
 from magmatch.field.tiles import Index, Tiling
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
@@ -96,16 +96,16 @@ class TiledModel:
 
     def infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner = map) -> TiledPosterior:
         """Fit those tiles that are not known yet; see `infer`."""
-        found, light = dict(known), Recent(LIGHT_BYTES)
+        found, factored = dict(known), Recent(FACTORED_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
         if run is map:
             # Outliers and draws ask for the factors next: made here, some of them stay.
-            fitted: Iterable[Scalars] = side_by_side(partial(_fit_here, tasks, light), numbers)
+            fitted: Iterable[Scalars] = side_by_side(partial(_fit_here, tasks, factored), numbers)
         else:
             fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
-        return TiledPosterior(tasks, [found[index] for index in self.tiles], light)
+        return TiledPosterior(tasks, [found[index] for index in self.tiles], factored)
 
     def tasks(self, information: TiledInformation) -> TileTasks:
         """What the fit of each tile depends on."""
@@ -119,8 +119,8 @@ class TiledModel:
 
 
 @single_threaded
-def _fit_here(tasks: TileTasks, light: Recent, number: int) -> Scalars:
+def _fit_here(tasks: TileTasks, factored: Recent, number: int) -> Scalars:
     """What `fit_weights` gives of a tile, whose factor is offered to those who want it later."""
     posterior = tasks.task(number).infer()
-    light.offer(number, posterior)
+    factored.offer(number, posterior)
     return posterior.weights

@@ -30,9 +30,8 @@ from magmatch.field.values import FieldValues
 from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Points, Scalars, Vector3
 
-# Bytes of factors that are kept, in single precision (for outliers and draws) and in double (for covariances): so
-# many, and one more factor of at most 0.2 GB.
-LIGHT_BYTES, FACTORED_BYTES = 8e8, 4e8
+# Bytes of factors that are kept: so many, and one more tile's of at most 0.3 GB.
+FACTORED_BYTES = 8e8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,16 +44,15 @@ class TiledPosterior:
         What each tile was fitted from.
     tile_weights : list of (m + 3,) arrays, T
         Posterior mean of each tile's weights.
-    light : Recent
-        Tiles with a factor in single precision, as the fit left them or made again when they are needed.
+    factored_tiles : Recent
+        Tiles with their factors, as the fit left them or made again when they are needed.
     """
 
     tasks: TileTasks
     tile_weights: list[Scalars]
-    light: Recent = field(default_factory=lambda: Recent(LIGHT_BYTES), repr=False)
+    factored_tiles: Recent = field(default_factory=lambda: Recent(FACTORED_BYTES), repr=False)
     _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
     _ready: Recent = field(default_factory=Recent, init=False, repr=False)
-    _factored: Recent = field(default_factory=lambda: Recent(FACTORED_BYTES), init=False, repr=False)
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -129,7 +127,7 @@ class TiledPosterior:
         As if tiles erred independently of one another, each with the square root of its share.
         """
         p = np.asarray(points, dtype=np.float64)
-        out, left = self._joined(p, self.factored, SplinePosterior.joint_covariance)
+        out, left = self._joined(p, SplinePosterior.joint_covariance)
         outside = np.flatnonzero(left > SMALLEST_SHARE)
         share, own = np.sqrt(left[outside]), self._outside()[:3, :3] - self._spread()
         out[outside[:, None], :, outside] += np.outer(share, share)[:, :, None, None] * self._spread()
@@ -142,17 +140,14 @@ class TiledPosterior:
         As if each tile bore on its neighbours with the square root of its share: exact inside of tiles.
         """
         p = np.asarray(points, dtype=np.float64)
-        return self._joined(p, self.lightly_factored, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
+        return self._joined(p, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
 
     def _joined(
-        self,
-        points: Points,
-        tile: Callable[[int], SplinePosterior],
-        of_tile: Callable[[SplinePosterior, Points], np.ndarray],
+        self, points: Points, of_tile: Callable[[SplinePosterior, Points], np.ndarray]
     ) -> tuple[np.ndarray, Scalars]:
         """Joint matrix of all points, (n, 3, n, 3), each tile's with the square root of its share; share without."""
         n, shares = len(points), list(self._shares(points, 0))
-        joints = side_by_side(lambda share: of_tile(tile(share[0]), points[share[1]]), shares)
+        joints = side_by_side(lambda share: of_tile(self.factored(share[0]), points[share[1]]), shares)
         out, left = np.zeros((n, 3, n, 3)), np.ones(n)
         for (_, rows, weights), joint in zip(shares, joints, strict=True):
             root = np.sqrt(weights[0])
@@ -163,7 +158,7 @@ class TiledPosterior:
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
-        return TiledDraws(self.tasks, self.lightly_factored, n_draws, int(rng.integers(2**62))).draws()
+        return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
@@ -178,14 +173,8 @@ class TiledPosterior:
         return self._ready.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
 
     def factored(self, number: int) -> SplinePosterior:
-        """Posterior of one tile that may be asked for its covariance; few are kept, since factors are large."""
-        return self._factored.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
-
-    def lightly_factored(self, number: int) -> SplinePosterior:
-        """Posterior of one tile with a factor in single precision, where a thousandth does not matter."""
-        return self.light.find(
-            number, lambda: self.tasks.task(number).recall(self.tile_weights[number], is_light=True)
-        )
+        """Posterior of one tile that may be asked for its factors; few are kept, since they are large."""
+        return self.factored_tiles.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
 
     def _shares(self, points: Points, order: int) -> Iterator[Share]:
         """Each tile with a say at some points."""

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from magmatch.field.factors import Factors
 from magmatch.field.held_out import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import factorise
@@ -53,7 +54,7 @@ class MapConsistency:
         values, gradients = [], []
         for w in solved.T:
             posterior = SplinePosterior(
-                self._model.hyperparameters, self._model.cells, self._factor, np.ascontiguousarray(w)
+                self._model.hyperparameters, self._model.cells, Factors.of(self._factor), np.ascontiguousarray(w)
             )
             found = posterior.evaluate(self.points, order)
             values.append(found.field)
