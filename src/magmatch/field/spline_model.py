@@ -29,8 +29,9 @@ CONSTANT_SD = 1e-4
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
 LARGEST_SHARE_FOR_SOLVES = 0.1
-# `SplineModel.contrast` up to which a factor in single precision needs few corrections.
-HIGHEST_CONTRAST = 1e5
+# `SplineModel.contrast` up to which two corrections of a factor in single precision will do: with more, a double one,
+# which covariances ask for as well, is as soon made.
+HIGHEST_CONTRAST = 3e3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
