@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.evaluation.trial import best_pose, nees_of
+from magmatch.evaluation.trial import nees_of
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.probability import features
@@ -143,7 +143,7 @@ def rows(places: list[Place], n_cross: int, seed: int, folder: Path) -> list[dic
 
     def true_pair(place: Place) -> dict[str, object]:
         result = mm.register(*maps[place.name], SETTINGS)
-        best = best_pose(result)
+        best = result.best_pose
         distance, angle = (
             (np.inf, np.inf) if best is None else transform_error(best, place.T_base_target, place.pair[1].centroid)
         )

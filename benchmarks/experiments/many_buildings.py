@@ -104,16 +104,15 @@ def simulated_target(number: int, length: float, rng: np.random.Generator) -> tu
 def judge(atlas: mm.Atlas, target: mm.Survey, name: str, rng: np.random.Generator, *, is_absent: bool) -> tuple:
     """Localise one target from a random frame."""
     T_base_target = random_transform(rng)
+    moved = target.transformed(T_base_target.inv())
     if is_absent:
         atlas = replace(atlas, sheets=tuple(sheet for sheet in atlas.sheets if sheet.name != name))
     start, start_cpu = time.perf_counter(), time.process_time()
-    result = mm.localize(atlas, target.transformed(T_base_target.inv()))
+    result = mm.localize(atlas, moved)
     seconds, cpu = time.perf_counter() - start, time.process_time() - start_cpu
-    considered = (result.T_base_target, *(a.T_base_target for a in result.alternatives))
-    T = next((T for T in considered if T is not None), None)
     distance, angle = (np.inf, np.inf)
-    if T is not None and result.base == name:
-        distance, angle = transform_error(T, T_base_target, target.transformed(T_base_target.inv()).centroid)
+    if result.best_pose is not None and result.base == name:
+        distance, angle = transform_error(result.best_pose, T_base_target, moved.centroid)
     is_right = distance <= MAX_M and np.degrees(angle) <= MAX_DEG
     return result.base == name, is_right, result.is_accepted, (seconds, cpu), str(result.status), result.seconds
 

@@ -26,7 +26,7 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.evaluation.statistics import wilson_interval
-from magmatch.evaluation.trial import best_pose, nees_of
+from magmatch.evaluation.trial import nees_of
 from magmatch.geometry import transform_error
 from magmatch.simulation.config import SimulationConfig
 
@@ -59,7 +59,7 @@ def same_place(name: str, folder: Path) -> dict[str, object]:
     start = time.process_time()
     result = mm.register(*maps)
     seconds = time.process_time() - start
-    best = best_pose(result)
+    best = result.best_pose
     distance, angle = np.inf, np.inf
     if best is not None:
         distance, angle = transform_error(best, pair.T_base_target, pair.target.centroid)

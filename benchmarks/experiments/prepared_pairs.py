@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
-from magmatch.evaluation.trial import best_pose
 from magmatch.geometry import transform_error
 from magmatch.preparation.ellipsoid import fit_ellipsoid
 from magmatch.preparation.prepare import prepare
@@ -66,7 +65,7 @@ def run(seed: int, arguments: argparse.Namespace) -> list[float]:
     row: list[float] = []
     for base_map, target in ((clean_base, pair.target), (raw_base, raw), (prepared_base, prepared)):
         result = mm.register(base_map, target)
-        pose = best_pose(result)
+        pose = result.best_pose
         error = (np.inf, np.pi) if pose is None else transform_error(pose, pair.T_base_target, pair.target.centroid)
         row += [1e3 * error[0], np.degrees(error[1]), float(result.is_accepted)]
     return [*row, *estimate_errors(report, corruption), seconds]

@@ -13,7 +13,6 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
-from magmatch.evaluation.trial import best_pose
 from magmatch.geometry import random_transform, transform_error
 from magmatch.preparation.prepare import prepare
 
@@ -42,7 +41,7 @@ def registered(survey: mm.Survey) -> str:
     T_base_target = random_transform(np.random.default_rng(0))
     target = target.transformed(T_base_target.inv())
     result = mm.register(base, target)
-    pose = best_pose(result)
+    pose = result.best_pose
     if pose is None:
         return str(result.status)
     distance, angle = transform_error(pose, T_base_target, target.centroid)

@@ -84,10 +84,9 @@ def try_one(index: WalkIndex, stretch: Survey, rng: np.random.Generator, config:
     start, start_cpu = time.perf_counter(), time.process_time()
     result = register_walk(index, target, config, rng)
     seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - start_cpu
-    considered = [T for T in (result.T_base_target, *(a.T_base_target for a in result.alternatives)) if T is not None]
     distance, angle = np.inf, np.inf
-    if considered:
-        distance, angle = transform_error(considered[0], T_base_target, target.centroid)
+    if result.best_pose is not None:
+        distance, angle = transform_error(result.best_pose, T_base_target, target.centroid)
     nees = np.nan
     if result.T_base_target is not None and result.covariance is not None:
         xi = log_se3(result.T_base_target.inv() * T_base_target)

@@ -123,6 +123,14 @@ def test_every_field_comes_back_to_the_bit(saved):
         assert getattr(after, name) == getattr(before, name), name
 
 
+def test_the_best_pose_is_the_accepted_one_or_the_best_candidate():
+    result = accepted()
+    assert result.best_pose is result.T_base_target
+    refused = RegistrationResult(Status.AMBIGUOUS, "two alike", None, alternatives=result.alternatives)
+    assert refused.best_pose is result.alternatives[0].T_base_target
+    assert RegistrationResult(Status.NO_OVERLAP, "nothing", None).best_pose is None
+
+
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.ACCEPTED])
 def test_refusal_has_no_transform_and_comes_back(tmp_path, status):
     refused = RegistrationResult(status, "too little structure", None, alternatives=accepted().alternatives)

@@ -85,7 +85,7 @@ def _row(batch: Batch, method: Method, pair: Pair, task: Task, shelf: MapShelf) 
         status, reason, nees, is_accepted = FAULT, outcome, math.nan, False
     else:
         status, reason, is_accepted = str(outcome.status), outcome.reason, outcome.is_accepted
-        pose, nees = best_pose(outcome), nees_of(outcome, pair.T_base_target)
+        pose, nees = outcome.best_pose, nees_of(outcome, pair.T_base_target)
         if pose is not None:
             distance, angle = transform_error(pose, pair.T_base_target, pair.target.centroid)
     return Row(
@@ -116,13 +116,6 @@ def _attempt(method: Method, task: Task) -> RegistrationResult | str:
     except Exception as error:
         log.warning("%s broke down: %s: %s", method.name, type(error).__name__, error)
         return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-def best_pose(result: RegistrationResult) -> RigidTransform | None:
-    """Return the accepted pose, else the best candidate of a refusal."""
-    if result.T_base_target is not None:
-        return result.T_base_target
-    return result.alternatives[0].T_base_target if result.alternatives else None
 
 
 def nees_of(result: RegistrationResult, T_true: RigidTransform) -> float:

@@ -50,9 +50,9 @@ def refine_from_both_sides(
         The answer as it was where the two hardly meet.
     """
     log.info("refining the walk's pose from both sides")
-    pose_of_walk = answer.T_base_target if answer.T_base_target is not None else answer.alternatives[0].T_base_target
+    assert answer.best_pose is not None  # it was found
     prior = pose_prior(config.prior, base.T_map_model, target.T_map_model, base.raster.volume)
-    start = base.T_map_model.inv() * pose_of_walk * target.T_map_model
+    start = base.T_map_model.inv() * answer.best_pose * target.T_map_model
     # Along a line, sensors that differ and a pose that is off look alike: they differ as little as configured.
     level = levels_to_try(config.refinement.sensor)[0]
     pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)

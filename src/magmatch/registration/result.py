@@ -85,6 +85,13 @@ class RegistrationResult:
         return self.status is Status.ACCEPTED
 
     @property
+    def best_pose(self) -> RigidTransform | None:
+        """The accepted pose, else the best candidate of a refusal; not to be trusted unless accepted."""
+        if self.T_base_target is not None:
+            return self.T_base_target
+        return self.alternatives[0].T_base_target if self.alternatives else None
+
+    @property
     def standard_deviations(self) -> tuple[float, float] | None:
         """How sure the pose is: of the turn (rad) and of the place where the target lies (m); None if not known.
 
