@@ -34,6 +34,8 @@ PRIOR_LOG_SD = 0.7
 # Lengths and the map's factor are told apart from the rest by little: they stay nearer.
 PRIOR_LOG_SD_LENGTH = 0.35
 PRIOR_STRETCHES = 5
+# Farther from the guess nobody need look.
+MOST_PRIOR_SDS = 6.0
 N_DRAWS = 12
 # Guess of how well a hand-held or wheeled sensor knows its own orientation, rad.
 ATTITUDE_SD = 0.01
@@ -275,8 +277,8 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
         chi2, half_log_det = whiten(PathNoise(*np.exp(center + offset).tolist()))
         return float(0.5 * ((offset / prior_log_sd) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
 
-    start = np.zeros(len(center))
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 700, "initial_simplex": _simplex(start)})
+    bounds = [(-MOST_PRIOR_SDS * sd, MOST_PRIOR_SDS * sd) for sd in prior_log_sd]
+    found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B", bounds=bounds)
     noise = PathNoise(*np.exp(center + found.x).tolist())
     # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
     chi2, _ = whiten(noise)
@@ -295,11 +297,6 @@ def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:
         parts = [(cdist(s.positions, s.positions), s.map_sd, s.gradient, s.field, s.residual) for s in alike]
         found.append(tuple(np.stack(column) for column in zip(*parts, strict=True)))
     return found
-
-
-def _simplex(start: np.ndarray) -> Matrix:
-    corners: Matrix = np.concatenate([start[None], start + 0.5 * np.eye(len(start))])
-    return corners
 
 
 def _bin_means(values: np.ndarray, bins: np.ndarray) -> np.ndarray:
