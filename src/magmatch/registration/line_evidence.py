@@ -280,8 +280,9 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     for k in range(len(fits.chi2)):
         known = fits.known[k]
         inflation, log_likelihood = squares.noise.most_likely_factor(fits.chi2[k], 3 * int(known.sum()) - 6)
-        # A walk that fits better than expected may still share its frame's errors.
-        covariance = max(inflation, 1.0) * np.linalg.inv(fits.information[k])
+        # A walk that fits better than a guess expects may still share its frame's errors.
+        least = 0.0 if squares.noise.is_learned else 1.0
+        covariance = max(inflation, least) * np.linalg.inv(fits.information[k])
         _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
         T = squares.pose(fits.rotations[k], fits.centers[k])
         found.append(
