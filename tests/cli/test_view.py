@@ -52,6 +52,15 @@ def test_a_missing_extra_is_one_line_that_names_it(place, run, monkeypatch, tmp_
     assert not list(tmp_path.iterdir())
 
 
+@pytest.fixture
+def interruptible():
+    """Processes started from here listen to Ctrl-C, also where these tests run behind a shell's `&` and do not."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_the_live_viewer_answers_until_it_is_interrupted(place):
     pytest.importorskip("viser")
     words = ["view", str(place / "base.csv"), "--live", "--port", "18700"]

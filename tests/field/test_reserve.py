@@ -2,6 +2,7 @@
 """Memory comes back when nobody looks at it, never before, and no more of it is kept than was allowed."""
 
 from concurrent.futures import ThreadPoolExecutor
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -52,3 +53,23 @@ def test_no_more_is_kept_than_was_allowed():
     matrices = [reserve.take(512, 256) for _ in range(5)]
     matrices.clear()
     assert reserve.n_idle_bytes == 2 * 2**20
+
+
+def test_memory_that_comes_back_while_another_is_being_counted_does_not_wait_for_itself():
+    reserve = Reserve()
+    inner = reserve.take(10, 10)
+
+    class Idle(dict):
+        """The interpreter may collect what nobody looks at anywhere, also while buffers are being counted."""
+
+        def get(self, size):
+            nonlocal inner
+            inner = None
+            return super().get(size)
+
+    reserve._idle = Idle()
+    worker = Thread(target=reserve.take, args=(10, 10), daemon=True)
+    worker.start()
+    worker.join(10)
+    assert not worker.is_alive()
+    assert reserve.n_idle_bytes == sum(len(buffers) * size for size, buffers in reserve._idle.items())

@@ -138,9 +138,9 @@ def _serve(drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None"
     from magmatch.viz.viewer import address_of, serve
 
     with serve(exhibit(drawn, result), port) as server:
-        put(address_of(server))
-        say("Open this address in a browser; Ctrl-C ends the viewer")
         try:
+            put(address_of(server))
+            say("Open this address in a browser; Ctrl-C ends the viewer")
             server.sleep_forever()
         except KeyboardInterrupt:
             say("Viewer closed")

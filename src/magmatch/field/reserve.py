@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Memory of large matrices that is used again: to touch fresh pages can take as long as the work that fills them."""
 
-from threading import Lock
+from threading import RLock
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,8 @@ class Reserve:
     """
 
     def __init__(self, most_idle: float = MOST_IDLE) -> None:
-        self._most_idle, self._lock = most_idle, Lock()
+        # Matrices may be collected, and so come back, in the middle of `take`: by the thread that holds the lock.
+        self._most_idle, self._lock = most_idle, RLock()
         # By size, which is a power of two: many matrices fit into few sizes.
         self._idle: dict[int, list[np.ndarray]] = {}
         self.n_idle_bytes = 0
