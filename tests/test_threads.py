@@ -2,6 +2,7 @@
 """Parts run side by side give the same bits, and their faults come through."""
 
 import contextvars
+import sys
 import threading
 import time
 
@@ -89,3 +90,18 @@ def test_factor_and_inverse_have_the_same_bits_on_one_core_and_on_several():
     assert np.array_equal(several.weights, one.weights)
     inverse = on_one_core(selected_inverse, one.factor)
     assert np.array_equal(selected_inverse(several.factor).stencil, inverse.stencil)
+
+
+def test_threads_take_turns_as_before_once_all_parts_are_done(monkeypatch):
+    monkeypatch.setattr("magmatch.threads._spare_cores", threading.Semaphore(2))
+    before = sys.getswitchinterval()
+
+    def fail(k):
+        assert sys.getswitchinterval() < before
+        side_by_side(abs, range(3))
+        assert sys.getswitchinterval() < before
+        return 1 / k
+
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(fail, range(3))
+    assert sys.getswitchinterval() == before

@@ -5,11 +5,13 @@ The same bits come out whatever else runs, and worker processes do not fight ove
 """
 
 import os
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import wraps
-from threading import Semaphore
+from threading import Lock, Semaphore
 from typing import ParamSpec, TypeVar, cast
 
 from threadpoolctl import threadpool_limits
@@ -18,6 +20,10 @@ P = ParamSpec("P")
 T = TypeVar("T")
 A = TypeVar("A")
 
+# Seconds after which a thread that holds the interpreter lets another in, while parts run: they hold it for
+# microseconds between compiled calls of a millisecond, and as a rule would wait for five to get it back.
+QUICK_TURNS = 5e-5
+_turns_lock, _usual_turns = Lock(), list[float]()
 _is_worker: ContextVar[bool] = ContextVar("is_worker", default=False)
 _is_limited: ContextVar[bool] = ContextVar("is_limited", default=False)
 
@@ -92,7 +98,7 @@ def side_by_side(task: Callable[[A], T], parts: Iterable[A]) -> list[T]:
             if next(leaving, None) is not None:
                 _spare_cores.release()
 
-    with ThreadPoolExecutor(n_helpers) as pool:
+    with _taking_turns(), ThreadPoolExecutor(n_helpers) as pool:
         helpers = [pool.submit(copy_context().run, work) for _ in range(n_helpers)]
         try:
             work()
@@ -133,3 +139,18 @@ def _take_spare_cores(most: int) -> int:
     while n < most and _spare_cores.acquire(blocking=False):
         n += 1
     return n
+
+
+@contextmanager
+def _taking_turns() -> Iterator[None]:
+    """Threads take turns quickly; the last who asked for it puts back what was the rule."""
+    with _turns_lock:
+        _usual_turns.append(sys.getswitchinterval())
+        sys.setswitchinterval(QUICK_TURNS)
+    try:
+        yield
+    finally:
+        with _turns_lock:
+            # The first found what was the rule, all others what it had set.
+            sys.setswitchinterval(_usual_turns[0] if len(_usual_turns) == 1 else QUICK_TURNS)
+            _usual_turns.pop()

@@ -138,7 +138,7 @@ def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(n
 
 
 def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
-    points, field = room(inside=False, n=700)
+    points, field = room(inside=False, n=900)
     survey, parts = Survey(points, field), divide(points, typical_length(points, field))
     covered = np.sum([*parts.folds[:2], *parts.rest], axis=0)
     assert np.all(covered == 1)

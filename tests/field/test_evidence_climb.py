@@ -10,12 +10,15 @@ from hypothesis import strategies as st
 
 from magmatch.field.evidence_climb import climb, settle
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.noise_slopes import NoiseSlopes
 
 START = Hyperparameters(0.5, 3e-6, 0.1e-6, 0.2, stiffness=300.0)
 
 
 class Hill:
     """Stands in for a search: evidence that falls with the square of the logarithms' distance from a top."""
+
+    n_independent = 900.0
 
     def __init__(self, top):
         self.top, self.asked = top, set()
@@ -30,6 +33,25 @@ class Hill:
     def noise_sd(self, h):
         return 0.3e-6 * (h.noise_sd / START.noise_sd) ** 0.1
 
+    def noise_slopes(self, h):
+        assert h in self.asked
+        return NoiseSlopes((-200 * np.log(h.noise_sd / self.top.noise_sd), -200.0), (0.1, 0.0))
+
+
+class Cliff(Hill):
+    """The same with a slope that says little of how far it is: less bent the farther up the noise."""
+
+    def log_evidence(self, h):
+        self.asked.add(h)
+        x = np.log(h.noise_sd / self.top.noise_sd)
+        return -100 * np.logaddexp(x, -x)
+
+    log_evidence_of_noise = log_evidence
+
+    def noise_slopes(self, h):
+        x = np.log(h.noise_sd / self.top.noise_sd)
+        return NoiseSlopes((-100 * np.tanh(x), -100 / np.cosh(x) ** 2), (0.1, 0.0))
+
 
 @given(noise=st.floats(-4, 3), stiffness=st.floats(-2, 1), lengthscale=st.floats(-0.2, 1.4))
 @settings(max_examples=50, deadline=None, derandomize=True)
@@ -41,25 +63,37 @@ def test_the_top_of_a_hill_is_found_to_a_step_and_its_noise_nearly(noise, stiffn
         lengthscale=START.lengthscale * np.exp(lengthscale),
     )
     hill = Hill(top)
-    best = climb(hill, START)
+    best = climb(hill, START).hyperparameters
     # A step that gains less than two nats is not taken.
     assert abs(np.log10(best.stiffness / top.stiffness)) < 0.51
     assert abs(np.log(best.lengthscale / top.lengthscale)) < 0.34
-    assert best.noise_sd == pytest.approx(top.noise_sd, rel=0.02)
-    assert len(hill.asked) <= 21
+    assert best.noise_sd == pytest.approx(top.noise_sd, rel=1e-6)
+    assert len(hill.asked) <= 12
 
 
-def test_noise_settles_within_five_fits_near_its_top_and_its_level_is_that_there():
-    hill = Hill(replace(START, noise_sd=1.5 * START.noise_sd))
-    best, level = settle(hill, START, lambda _: None, is_settled=False)
-    assert best.noise_sd == pytest.approx(1.5 * START.noise_sd)
-    assert level == pytest.approx(hill.noise_sd(best))
-    assert len(hill.asked) <= 5
+def test_noise_settles_within_two_fits_near_its_top_and_its_level_is_that_there():
+    hill = Hill(replace(START, noise_sd=2 * START.noise_sd))
+    top = settle(hill, START, lambda _: None)
+    assert top.hyperparameters.noise_sd == pytest.approx(2 * START.noise_sd)
+    assert top.noise_sd == pytest.approx(hill.noise_sd(top.hyperparameters))
+    assert len(hill.asked) <= 2
+
+
+@pytest.mark.parametrize("away", [-4.0, -1.0, 1.0, 4.0])
+def test_noise_is_found_where_its_slope_says_little_of_how_far_it_is(away):
+    cliff = Cliff(replace(START, noise_sd=np.exp(away) * START.noise_sd))
+    assert settle(cliff, START, lambda _: None).hyperparameters.noise_sd == pytest.approx(
+        cliff.top.noise_sd, rel=0.05
+    )
+    assert len(cliff.asked) <= 6
 
 
 def test_a_noise_that_was_found_already_is_kept():
-    hill = Hill(replace(START, noise_sd=1.5 * START.noise_sd))
-    assert settle(hill, START, lambda _: None, is_settled=True) == (START, hill.noise_sd(START))
+    hill = Hill(replace(START, noise_sd=1.3 * START.noise_sd))
+    found = climb(hill, START)
+    n = len(hill.asked)
+    assert settle(hill, found, lambda _: None) is found
+    assert len(hill.asked) == n
 
 
 def test_finer_splines_are_taken_while_the_evidence_grows():
@@ -69,7 +103,17 @@ def test_finer_splines_are_taken_while_the_evidence_grows():
 
         log_evidence_of_noise = log_evidence
 
-    for is_settled in (True, False):
-        best, _ = settle(Finer(START), START, lambda h: replace(h, spacing=h.spacing / 1.4), is_settled)
-        assert best.spacing == pytest.approx(0.2 / 1.4**2)
-        assert best.noise_sd == pytest.approx(START.noise_sd)
+    top = settle(Finer(START), START, lambda h: replace(h, spacing=h.spacing / 1.4))
+    assert top.hyperparameters.spacing == pytest.approx(0.2 / 1.4**2)
+    assert top.hyperparameters.noise_sd == pytest.approx(START.noise_sd)
+
+
+def test_numbers_without_evidence_are_no_top():
+    class Pit(Hill):
+        def log_evidence(self, h):
+            super().log_evidence(h)
+            return 0.0 if h == START else -np.inf
+
+        log_evidence_of_noise = log_evidence
+
+    assert climb(Pit(START), START).hyperparameters == START

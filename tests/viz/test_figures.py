@@ -127,7 +127,7 @@ def test_names_are_text_not_markup(pair):
 
 
 def test_the_band_is_not_drawn_across_gaps(pair):
-    T = pair.accepted.T_base_target * RigidTransform.from_translation([0, 0, 0.15])
+    T = pair.accepted.T_base_target * RigidTransform.from_translation([1.5, 0, 0])
     compared = compare(pair.base_map, pair.target_map, T, pair.accepted)
     assert 0.1 < compared.overlap < 0.999
     band = next(trace for trace in along_figure(compared).data if trace.fill == "toself")

@@ -2,7 +2,7 @@
 """Uphill in the evidence, one number after the other, in as few factorisations as will do."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,18 +11,46 @@ from magmatch.field.spline_evidence import EvidenceSearch
 
 # A step must gain so many nats: less is chance, and the start is a good one.
 LEAST_GAIN, MOST_STEPS = 2.0, 6
-# Factors tried of each number, the second where the first does not help. Less noise comes first, since the start has
-# more than most.
-COARSE_NOISE, FINE_NOISE, STIFFNESS, LENGTHSCALE = (1 / 3.0, 3.0), (0.5, 2.0), (10.0, 0.1), (1.8, 1 / 1.8)
+# One to finer splines costs twice as much, and has to gain this for each independent value.
+GAIN_OF_FINER = 0.01
+# Factors tried of each number, the second where the first does not help.
+STIFFNESS, LENGTHSCALE = (10.0, 0.1), (1.8, 1 / 1.8)
+# Of the noise's logarithm: so far at once, and how far a parabola is as good as the evidence.
+LONGEST_STEP, NEAR = 1.6, 0.5
 # Bounds of lengthscale over spacing, stiffness, signal over noise.
 RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
 
 # Gives the next point, or None where there is none.
 Step = Callable[[Hyperparameters], Hyperparameters | None]
-Measure = Callable[[Hyperparameters], float]
 
 
-def climb(search: EvidenceSearch, start: Hyperparameters) -> Hyperparameters:
+@dataclass(frozen=True, slots=True)
+class Top:
+    """Numbers that were tried, and the noise at which the evidence of such numbers is greatest.
+
+    Attributes
+    ----------
+    tried : Hyperparameters
+    hyperparameters : Hyperparameters
+        The same but for the noise; nothing was computed there.
+    gain : float, nats
+        By which the evidence is greater there.
+    noise_sd : float, T
+        Level of the greatest likelihood there.
+    """
+
+    tried: Hyperparameters
+    hyperparameters: Hyperparameters
+    gain: float
+    noise_sd: float
+
+    @property
+    def is_near(self) -> bool:
+        """Whether a parabola reaches so far."""
+        return bool(abs(np.log(self.hyperparameters.noise_sd / self.tried.noise_sd)) < NEAR)
+
+
+def climb(search: EvidenceSearch, start: Hyperparameters) -> Top:
     """Noise, stiffness and lengthscale of the greatest evidence.
 
     Parameters
@@ -32,63 +60,91 @@ def climb(search: EvidenceSearch, start: Hyperparameters) -> Hyperparameters:
 
     Returns
     -------
-    Hyperparameters
-        To within a step of each number; the noise where a parabola through its steps is highest.
+    Top
+        To within a step of stiffness and lengthscale.
     """
-    measure = search.log_evidence
-    first = _along(measure, start, _steps("noise_sd", COARSE_NOISE))
-    best = _along(measure, first, _steps("stiffness", STIFFNESS))
-    best = _along(measure, best, _steps("lengthscale", LENGTHSCALE))
-    if best != first:
-        best = _along(measure, best, _steps("noise_sd", COARSE_NOISE))
-    return _highest_between(measure, best, COARSE_NOISE)
+    best = _settled(search, start)
+    best = _along(search, best, _steps("stiffness", STIFFNESS))
+    return _along(search, best, _steps("lengthscale", LENGTHSCALE))
 
 
-def settle(
-    search: EvidenceSearch, start: Hyperparameters, finer: Step, is_settled: bool
-) -> tuple[Hyperparameters, float]:
+def settle(search: EvidenceSearch, start: Hyperparameters | Top, finer: Step) -> Top:
     """Spacing and noise of the greatest evidence, lengthscale and stiffness as they are.
 
     Parameters
     ----------
     search : EvidenceSearch
-    start : Hyperparameters
+    start : Hyperparameters or Top
+        The latter where the same search found it.
     finer : callable
         Gives the next spacing, None where there is none: spacings only shrink, since coarser splines can but hide
         what finer ones show.
-    is_settled : bool
-        Whether the noise was found by the same search.
 
     Returns
     -------
-    hyperparameters : Hyperparameters
-    noise_sd : float, T
-        Level of the greatest likelihood there.
+    Top
     """
-    best, noise_sd = (start, search.noise_sd(start)) if is_settled else _settled_noise(search, start)
-    # Not before: finer splines make up for a noise that is too large.
-    closer = _along(search.log_evidence, best, [finer]) if finer(best) is not None else best
-    return (best, noise_sd) if closer == best else _settled_noise(search, closer)
+    # First: finer splines make up for a noise that is too large.
+    best = start if isinstance(start, Top) else _settled(search, start)
+    return _along(search, best, [finer], max(LEAST_GAIN, GAIN_OF_FINER * search.n_independent))
 
 
-def _settled_noise(search: EvidenceSearch, start: Hyperparameters) -> tuple[Hyperparameters, float]:
-    best = _along(search.log_evidence_of_noise, start, _steps("noise_sd", FINE_NOISE))
-    final = _highest_between(search.log_evidence_of_noise, best, FINE_NOISE)
-    return final, _noise_between(search, best, final)
+def _settled(search: EvidenceSearch, start: Hyperparameters) -> Top:
+    """The best noise, by Newton's steps until one is so short that nothing need be computed where it leads."""
+    top = _top(search, start)
+    for _ in range(MOST_STEPS):
+        if top.is_near:
+            break
+        top = _top(search, top.hyperparameters)
+    return top
 
 
-def _along(measure: Measure, start: Hyperparameters, steps: Sequence[Step]) -> Hyperparameters:
-    """Repeat the first of some steps that helps, as long as it does."""
+def _top(search: EvidenceSearch, h: Hyperparameters) -> Top:
+    """Where the parabola in the logarithm of the noise is highest, or as far towards it as is sensible."""
+    if not np.isfinite(search.log_evidence_of_noise(h)):
+        return Top(h, h, 0.0, h.noise_sd)
+    slopes = search.noise_slopes(h)
+    noise_sd = _allowed_noise(h, h.noise_sd * np.exp(_newton_step(*slopes.evidence)))
+    step = float(np.log(noise_sd / h.noise_sd))
+    gain, level = (first * step + second * step**2 / 2 for first, second in (slopes.evidence, slopes.level))
+    return Top(h, replace(h, noise_sd=noise_sd), gain, search.noise_sd(h) * float(np.exp(level)))
+
+
+def _newton_step(slope: float, bend: float) -> float:
+    """To the top of a parabola, or as far as is sensible where it has none."""
+    step = -slope / bend if bend < 0 else np.copysign(LONGEST_STEP, slope)
+    return float(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
+
+
+def _allowed_noise(h: Hyperparameters, noise_sd: float) -> float:
+    """The nearest noise within bounds."""
+    low, high = SIGNALS_TO_NOISE
+    return float(np.clip(noise_sd, h.signal_sd / high, h.signal_sd / low))
+
+
+def _along(search: EvidenceSearch, start: Top, steps: Sequence[Step], least_gain: float = LEAST_GAIN) -> Top:
+    """Repeat the first of some steps that helps, as long as it does; each is judged at its own best noise."""
     best = start
     for step in steps:
         for _ in range(MOST_STEPS):
-            h = step(best)
-            if h is None or measure(h) < measure(best) + LEAST_GAIN:
+            h = step(best.hyperparameters)
+            found = None if h is None else _better(search, h, best, least_gain)
+            if found is None:
                 break
-            best = h
+            best = found
         if best != start:
             break
     return best
+
+
+def _better(search: EvidenceSearch, h: Hyperparameters, best: Top, least_gain: float) -> Top | None:
+    """Where numbers lead to if that is higher than the best so far."""
+    needed = search.log_evidence(best.tried) + best.gain + least_gain
+    found = _top(search, h)
+    # What a parabola promises from afar is looked at, what it does not is not.
+    if search.log_evidence(h) + found.gain >= needed and not found.is_near:
+        found = _settled(search, found.hyperparameters)
+    return found if search.log_evidence(found.tried) + found.gain >= needed else None
 
 
 def _steps(name: str, factors: Sequence[float]) -> list[Step]:
@@ -116,24 +172,3 @@ def is_allowed(h: Hyperparameters) -> bool:
         and STIFFNESSES[0] <= h.stiffness <= STIFFNESSES[1]
         and SIGNALS_TO_NOISE[0] <= h.signal_sd / h.noise_sd <= SIGNALS_TO_NOISE[1]
     )
-
-
-def _highest_between(measure: Measure, best: Hyperparameters, factors: Sequence[float]) -> Hyperparameters:
-    """Where the parabola in the logarithm of the noise is highest, through the best step and both beside it."""
-    beside = [step(best) for step in _steps("noise_sd", factors)]
-    values = [-np.inf if h is None else measure(h) for h in beside]
-    bend = values[0] + values[1] - 2 * measure(best)
-    if not (np.isfinite(bend) and bend < 0):
-        return best
-    share = float(np.clip(0.5 * (values[1] - values[0]) / bend, -0.5, 0.5))
-    return replace(best, noise_sd=rounded(best.noise_sd * factors[0] ** share))
-
-
-def _noise_between(search: EvidenceSearch, best: Hyperparameters, final: Hyperparameters) -> float:
-    """Noise level of the greatest likelihood between steps that were computed."""
-    if final == best:
-        return search.noise_sd(best)
-    beside = [h for step in _steps("noise_sd", FINE_NOISE) if (h := step(best)) is not None]
-    computed = sorted([best, *beside], key=lambda h: h.noise_sd)
-    x, y = (np.log([f(h) for h in computed]) for f in (lambda h: h.noise_sd, search.noise_sd))
-    return float(np.exp(np.polyval(np.polyfit(x, y, 2), np.log(final.noise_sd))))

@@ -21,6 +21,7 @@ from magmatch.field.held_out import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.multifrontal import CholeskyFactor, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
+from magmatch.field.noise_slopes import NoiseSlopes, noise_slopes
 from magmatch.field.reserve import RESERVE
 from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior, prior_scale
 from magmatch.field.stencil_matrix import StencilMatrix
@@ -33,6 +34,8 @@ SMALLEST_CORRELATION = 0.1
 MOST_SAMPLES_AS_ONE = 16.0
 # `SplineModel.contrast` beyond which rounding in single precision would be seen in the evidence.
 HIGHEST_CONTRAST = 1e6
+# A step that does not help is the last fit but one, or two.
+FACTORS_KEPT = 3
 
 
 # Spacing, reach, lengthscale and stiffness: signal and noise only scale the prior.
@@ -81,8 +84,15 @@ class EvidenceSearch:
         self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
         self._data: dict[tuple[float, float], SplineInformation] = {}
         self._fits: dict[Hyperparameters, Fit] = {}
+        # Of the last few fits.
+        self._factors: dict[Hyperparameters, CholeskyFactor] = {}
         self._shapes: dict[Shape, StencilMatrix] = {}
         self._log_determinants: dict[Shape, float] = {}
+
+    @property
+    def n_independent(self) -> float:
+        """Measured values, fewer where several samples count as one."""
+        return self.field.size / self.samples_as_one
 
     def operations(self, h: Hyperparameters) -> float:
         """Floating-point operations of one factorisation."""
@@ -101,14 +111,28 @@ class EvidenceSearch:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
             return -np.inf
-        n, scale, constant = float(self.field.size), prior_scale(h), (h.noise_sd / CONSTANT_SD) ** 2
+        n, (scale, constant) = float(self.field.size), _scales(h)
         log_prior = self._model(h).cells.n_nodes * np.log(scale) + 3 * np.log(constant)
-        likelihood = n / self.samples_as_one * np.log(fit.square / n)
+        likelihood = self.n_independent * np.log(fit.square / n)
         return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
 
     def noise_sd(self, h: Hyperparameters) -> float:
         """Noise level of the greatest likelihood, T."""
         return float(np.sqrt(self._fit(h).square / self.field.size))
+
+    def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
+        """How evidence and noise level change with the noise, at numbers of finite evidence."""
+        scale, constant, shape, cells = *_scales(h), self._shape(h), self._model(h).cells
+        if h not in self._factors:
+            self._keep(h, self._factor(h, self._observed(h))[1])
+
+        def times_prior(x: Scalars) -> Scalars:
+            product = scale * shape.times(x, cells)
+            product[-3:] = constant * x[-3:]
+            return product
+
+        fit = self._fit(h)
+        return noise_slopes(times_prior, self._factors[h], fit.weights, fit.square, self.n_independent)
 
     def residuals(self, h: Hyperparameters) -> Vectors:
         """What the fitted mean leaves of the samples, (n, 3), T."""
@@ -156,6 +180,7 @@ class EvidenceSearch:
         if h not in self._fits:
             data = self._observed(h)
             A, factor = self._factor(h, data)
+            self._keep(h, factor)
             w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
             # As the first solution has it, which is off by the square of its error; and that.
             square = data.square - float((data.eta + left) @ w) - float(left @ change)
@@ -166,14 +191,20 @@ class EvidenceSearch:
 
     def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
-        model, scale = self._model(h), prior_scale(h)
+        model, (scale, constant) = self._model(h), _scales(h)
         stencil = RESERVE.take(HALF_STENCIL, model.cells.n_nodes).T
         np.multiply(self._shape(h).stencil, scale, out=stencil)
         np.add(stencil, data.gram.stencil, out=stencil)
-        corner = data.gram.corner + np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2
+        corner = data.gram.corner + np.eye(3) * constant
         A = StencilMatrix(stencil, data.gram.border, corner)
         is_risky = self.precision == np.float32 and model.contrast(data) > HIGHEST_CONTRAST
         return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
+
+    def _keep(self, h: Hyperparameters, factor: CholeskyFactor) -> None:
+        """For questions about the last few fits."""
+        self._factors[h] = factor
+        while len(self._factors) > FACTORS_KEPT:
+            del self._factors[next(iter(self._factors))]
 
     def _shape(self, h: Hyperparameters) -> StencilMatrix:
         """Prior precision where signal and noise are the same, of which theirs is a multiple."""
@@ -191,6 +222,11 @@ class EvidenceSearch:
             factor = factorise(self._model(h).elimination, self._shape(h), self.precision)
             self._log_determinants[key] = factor.log_determinant
         return self._log_determinants[key]
+
+
+def _scales(h: Hyperparameters) -> tuple[float, float]:
+    """What the prior's shape is multiplied by, and the constant's prior precision, in units of the noise."""
+    return prior_scale(h), (h.noise_sd / CONSTANT_SD) ** 2
 
 
 def _shape_of(h: Hyperparameters) -> Shape:

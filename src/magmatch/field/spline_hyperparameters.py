@@ -26,12 +26,12 @@ CLOSEST_SPLINES, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.75, 0.4, 1.3
 # The search starts here: spacing and lengthscale from the variogram, signal over noise and stiffness that suit most;
 # along a path a field so smooth that what it leaves shows which errors neighbours share.
 LENGTHSCALE_IN_SPACINGS = 4.0
-START, START_OF_A_PATH = (36.0, 3000.0), (12.0, 300.0)
+START, START_OF_A_PATH = (120.0, 3000.0), (12.0, 300.0)
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
-# In lengthscales: so far beyond samples that lie anywhere a smooth field is told of, however close the splines; and
-# what that is worth, in units of what closer splines are.
-TOLD_BEYOND, WORTH_OF_BEYOND = 0.4, 4.0
+# In lengthscales: so far beyond samples that lie anywhere a smooth field is told of, however close the splines, and
+# farther where all lie near a plane, beyond which everything is; what that is worth, in units of what closer splines are.
+TOLD_BEYOND, TOLD_BEYOND_A_PLANE, WORTH_OF_BEYOND = 0.4, 0.6, 4.0
 # The next spacing that is tried.
 FINER = 0.75
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
@@ -75,7 +75,8 @@ class Layout:
         """Numbers whose reach covers what their field tells of, as far as the survey can afford it."""
         if self.is_path:
             return h
-        farthest = TOLD_BEYOND * h.lengthscale / h.spacing + 0.5
+        is_thin = np.ptp(points, axis=0).min() < h.lengthscale
+        farthest = (TOLD_BEYOND_A_PLANE if is_thin else TOLD_BEYOND) * h.lengthscale / h.spacing + 0.5
         tried = (replace(h, reach=rounded(share * farthest)) for share in (1.0, 0.8, 0.65))
         return next((t for t in tried if t.reach > h.reach and is_affordable(points, t, WORTH_OF_BEYOND)), h)
 
@@ -112,8 +113,9 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
         search.samples_as_one = max(search.correlated_samples(start), search.crowded_samples(start))
     else:
         few, passes = _searched(points, field, start, FEW * search.operations(start), 0, len(search.points)), None
-    best, alone = settle(search, climb(few, start), partial(layout.finer, points), few is search)
-    noise, inflation = max(alone, floor), LEAST_INFLATION
+    found = climb(few, start)
+    top = settle(search, found if few is search else found.hyperparameters, partial(layout.finer, points))
+    best, noise, inflation = top.hyperparameters, max(top.noise_sd, floor), LEAST_INFLATION
     if passes is not None and passes.tell_something:
         # Along a path the nearest samples share their error: what other passes miss by is the noise that a map for
         # other surveys must reckon with.

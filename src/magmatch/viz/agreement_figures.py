@@ -160,7 +160,7 @@ def along_figure(compared: Comparison) -> "Figure":
     x = for_display(compared.rows)
     for k in range(3):
         said = np.where(known, expected[:, k], np.nan)
-        across, up = _band(compared.rows[known], said[known] - 2 * sd[known, k], said[known] + 2 * sd[known, k])
+        across, up = _band(compared.rows, said - 2 * sd[:, k], said + 2 * sd[:, k])
         styles: list[tuple[Any, Any, dict[str, Any]]] = [
             (across, up, {"line": {"width": 0}, "fill": "toself", "fillcolor": "#C9D6E2", "showlegend": False}),
             (x, said, {"name": "base map", "line": {"color": BASE_COLOR, "dash": "dash", "width": 2.5}}),
@@ -181,9 +181,9 @@ def along_figure(compared: Comparison) -> "Figure":
 
 
 def _band(rows: Indices, low: Scalars, high: Scalars) -> tuple[Scalars, Scalars]:
-    """Outline of a band over rows, one closed piece for each run without a gap."""
-    step = int(np.median(np.diff(rows))) if len(rows) > 1 else 1
-    runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1.5 * step) + 1)
+    """Outline of a band over rows, one closed piece for each run in which none is NaN."""
+    known = np.flatnonzero(np.isfinite(low))
+    runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
     x = [np.concatenate([rows[run], rows[run][::-1], [np.nan]]) for run in runs]
     y = [np.concatenate([low[run], high[run][::-1], [np.nan]]) for run in runs]
     return np.concatenate(x), np.concatenate(y)
