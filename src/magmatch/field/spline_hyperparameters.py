@@ -30,7 +30,7 @@ START, START_OF_A_PATH = (120.0, 3000.0), (12.0, 300.0)
 # Samples anywhere in a volume fill it; the lanes of a path leave gaps, which the basis has to bridge.
 REACH, REACH_OF_A_PATH = 1.5, 2.0
 # In lengthscales: so far beyond samples that lie anywhere a smooth field is told of, however close the splines, and
-# farther where all lie near a plane, beyond which everything is; what that is worth, in units of what closer splines are.
+# farther where all lie near a plane, beyond which everything is; what that is worth against closer splines.
 TOLD_BEYOND, TOLD_BEYOND_A_PLANE, WORTH_OF_BEYOND = 0.4, 0.6, 4.0
 # The next spacing that is tried.
 FINER = 0.75
