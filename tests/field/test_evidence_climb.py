@@ -99,13 +99,30 @@ def test_a_noise_that_was_found_already_is_kept():
 def test_finer_splines_are_taken_while_the_evidence_grows():
     class Finer(Hill):
         def log_evidence(self, h):
-            return super().log_evidence(h) - 50 * np.log(h.spacing / 0.1) ** 2
+            return super().log_evidence(h) - 500 * np.log(h.spacing / 0.1) ** 2
 
         log_evidence_of_noise = log_evidence
 
     top = settle(Finer(START), START, lambda h: replace(h, spacing=h.spacing / 1.4))
     assert top.hyperparameters.spacing == pytest.approx(0.2 / 1.4**2)
     assert top.hyperparameters.noise_sd == pytest.approx(START.noise_sd)
+
+
+def test_finer_splines_have_to_gain_in_proportion_to_the_data():
+    class Finer(Hill):
+        def log_evidence(self, h):
+            return super().log_evidence(h) - 10 * np.log(h.spacing / START.spacing)
+
+        log_evidence_of_noise = log_evidence
+
+    few, many = Finer(START), Finer(START)
+    few.n_independent, many.n_independent = 100.0, 10_000.0
+    spacings = [settle(hill, START, _half_once).hyperparameters.spacing for hill in (few, many)]
+    assert spacings == [START.spacing / 2, START.spacing]
+
+
+def _half_once(h):
+    return replace(h, spacing=h.spacing / 2) if h.spacing == START.spacing else None
 
 
 def test_numbers_without_evidence_are_no_top():

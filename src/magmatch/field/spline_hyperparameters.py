@@ -22,7 +22,7 @@ FEWEST_SAMPLES = 40
 LONELY_LENGTHSCALE = 0.5
 # In units of the samples' distance: closer splines are more than samples tell apart, and where these lie anywhere the
 # reach follows what they may leave between them, and half a cell.
-CLOSEST_SPLINES, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.75, 0.4, 1.3
+CLOSEST_SPLINES, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.95, 0.4, 1.3
 # The search starts here: spacing and lengthscale from the variogram, signal over noise and stiffness that suit most;
 # along a path a field so smooth that what it leaves shows which errors neighbours share.
 LENGTHSCALE_IN_SPACINGS = 4.0
@@ -31,7 +31,7 @@ START, START_OF_A_PATH = (120.0, 3000.0), (12.0, 300.0)
 REACH, REACH_OF_A_PATH = 1.5, 2.0
 # In lengthscales: so far beyond samples that lie anywhere a smooth field is told of, however close the splines, and
 # farther where all lie near a plane, beyond which everything is; what that is worth against closer splines.
-TOLD_BEYOND, TOLD_BEYOND_A_PLANE, WORTH_OF_BEYOND = 0.4, 0.6, 4.0
+TOLD_BEYOND, TOLD_BEYOND_A_PLANE, WORTH_OF_BEYOND = 0.3, 0.6, 4.0
 # The next spacing that is tried.
 FINER = 0.75
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
@@ -75,7 +75,7 @@ class Layout:
         """Numbers whose reach covers what their field tells of, as far as the survey can afford it."""
         if self.is_path:
             return h
-        is_thin = np.ptp(points, axis=0).min() < h.lengthscale
+        is_thin = np.ptp(points, axis=0).min() < h.lengthscale / 2
         farthest = (TOLD_BEYOND_A_PLANE if is_thin else TOLD_BEYOND) * h.lengthscale / h.spacing + 0.5
         tried = (replace(h, reach=rounded(share * farthest)) for share in (1.0, 0.8, 0.65))
         return next((t for t in tried if t.reach > h.reach and is_affordable(points, t, WORTH_OF_BEYOND)), h)
