@@ -157,7 +157,8 @@ def _eliminate(
 @njit(cache=True, nogil=True)
 def _assemble(unknowns, flat, shifts, row_at, stencil, border, corner, A, X):  # type: ignore[no-untyped-def]
     """Copy the matrix' own entries of a front's columns into its dense blocks, 0 elsewhere."""
-    A[:], X[:] = 0, 0
+    # Compiled loops go row by row; these lie column by column.
+    A.T[:], X.T[:] = 0, 0
     nodes = unknowns[unknowns < len(stencil)]
     for row in range(len(nodes)):
         row_at[flat[nodes[row]]] = row
@@ -239,7 +240,7 @@ def _factor_front(A: np.ndarray, X: np.ndarray, S: np.ndarray, is_leaf: bool) ->
     """Factor a front in place; the pivot that fails, 0 where none does."""
     if len(A) == 0:
         if is_leaf:
-            S[:] = 0
+            S.T[:] = 0
         return 0
     failed = cholesky(A)
     if failed == 0 and len(X):

@@ -72,13 +72,14 @@ def _front_inverse(
     """Write the inverse among a front's own unknowns (lower triangle), and between its border and them."""
     if len(L) == 0:
         return
-    L_inverse[:] = L
+    # Transposed, since compiled loops go row by row and these lie column by column.
+    L_inverse.T[:] = L.T
     invert_triangle(L_inverse)
-    Z11[:] = L_inverse
+    Z11.T[:] = L_inverse.T
     square_transposed(Z11)
     if len(X) == 0:
         return
-    W[:] = X
+    W.T[:] = X.T
     multiply_right(L_inverse, W)
     minus_symmetric_product(Z22, W, Z21)
     # Minus W^T (-Z22 W).

@@ -36,9 +36,9 @@ TOLD_BEYOND, TOLD_BEYOND_A_PLANE, WORTH_OF_BEYOND = 0.3, 0.6, 4.0
 FINER = 0.75
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
-PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 1.5e5)
+PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 4e4)
 # Of a short path, as many as this, and less than a share of any tells too little: so many may be spent on that.
-LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 3e9, 0.3, 8e9
+LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 2e9, 0.3, 8e9
 # Where samples lie anywhere, the share of those operations that a smaller part takes, from which all but the spacing
 # and the last of the noise can be told; of a path, stiffness cannot.
 FEW = 0.35
