@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from magmatch.field.charges import charge_design, charge_field
@@ -180,6 +179,8 @@ def _near_surface(region: Points, distance: float, step: float) -> Points:
     origin = (low + high - n_steps * step) / 2 - margin * step
     is_free = np.ones((n_steps.astype(np.int64) + 1 + 2 * margin), dtype=np.bool_)
     is_free[tuple(np.rint((region - origin) / step).astype(np.int64).T)] = False
+    from scipy.ndimage import distance_transform_edt
+
     away = step * distance_transform_edt(is_free)
     return np.asarray(origin + step * np.argwhere(np.abs(away - distance) <= 1.4 * step))
 
