@@ -9,10 +9,9 @@ import numpy as np
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline_evidence import EvidenceSearch
 
-# A step must gain so many nats: less is chance, and the start is a good one.
-LEAST_GAIN, MOST_STEPS = 2.0, 6
-# One to finer splines costs twice as much, and has to gain this for each independent value.
-GAIN_OF_FINER = 0.01
+# A step must gain so many nats, and so many for each independent value: less is chance, and the start is a good one. To
+# go to finer splines costs twice as much.
+LEAST_GAIN, GAIN, GAIN_OF_FINER, MOST_STEPS = 2.0, 0.005, 0.01, 6
 # Factors tried of each number, the second where the first does not help.
 STIFFNESS, LENGTHSCALE = (10.0, 0.1), (1.8, 1 / 1.8)
 # Of the noise's logarithm: so far at once, and how far a parabola is as good as the evidence.
@@ -86,7 +85,7 @@ def settle(search: EvidenceSearch, start: Hyperparameters | Top, finer: Step) ->
     """
     # First: finer splines make up for a noise that is too large.
     best = start if isinstance(start, Top) else _settled(search, start)
-    return _along(search, best, [finer], max(LEAST_GAIN, GAIN_OF_FINER * search.n_independent))
+    return _along(search, best, [finer], GAIN_OF_FINER)
 
 
 def _settled(search: EvidenceSearch, start: Hyperparameters) -> Top:
@@ -122,9 +121,9 @@ def _allowed_noise(h: Hyperparameters, noise_sd: float) -> float:
     return float(np.clip(noise_sd, h.signal_sd / high, h.signal_sd / low))
 
 
-def _along(search: EvidenceSearch, start: Top, steps: Sequence[Step], least_gain: float = LEAST_GAIN) -> Top:
+def _along(search: EvidenceSearch, start: Top, steps: Sequence[Step], gain: float = GAIN) -> Top:
     """Repeat the first of some steps that helps, as long as it does; each is judged at its own best noise."""
-    best = start
+    best, least_gain = start, max(LEAST_GAIN, gain * search.n_independent)
     for step in steps:
         for _ in range(MOST_STEPS):
             h = step(best.hyperparameters)

@@ -20,9 +20,11 @@ log = logging.getLogger(__name__)
 FEWEST_SAMPLES = 40
 # Where all samples lie at one place, m.
 LONELY_LENGTHSCALE = 0.5
-# In units of the samples' distance: closer splines are more than samples tell apart, and where these lie anywhere the
-# reach follows what they may leave between them, and half a cell.
-CLOSEST_SPLINES, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.95, 0.4, 1.3
+# In units of the samples' distance: closer splines are more than samples tell apart, or tell for less than they cost,
+# which of few samples is little; and where these lie anywhere the reach follows what they may leave between them, and
+# half a cell.
+CLOSEST_SPLINES, CLOSEST_OF_FEW, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.95, 0.75, 0.4, 1.3
+FEW_SAMPLES = 500
 # The search starts here: spacing and lengthscale from the variogram, signal over noise and stiffness that suit most;
 # along a path a field so smooth that what it leaves shows which errors neighbours share.
 LENGTHSCALE_IN_SPACINGS = 4.0
@@ -38,7 +40,7 @@ FINER = 0.75
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
 PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 4e4)
 # Of a short path, as many as this, and less than a share of any tells too little: so many may be spent on that.
-LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 2e9, 0.3, 8e9
+LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 2.4e9, 0.3, 8e9
 # Where samples lie anywhere, the share of those operations that a smaller part takes, from which all but the spacing
 # and the last of the noise can be told; of a path, stiffness cannot.
 FEW = 0.35
@@ -55,17 +57,22 @@ class Layout:
     ----------
     distance : float, m
         Of the samples, as `sample_distance` says.
+    closest : float, m
+        Least spacing.
     is_path : bool
         Whether they follow one another.
     """
 
     distance: float
+    closest: float
     is_path: bool
 
-    @property
-    def closest(self) -> float:
-        """Least spacing, m."""
-        return (CLOSEST_OF_A_PATH if self.is_path else CLOSEST_SPLINES) * self.distance
+    @classmethod
+    def over(cls, points: Points) -> "Layout":
+        """As these samples ask for."""
+        distance, is_path = sample_distance(points), has_path_order(points)
+        anywhere = CLOSEST_OF_FEW if len(points) <= FEW_SAMPLES else CLOSEST_SPLINES
+        return cls(distance, (CLOSEST_OF_A_PATH if is_path else anywhere) * distance, is_path)
 
     def reach(self, spacing: float) -> float:
         """How far beyond samples cells of a spacing have to reach."""
@@ -105,7 +112,7 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
     floor = max(float(np.abs(field).max(initial=0.0)) * 1e-6, 1e-15)
     if len(points) < FEWEST_SAMPLES or length == 0 or np.ptp(field, axis=0).max() <= floor:
         return _without_evidence(points, field, length, floor)
-    layout = Layout(sample_distance(points), has_path_order(points))
+    layout = Layout.over(points)
     start = _start(points, field, length, layout)
     search = _searched(points, field, start, *_effort(len(points), layout))
     if layout.is_path:
