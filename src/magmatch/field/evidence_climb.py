@@ -9,8 +9,8 @@ import numpy as np
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline_evidence import EvidenceSearch
 
-# A step must gain so many nats, and so many for each independent value: less is chance, and the start is a good one. To
-# go to finer splines costs twice as much.
+# A step must gain so many nats, and so many for each independent value: less is chance, and the start is a good one.
+# One to finer splines costs twice as much.
 LEAST_GAIN, GAIN, GAIN_OF_FINER, MOST_STEPS = 2.0, 0.005, 0.01, 6
 # Factors tried of each number, the second where the first does not help.
 STIFFNESS, LENGTHSCALE = (10.0, 0.1), (1.8, 1 / 1.8)
