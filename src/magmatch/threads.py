@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from functools import wraps
+from functools import partial, wraps
 from threading import Lock, Semaphore
 from typing import ParamSpec, TypeVar, cast
 
@@ -23,9 +23,47 @@ A = TypeVar("A")
 # Seconds after which a thread that holds the interpreter lets another in, while parts run: they hold it for
 # microseconds between compiled calls of a millisecond, and as a rule would wait for five to get it back.
 QUICK_TURNS = 5e-5
-_turns_lock, _usual_turns = Lock(), list[float]()
 _is_worker: ContextVar[bool] = ContextVar("is_worker", default=False)
 _is_limited: ContextVar[bool] = ContextVar("is_limited", default=False)
+
+
+class WhileAnyone:
+    """A state of the whole process that lasts from the first thread that needs it to the last.
+
+    Parameters
+    ----------
+    begin : callable
+        Brings it about; gives what puts back what was before.
+    """
+
+    def __init__(self, begin: Callable[[], Callable[[], None]]) -> None:
+        self._begin, self._lock, self._n = begin, Lock(), 0
+        self._end: Callable[[], None] | None = None
+
+    @contextmanager
+    def __call__(self) -> Iterator[None]:
+        """For the block."""
+        with self._lock:
+            if self._n == 0:
+                self._end = self._begin()
+            self._n += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._n -= 1
+                if self._n == 0 and self._end is not None:
+                    self._end()
+
+
+def _take_quick_turns() -> Callable[[], None]:
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(QUICK_TURNS)
+    return partial(sys.setswitchinterval, usual)
+
+
+one_blas_thread = WhileAnyone(lambda: threadpool_limits(limits=1).restore_original_limits)
+quick_turns = WhileAnyone(_take_quick_turns)
 
 
 def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
@@ -48,7 +86,7 @@ def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
             return task(*args, **kwargs)
         token = _is_limited.set(True)
         try:
-            with threadpool_limits(limits=1):
+            with one_blas_thread():
                 return task(*args, **kwargs)
         finally:
             _is_limited.reset(token)
@@ -80,7 +118,7 @@ def side_by_side(task: Callable[[A], T], parts: Iterable[A]) -> list[T]:
     Returns
     -------
     list
-        What each part gave, in their order. Raises what the first of them raised.
+        What each part gave, in their order. Raises what one of them raised, without beginning any more.
     """
     listed = list(parts)
     n_helpers = 0 if _is_worker.get() else _take_spare_cores(len(listed) - 1)
@@ -93,12 +131,16 @@ def side_by_side(task: Callable[[A], T], parts: Iterable[A]) -> list[T]:
             # The next number is given to one thread only: iterators of ranges hold the interpreter.
             for k in numbers:
                 results[k] = task(listed[k])
+        except BaseException:
+            # A fault, or Ctrl-C: nobody begins another part.
+            list(numbers)
+            raise
         finally:
             # Whoever finds nothing left gives a core back; the last one's is the caller's own.
             if next(leaving, None) is not None:
                 _spare_cores.release()
 
-    with _taking_turns(), ThreadPoolExecutor(n_helpers) as pool:
+    with quick_turns(), ThreadPoolExecutor(n_helpers) as pool:
         helpers = [pool.submit(copy_context().run, work) for _ in range(n_helpers)]
         try:
             work()
@@ -139,18 +181,3 @@ def _take_spare_cores(most: int) -> int:
     while n < most and _spare_cores.acquire(blocking=False):
         n += 1
     return n
-
-
-@contextmanager
-def _taking_turns() -> Iterator[None]:
-    """Threads take turns quickly; the last who asked for it puts back what was the rule."""
-    with _turns_lock:
-        _usual_turns.append(sys.getswitchinterval())
-        sys.setswitchinterval(QUICK_TURNS)
-    try:
-        yield
-    finally:
-        with _turns_lock:
-            # The first found what was the rule, all others what it had set.
-            sys.setswitchinterval(_usual_turns[0] if len(_usual_turns) == 1 else QUICK_TURNS)
-            _usual_turns.pop()

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.evidence_climb import climb, settle
+from magmatch.field.evidence_climb import climb, is_allowed, settle
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.noise_slopes import NoiseSlopes
 
@@ -134,3 +134,33 @@ def test_numbers_without_evidence_are_no_top():
         log_evidence_of_noise = log_evidence
 
     assert climb(Pit(START), START).hyperparameters == START
+
+
+def test_a_step_into_numbers_that_cannot_be_used_leads_back():
+    class Edge(Hill):
+        """Less noise than a third of the start's cannot be used, and the slope leads there."""
+
+        def log_evidence(self, h):
+            value = super().log_evidence(h)
+            return value if h.noise_sd > START.noise_sd / 3 else -np.inf
+
+        log_evidence_of_noise = log_evidence
+
+    top = climb(Edge(replace(START, noise_sd=START.noise_sd / 20)), START)
+    assert np.isfinite(Edge(START).log_evidence(top.hyperparameters))
+
+
+@given(signal=st.floats(1e-9, 1e-3), slope=st.sampled_from([-1e9, 1e9]))
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_the_farthest_noise_is_within_bounds(signal, slope):
+    class Slide(Hill):
+        def noise_slopes(self, h):
+            return NoiseSlopes((slope, 0.0), (0.0, 0.0))
+
+        def log_evidence(self, h):
+            return slope * np.log(h.noise_sd)
+
+        log_evidence_of_noise = log_evidence
+
+    start = replace(START, signal_sd=signal, noise_sd=signal / 30)
+    assert is_allowed(settle(Slide(start), start, lambda _: None).hyperparameters)

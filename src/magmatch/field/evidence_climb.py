@@ -90,23 +90,39 @@ def settle(search: EvidenceSearch, start: Hyperparameters | Top, finer: Step) ->
 
 def _settled(search: EvidenceSearch, start: Hyperparameters) -> Top:
     """The best noise, by Newton's steps until one is so short that nothing need be computed where it leads."""
-    top = _top(search, start)
+    tops, h = list[Top](), start
     for _ in range(MOST_STEPS):
+        top = _top(search, h)
+        if top is None:
+            break
+        tops.append(top)
         if top.is_near:
             break
-        top = _top(search, top.hyperparameters)
-    return top
+        h = top.hyperparameters
+    if not tops:
+        return _as_tried(search, start)
+    # What lies far from what was tried is but a promise.
+    borne_out = [top if top.is_near else _as_tried(search, top.tried) for top in tops]
+    return max(borne_out, key=lambda top: search.log_evidence_of_noise(top.tried) + top.gain)
 
 
-def _top(search: EvidenceSearch, h: Hyperparameters) -> Top:
-    """Where the parabola in the logarithm of the noise is highest, or as far towards it as is sensible."""
+def _top(search: EvidenceSearch, h: Hyperparameters) -> Top | None:
+    """Where the parabola in the logarithm of the noise is highest, or as far towards it as is sensible.
+
+    None where the numbers cannot be used.
+    """
     if not np.isfinite(search.log_evidence_of_noise(h)):
-        return Top(h, h, 0.0, h.noise_sd)
+        return None
     slopes = search.noise_slopes(h)
     noise_sd = _allowed_noise(h, h.noise_sd * np.exp(_newton_step(*slopes.evidence)))
     step = float(np.log(noise_sd / h.noise_sd))
     gain, level = (first * step + second * step**2 / 2 for first, second in (slopes.evidence, slopes.level))
     return Top(h, replace(h, noise_sd=noise_sd), gain, search.noise_sd(h) * float(np.exp(level)))
+
+
+def _as_tried(search: EvidenceSearch, h: Hyperparameters) -> Top:
+    """Numbers as they were tried; raises `numpy.linalg.LinAlgError` where they cannot be used."""
+    return Top(h, h, 0.0, search.noise_sd(h))
 
 
 def _newton_step(slope: float, bend: float) -> float:
@@ -118,7 +134,8 @@ def _newton_step(slope: float, bend: float) -> float:
 def _allowed_noise(h: Hyperparameters, noise_sd: float) -> float:
     """The nearest noise within bounds."""
     low, high = SIGNALS_TO_NOISE
-    return float(np.clip(noise_sd, h.signal_sd / high, h.signal_sd / low))
+    # A little inside, so that rounding does not put it out of bounds.
+    return float(np.clip(noise_sd, h.signal_sd / high * (1 + 1e-9), h.signal_sd / low * (1 - 1e-9)))
 
 
 def _along(search: EvidenceSearch, start: Top, steps: Sequence[Step], gain: float = GAIN) -> Top:
@@ -140,9 +157,11 @@ def _better(search: EvidenceSearch, h: Hyperparameters, best: Top, least_gain: f
     """Where numbers lead to if that is higher than the best so far."""
     needed = search.log_evidence(best.tried) + best.gain + least_gain
     found = _top(search, h)
+    if found is None:
+        return None
     # What a parabola promises from afar is looked at, what it does not is not.
     if search.log_evidence(h) + found.gain >= needed and not found.is_near:
-        found = _settled(search, found.hyperparameters)
+        found = _settled(search, h)
     return found if search.log_evidence(found.tried) + found.gain >= needed else None
 
 

@@ -25,9 +25,7 @@ class Factors:
         self._make = make
         self._made: dict[type[np.floating], CholeskyFactor] = {}
         if made is not None:
-            self._made[np.float32] = made
-            if made.precision == np.float64:
-                self._made[np.float64] = made
+            self._keep(np.float32, made)
 
     @classmethod
     def of(cls, factor: CholeskyFactor) -> "Factors":
@@ -47,9 +45,15 @@ class Factors:
     @property
     def n_bytes(self) -> int:
         """Memory of those that were made."""
-        return sum(factor.n_bytes for factor in {id(f): f for f in self._made.values()}.values())
+        # A list, since another thread may make one meanwhile.
+        return sum(factor.n_bytes for factor in {id(f): f for f in list(self._made.values())}.values())
 
     def _find(self, precision: type[np.floating]) -> CholeskyFactor:
         if precision not in self._made:
-            self._made[precision] = self._make(precision)
+            self._keep(precision, self._make(precision))
         return self._made[precision]
+
+    def _keep(self, precision: type[np.floating], factor: CholeskyFactor) -> None:
+        self._made[precision] = factor
+        if factor.precision == np.float64:
+            self._made[np.float64] = factor

@@ -11,7 +11,6 @@ the evidence follow them. kappa is how many samples count as one: the integral o
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -34,8 +33,6 @@ SMALLEST_CORRELATION = 0.1
 MOST_SAMPLES_AS_ONE = 16.0
 # `SplineModel.contrast` beyond which rounding in single precision would be seen in the evidence.
 HIGHEST_CONTRAST = 1e6
-# A step that does not help is the last fit but one, or two.
-FACTORS_KEPT = 3
 
 
 # Spacing, reach, lengthscale and stiffness: signal and noise only scale the prior.
@@ -84,8 +81,8 @@ class EvidenceSearch:
         self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
         self._data: dict[tuple[float, float], SplineInformation] = {}
         self._fits: dict[Hyperparameters, Fit] = {}
-        # Of the last few fits.
-        self._factors: dict[Hyperparameters, CholeskyFactor] = {}
+        # The last fit's: slopes are asked for at once or not at all.
+        self._last: tuple[Hyperparameters, CholeskyFactor] | None = None
         self._shapes: dict[Shape, StencilMatrix] = {}
         self._log_determinants: dict[Shape, float] = {}
 
@@ -103,7 +100,10 @@ class EvidenceSearch:
 
         Minus infinity where the numbers cannot be used.
         """
-        return self.log_evidence_of_noise(h) + 0.5 * self._log_determinant(h)
+        try:
+            return self.log_evidence_of_noise(h) + 0.5 * self._log_determinant(h)
+        except np.linalg.LinAlgError:
+            return -np.inf
 
     def log_evidence_of_noise(self, h: Hyperparameters) -> float:
         """The same up to a number that only depends on spacing, reach, lengthscale and stiffness."""
@@ -123,8 +123,8 @@ class EvidenceSearch:
     def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
         """How evidence and noise level change with the noise, at numbers of finite evidence."""
         scale, constant, shape, cells = *_scales(h), self._shape(h), self._model(h).cells
-        if h not in self._factors:
-            self._keep(h, self._factor(h, self._observed(h))[1])
+        if self._last is None or self._last[0] != h:
+            self._last = h, self._factor(h, self._observed(h))[1]
 
         def times_prior(x: Scalars) -> Scalars:
             product = scale * shape.times(x, cells)
@@ -132,13 +132,12 @@ class EvidenceSearch:
             return product
 
         fit = self._fit(h)
-        return noise_slopes(times_prior, self._factors[h], fit.weights, fit.square, self.n_independent)
+        return noise_slopes(times_prior, self._last[1], fit.weights, fit.square, self.n_independent)
 
     def residuals(self, h: Hyperparameters) -> Vectors:
         """What the fitted mean leaves of the samples, (n, 3), T."""
-        model, data = self._model(h), self._observed(h)
-        factors = Factors(partial(factorise, model.elimination, model.precision(data)))
-        posterior = SplinePosterior(h, model.cells, factors, self._fit(h).weights)
+        factors = Factors(lambda _: self._factor(h, self._observed(h))[1])
+        posterior = SplinePosterior(h, self._model(h).cells, factors, self._fit(h).weights)
         left: Vectors = self.field - posterior.evaluate(self.points).field
         return left
 
@@ -180,7 +179,7 @@ class EvidenceSearch:
         if h not in self._fits:
             data = self._observed(h)
             A, factor = self._factor(h, data)
-            self._keep(h, factor)
+            self._last = h, factor
             w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
             # As the first solution has it, which is off by the square of its error; and that.
             square = data.square - float((data.eta + left) @ w) - float(left @ change)
@@ -199,12 +198,6 @@ class EvidenceSearch:
         A = StencilMatrix(stencil, data.gram.border, corner)
         is_risky = self.precision == np.float32 and model.contrast(data) > HIGHEST_CONTRAST
         return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
-
-    def _keep(self, h: Hyperparameters, factor: CholeskyFactor) -> None:
-        """For questions about the last few fits."""
-        self._factors[h] = factor
-        while len(self._factors) > FACTORS_KEPT:
-            del self._factors[next(iter(self._factors))]
 
     def _shape(self, h: Hyperparameters) -> StencilMatrix:
         """Prior precision where signal and noise are the same, of which theirs is a multiple."""

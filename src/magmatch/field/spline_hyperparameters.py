@@ -38,9 +38,9 @@ TOLD_BEYOND, TOLD_BEYOND_A_PLANE, WORTH_OF_BEYOND = 0.3, 0.6, 4.0
 FINER = 0.75
 # Operations of one factorisation of the part that is searched: a constant and a share per sample. Of a path it has to
 # hold many lanes that cross: from few, nothing tells what they miss of one another.
-PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (5e8, 4e4)
+PART_OPERATIONS, PART_OF_A_PATH = (6e8, 1.5e5), (2e9, 1e4)
 # Of a short path, as many as this, and less than a share of any tells too little: so many may be spent on that.
-LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 2.4e9, 0.3, 8e9
+SHORT_PATH, LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 20_000, 3e9, 0.3, 8e9
 # Where samples lie anywhere, the share of those operations that a smaller part takes, from which all but the spacing
 # and the last of the noise can be told; of a path, stiffness cannot.
 FEW = 0.35
@@ -82,7 +82,9 @@ class Layout:
         """Numbers whose reach covers what their field tells of, as far as the survey can afford it."""
         if self.is_path:
             return h
-        is_thin = np.ptp(points, axis=0).min() < h.lengthscale / 2
+        # Of samples evenly through a layer, twelve times the variance is the square of its thickness.
+        thickness = np.sqrt(12 * max(float(np.linalg.eigvalsh(np.cov(points.T))[0]), 0.0))
+        is_thin = thickness < h.lengthscale / 2
         farthest = (TOLD_BEYOND_A_PLANE if is_thin else TOLD_BEYOND) * h.lengthscale / h.spacing + 0.5
         tried = (replace(h, reach=rounded(share * farthest)) for share in (1.0, 0.8, 0.65))
         return next((t for t in tried if t.reach > h.reach and is_affordable(points, t, WORTH_OF_BEYOND)), h)
@@ -166,7 +168,8 @@ def _effort(n: int, layout: Layout) -> tuple[float, int]:
     """Operations of one factorisation of the part that is searched, and samples that it should hold all the same."""
     if not layout.is_path:
         return PART_OPERATIONS[0] + PART_OPERATIONS[1] * n, 0
-    return max(PART_OF_A_PATH[0] + PART_OF_A_PATH[1] * n, LEAST_OPERATIONS), int(SHARE_OF_A_PATH * n)
+    least = LEAST_OPERATIONS if n <= SHORT_PATH else 0.0
+    return max(PART_OF_A_PATH[0] + PART_OF_A_PATH[1] * n, least), int(SHARE_OF_A_PATH * n)
 
 
 def _searched(

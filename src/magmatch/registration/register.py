@@ -85,7 +85,9 @@ def register_keeping_maps(
         What `register` gives.
     """
     config = config or PRESETS["default"]
-    clock, inputs = Stopwatch(), (describe_input(survey_of(base)), describe_input(survey_of(target)))
+    # A map of the target leaves samples out; a walk is compared with all that were given.
+    clock, samples = Stopwatch(), survey_of(target)
+    inputs = (describe_input(survey_of(base)), describe_input(samples))
     if isinstance(base, Survey):
         # Both at once: a base that has to be mapped first leaves a core for the target.
         base, target = clock.time("maps", side_by_side, partial(as_map, config=config), (base, target))
@@ -94,7 +96,7 @@ def register_keeping_maps(
         target = clock.time("maps", as_map, target, config)
         answer = register_by_keypoints(base_map, target, config, seed, clock)
     else:
-        answer = register_by_field(base, target, config, seed, clock)
+        answer = register_by_field(base, target, samples, config, seed, clock)
     return (
         base_map,
         target,
@@ -110,18 +112,23 @@ def register_keeping_maps(
 
 
 def register_by_field(
-    base: FieldMap | MapIndex, target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
+    base: FieldMap | MapIndex,
+    target: Survey | FieldMap,
+    samples: Survey,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Stopwatch,
 ) -> RegistrationResult:
     """Compare the target with the base's field: as a walk where it is a line, as a map otherwise."""
     prepared = base.base if isinstance(base, MapIndex) else clock.time("prepare", prepare_base, base, config)
-    survey, search = survey_of(target), config.search
+    search = config.search
     if search == "auto":
-        search = choose_search(survey, prepared.lengthscale)
+        search = choose_search(samples, prepared.lengthscale)
     if search == "pairs":
         log.info("searching for the walk by pairs of points")
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)
         rng = np.random.default_rng(seed)
-        answer = clock.time("walk", register_walk, walks, survey, config.walks, rng, config.prior)
+        answer = clock.time("walk", register_walk, walks, samples, config.walks, rng, config.prior)
         answer = settle_walk(walks, target, answer, config, seed, clock)
         if answer.is_accepted or config.search == "pairs":
             return answer
