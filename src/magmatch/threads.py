@@ -24,7 +24,6 @@ A = TypeVar("A")
 # microseconds between compiled calls of a millisecond, and as a rule would wait for five to get it back.
 QUICK_TURNS = 5e-5
 _is_worker: ContextVar[bool] = ContextVar("is_worker", default=False)
-_is_limited: ContextVar[bool] = ContextVar("is_limited", default=False)
 
 
 class WhileAnyone:
@@ -62,6 +61,7 @@ def _take_quick_turns() -> Callable[[], None]:
     return partial(sys.setswitchinterval, usual)
 
 
+# To set the limit takes a millisecond or two; tasks within tasks do not set it again.
 one_blas_thread = WhileAnyone(lambda: threadpool_limits(limits=1).restore_original_limits)
 quick_turns = WhileAnyone(_take_quick_turns)
 
@@ -81,15 +81,8 @@ def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(task)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        # To set the limit takes a millisecond or two: once is enough.
-        if _is_limited.get():
+        with one_blas_thread():
             return task(*args, **kwargs)
-        token = _is_limited.set(True)
-        try:
-            with one_blas_thread():
-                return task(*args, **kwargs)
-        finally:
-            _is_limited.reset(token)
 
     return limited
 

@@ -89,18 +89,19 @@ def settle(search: EvidenceSearch, start: Hyperparameters | Top, finer: Step) ->
 
 
 def _settled(search: EvidenceSearch, start: Hyperparameters) -> Top:
-    """The best noise, by Newton's steps until one is so short that nothing need be computed where it leads."""
-    tops, h = list[Top](), start
-    for _ in range(MOST_STEPS):
-        top = _top(search, h)
-        if top is None:
+    """The best noise for the rest of some numbers; raises `numpy.linalg.LinAlgError` where they cannot be used."""
+    first = _top(search, start)
+    return _as_tried(search, start) if first is None else _followed(search, first)
+
+
+def _followed(search: EvidenceSearch, first: Top) -> Top:
+    """By Newton's steps, until one is so short that nothing need be computed where it leads."""
+    tops = [first]
+    while not tops[-1].is_near and len(tops) < MOST_STEPS:
+        further = _top(search, tops[-1].hyperparameters)
+        if further is None:
             break
-        tops.append(top)
-        if top.is_near:
-            break
-        h = top.hyperparameters
-    if not tops:
-        return _as_tried(search, start)
+        tops.append(further)
     # What lies far from what was tried is but a promise.
     borne_out = [top if top.is_near else _as_tried(search, top.tried) for top in tops]
     return max(borne_out, key=lambda top: search.log_evidence_of_noise(top.tried) + top.gain)
@@ -161,7 +162,7 @@ def _better(search: EvidenceSearch, h: Hyperparameters, best: Top, least_gain: f
         return None
     # What a parabola promises from afar is looked at, what it does not is not.
     if search.log_evidence(h) + found.gain >= needed and not found.is_near:
-        found = _settled(search, h)
+        found = _followed(search, found)
     return found if search.log_evidence(found.tried) + found.gain >= needed else None
 
 

@@ -173,14 +173,14 @@ def _on_surface(region: Points, tree: cKDTree, distance: float, h: float) -> Poi
 
 def _near_surface(region: Points, distance: float, step: float) -> Points:
     """Nodes of a lattice whose distance from the region is right to about a step."""
+    from scipy.ndimage import distance_transform_edt
+
     low, high = region.min(axis=0), region.max(axis=0)
     margin = int(np.ceil(distance / step)) + 2
     n_steps = np.ceil((high - low) / step - 1e-9)
     origin = (low + high - n_steps * step) / 2 - margin * step
     is_free = np.ones((n_steps.astype(np.int64) + 1 + 2 * margin), dtype=np.bool_)
     is_free[tuple(np.rint((region - origin) / step).astype(np.int64).T)] = False
-    from scipy.ndimage import distance_transform_edt
-
     away = step * distance_transform_edt(is_free)
     return np.asarray(origin + step * np.argwhere(np.abs(away - distance) <= 1.4 * step))
 

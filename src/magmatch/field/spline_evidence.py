@@ -22,7 +22,13 @@ from magmatch.field.multifrontal import CholeskyFactor, factorise
 from magmatch.field.nested_dissection import Elimination, order_elimination
 from magmatch.field.noise_slopes import NoiseSlopes, noise_slopes
 from magmatch.field.reserve import RESERVE
-from magmatch.field.spline_model import CONSTANT_SD, SplineInformation, SplineModel, SplinePosterior, prior_scale
+from magmatch.field.spline_model import (
+    SplineInformation,
+    SplineModel,
+    SplinePosterior,
+    constant_precision,
+    prior_scale,
+)
 from magmatch.field.stencil_matrix import StencilMatrix
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
@@ -111,8 +117,8 @@ class EvidenceSearch:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
             return -np.inf
-        n, (scale, constant) = float(self.field.size), _scales(h)
-        log_prior = self._model(h).cells.n_nodes * np.log(scale) + 3 * np.log(constant)
+        n = float(self.field.size)
+        log_prior = self._model(h).cells.n_nodes * np.log(prior_scale(h)) + 3 * np.log(constant_precision(h))
         likelihood = self.n_independent * np.log(fit.square / n)
         return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
 
@@ -122,13 +128,13 @@ class EvidenceSearch:
 
     def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
         """How evidence and noise level change with the noise, at numbers of finite evidence."""
-        scale, constant, shape, cells = *_scales(h), self._shape(h), self._model(h).cells
+        shape, cells = self._shape(h), self._model(h).cells
         if self._last is None or self._last[0] != h:
             self._last = h, self._factor(h, self._observed(h))[1]
 
         def times_prior(x: Scalars) -> Scalars:
-            product = scale * shape.times(x, cells)
-            product[-3:] = constant * x[-3:]
+            product = prior_scale(h) * shape.times(x, cells)
+            product[-3:] = constant_precision(h) * x[-3:]
             return product
 
         fit = self._fit(h)
@@ -190,11 +196,11 @@ class EvidenceSearch:
 
     def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
-        model, (scale, constant) = self._model(h), _scales(h)
+        model = self._model(h)
         stencil = RESERVE.take(HALF_STENCIL, model.cells.n_nodes).T
-        np.multiply(self._shape(h).stencil, scale, out=stencil)
+        np.multiply(self._shape(h).stencil, prior_scale(h), out=stencil)
         np.add(stencil, data.gram.stencil, out=stencil)
-        corner = data.gram.corner + np.eye(3) * constant
+        corner = data.gram.corner + np.eye(3) * constant_precision(h)
         A = StencilMatrix(stencil, data.gram.border, corner)
         is_risky = self.precision == np.float32 and model.contrast(data) > HIGHEST_CONTRAST
         return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
@@ -215,11 +221,6 @@ class EvidenceSearch:
             factor = factorise(self._model(h).elimination, self._shape(h), self.precision)
             self._log_determinants[key] = factor.log_determinant
         return self._log_determinants[key]
-
-
-def _scales(h: Hyperparameters) -> tuple[float, float]:
-    """What the prior's shape is multiplied by, and the constant's prior precision, in units of the noise."""
-    return prior_scale(h), (h.noise_sd / CONSTANT_SD) ** 2
 
 
 def _shape_of(h: Hyperparameters) -> Shape:

@@ -109,7 +109,7 @@ class SplineModel:
         """Prior precision of the weights in units of the noise's, ``noise_sd^2 P0``."""
         h = self.hyperparameters
         stencil = sum_of_elements(self.cells, cell_precision(h), cell_weights(self.cells.distance))
-        return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * (h.noise_sd / CONSTANT_SD) ** 2)
+        return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * constant_precision(h))
 
     def infer(self, information: SplineInformation) -> "SplinePosterior":
         """Posterior of the weights given information, with its factor."""
@@ -149,6 +149,11 @@ def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
 def prior_scale(h: Hyperparameters) -> float:
     """Factor from the prior's shape to the prior, in units of the noise."""
     return (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
+
+
+def constant_precision(h: Hyperparameters) -> float:
+    """Prior precision of the constant field in units of the noise's."""
+    return (h.noise_sd / CONSTANT_SD) ** 2
 
 
 def cell_precision(h: Hyperparameters) -> np.ndarray:

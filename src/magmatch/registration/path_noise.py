@@ -256,6 +256,9 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     -------
     PathNoise
     """
+    # Here, since it takes longer to import than a room to register, and only an index asks for it.
+    from scipy.optimize import minimize
+
     names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches")]
     center = np.log([getattr(guess, name) for name in names])
     is_loose = [name.endswith("_sd") for name in names]
@@ -277,9 +280,6 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
         return float(0.5 * ((offset / prior_log_sd) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
 
     bounds = [(-MOST_PRIOR_SDS * sd, MOST_PRIOR_SDS * sd) for sd in prior_log_sd]
-    # Here, since it takes longer to import than a room to register, and only an index asks for it.
-    from scipy.optimize import minimize
-
     found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B", bounds=bounds)
     noise = PathNoise(*np.exp(center + found.x).tolist())
     # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
