@@ -2,13 +2,14 @@
 """What a field model says at points: the vectors and their derivatives."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors, rotation_matrix
-from magmatch.typing import Tensors, ThirdOrder, Vectors
+from magmatch.typing import Points, Tensors, ThirdOrder, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,3 +53,19 @@ class FieldValues:
             np.concatenate(gradients) if len(gradients) == len(parts) else None,
             np.concatenate(seconds) if len(seconds) == len(parts) else None,
         )
+
+
+class FieldFunction(Protocol):
+    """A field that can be asked for at points."""
+
+    def evaluate(self, points: Points, order: int = 0) -> FieldValues:
+        """Field and, for order 1, its gradient."""
+        ...
+
+
+def gradient_of(values: FieldValues) -> Tensors:
+    """Gradient of values that were asked for with order 1."""
+    if values.gradient is None:
+        msg = "the posterior gave no gradient although order 1 was asked for"
+        raise ValueError(msg)
+    return values.gradient

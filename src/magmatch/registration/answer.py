@@ -226,9 +226,8 @@ def _free_directions(
 
 def _covariance(best: PoseEvidence, target: PreparedMap) -> Covariance6 | None:
     """Of xi in the target's survey frame."""
-    if best.covariance is None:
-        return None
-    return to_survey_axes(best.covariance, best.pose.center, target.T_map_model)
+    covariance = best.whole_covariance
+    return None if covariance is None else to_survey_axes(covariance, best.pose.center, target.T_map_model)
 
 
 def _to_surveys(T: RigidTransform, base: PreparedMap, target: PreparedMap) -> RigidTransform:

@@ -14,7 +14,9 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.shell import SourceShell, lay_shell
+from magmatch.field.values import gradient_of
 from magmatch.geometry import transform_points
+from magmatch.registration.drift import Drift
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refinement import (
@@ -24,7 +26,6 @@ from magmatch.registration.refinement import (
     Direction,
     Lookup,
     RefinedPose,
-    gradient_of,
     perturbation,
     residual_jacobian,
 )
@@ -104,6 +105,8 @@ class _Samples:
 
     Attributes
     ----------
+    rows : (n,) int array
+        Of the target's samples.
     positions : (n, 3) array, m; field : (n, 3) array, T; map_sd : (n,) array, T
         Target's model frame; the base's spread there.
     shell : SourceShell
@@ -112,6 +115,7 @@ class _Samples:
         One over the variance that noise and the base's spread state.
     """
 
+    rows: Indices
     positions: Points
     field: Vectors
     map_sd: Scalars
@@ -193,7 +197,7 @@ def refine_beside_changes(
         estimate = _solve(lookup, samples, gram, pose, prior, estimate)
         if is_close:
             break
-    direction = _direction(lookup, samples, gram, pose, estimate)
+    direction = _direction(lookup, samples, gram, pose, estimate, target.drift)
     known = prior.rows(pose.T_base_target, pose.center)[0]
     refined = replace(pose, prior_information=known, directions=(direction,))
     weights = np.zeros(len(gram))
@@ -219,14 +223,15 @@ def _choose_samples(
     shell = lay_shell(y, distance, distance / 2, config.n_charges)
     # From component-major rows to a row per sample and component.
     charges = np.moveaxis(shell.design(y).reshape(3, len(y), -1), 0, 1).reshape(3 * len(y), -1)
-    return _Samples(y, target.sample_field[rows], map_sd, shell, np.ascontiguousarray(charges), weight)
+    return _Samples(rows, y, target.sample_field[rows], map_sd, shell, np.ascontiguousarray(charges), weight)
 
 
 def _look_up(base: PreparedMap, samples: _Samples, pose: RefinedPose) -> Lookup:
     T = pose.T_base_target
     seen = base.posterior.evaluate(transform_points(samples.positions, T), order=1).rotated(T.inv())
     corrected = pose.sensor.correct(samples.field)
-    return Lookup(samples.positions, seen.field, corrected - seen.field, gradient_of(seen), corrected, samples.map_sd)
+    residual = corrected - seen.field
+    return Lookup(samples.rows, samples.positions, seen.field, residual, gradient_of(seen), corrected, samples.map_sd)
 
 
 def _solve(
@@ -314,7 +319,9 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
     return explained - _log_likelihood(A, v, before, strengths, noise, power, len(b))
 
 
-def _direction(lookup: Lookup, samples: _Samples, gram: Matrix, pose: RefinedPose, estimate: _Estimate) -> Direction:
+def _direction(
+    lookup: Lookup, samples: _Samples, gram: Matrix, pose: RefinedPose, estimate: _Estimate, drift: Drift
+) -> Direction:
     """What the samples say of pose and sensor when the charges are free to answer every change of them."""
     n, k, left = len(lookup.positions), 6 + len(pose.sensor_sd), estimate.charges
     charges = samples.charges[:, left]
@@ -331,4 +338,5 @@ def _direction(lookup: Lookup, samples: _Samples, gram: Matrix, pose: RefinedPos
         scores=(WJ * rest[:, None]).reshape(n, 3, k).sum(axis=1) / np.sqrt(CHOSEN),
         positions=lookup.positions,
         residual2=(rest**2).reshape(n, 3).sum(axis=1) * samples.weight[::3],
+        drift=drift.score_covariance(WJ.reshape(n, 3, k), lookup.gradient, samples.rows),
     )

@@ -52,6 +52,26 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
     return (total + total.T) / 2 if n_used else None
 
 
+def drift_covariance(pose: RefinedPose) -> Covariance6:
+    """Covariance of a pose that follows the drift which each survey states of its own positions.
+
+    Parameters
+    ----------
+    pose : RefinedPose
+
+    Returns
+    -------
+    (6, 6) array
+        Of the perturbation about the pose's centre; rotation first (rad, m), target's model axes.
+    """
+    total = np.zeros_like(pose.known_before)
+    for direction in pose.directions:
+        bread = np.linalg.pinv(_regular(direction.curvature + pose.known_before), hermitian=True)
+        total += bread @ direction.drift @ bread
+    covariance: Covariance6 = ((total + total.T) / 2)[:6, :6]
+    return covariance
+
+
 def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform) -> Covariance6:
     """Covariance of xi in ``T_true = T_estimate Exp(xi)``, target's survey frame.
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magmatch.features.invariants import mirrored_invariants
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldFunction, FieldValues
 from magmatch.registration.pose_prior import PosePrior
-from magmatch.registration.prepared import FieldFunction, PreparedMap
+from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.raster import Raster
 from magmatch.typing import Points
 

@@ -8,12 +8,12 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import gammaln
 
 from magmatch.geometry import rotate_vectors, transform_points
-from magmatch.registration.covariance import joint_covariance
+from magmatch.registration.covariance import drift_covariance, joint_covariance
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refinement import RefinedPose
 from magmatch.registration.unrelated import UnrelatedField, average_cells, fit_unrelated_field
-from magmatch.typing import Indices, Mask, Matrix, Scalars, Vectors
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Scalars, Vectors
 
 # Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
 CORRELATED_NOISE_SHARE = 0.1
@@ -29,7 +29,7 @@ class PoseEvidence:
     ----------
     pose : RefinedPose
     covariance : (6, 6) array or None
-        About the pose's centre, target's model axes.
+        About the pose's centre, target's model axes: as far as the fields' comparison leaves the pose free.
     overlap : float
         Share of the target's samples where the base knows the field.
     n_informative, n_good, n_bad : int
@@ -62,6 +62,11 @@ class PoseEvidence:
     misfit: float
     unchanged: float = 1.0
     is_beside_change: bool = False
+
+    @property
+    def whole_covariance(self) -> Covariance6 | None:
+        """What the comparison leaves free, and how far the surveys' own drift may have taken the pose along."""
+        return None if self.covariance is None else self.covariance + drift_covariance(self.pose)
 
     @property
     def good_share(self) -> float:

@@ -14,6 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, skew
 from magmatch.registration.path_noise import PathNoise
 from magmatch.registration.pose_prior import PosePrior
@@ -229,12 +230,9 @@ class _LeastSquares:
         points = (p[:, None] + np.einsum("hij,nj->hni", R, y)).reshape(-1, 3)
         _, sd, _, is_known = self.base.raster.lookup(points)
         values = self.base.posterior.evaluate(points, order=1)
-        if values.gradient is None:
-            msg = "the posterior gave no gradient although order 1 was asked for"
-            raise ValueError(msg)
         known, sd = is_known.reshape(n_poses, n), sd.reshape(n_poses, n)
         expected = values.field.reshape(n_poses, n, 3) @ R
-        G = np.swapaxes(R, 1, 2)[:, None] @ values.gradient.reshape(n_poses, n, 3, 3) @ R[:, None]
+        G = np.swapaxes(R, 1, 2)[:, None] @ gradient_of(values).reshape(n_poses, n, 3, 3) @ R[:, None]
         J = np.concatenate([G @ skew(y) - skew(self.walk.field), -G], axis=3)
         rows = np.concatenate([(self.walk.field - expected)[..., None], J], axis=3) * known[..., None, None]
         # Where something moved since, residuals of a whole piece are larger by a common factor.

@@ -19,6 +19,7 @@ from magmatch.errors import DataFormatError
 from magmatch.field.archive import fingerprint_archive
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.drift import Drift
 from magmatch.registration.mapped_arrays import MappedArrays, open_mapped, write_mapped
 from magmatch.registration.neighbours import NeighbourTree
 from magmatch.registration.pair_search import PairTable
@@ -154,6 +155,7 @@ class IndexFile:
             raster=self._raster(),
             lengthscale=about["lengthscale"],
             noise_sd=about["noise_sd"],
+            drift=Drift.of(survey.positions, survey.field, survey.pose_sd, field_map.posterior),
             **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
         )
         table = self.table()

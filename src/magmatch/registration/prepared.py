@@ -5,15 +5,15 @@ Working in the model frame makes the answer follow every rigid motion of a surve
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.features.invariants import gradient_norm, rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldFunction, FieldValues, gradient_of
 from magmatch.registration.cubes import thin
+from magmatch.registration.drift import Drift
 from magmatch.registration.raster import Raster, rasterize
 from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
@@ -21,14 +21,6 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 MEDIAN_CHI2_3 = 2.366
 # Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
 MEDIAN_GRADIENT2 = 8.69
-
-
-class FieldFunction(Protocol):
-    """A field that can be asked for at points."""
-
-    def evaluate(self, points: Points, order: int = 0) -> FieldValues:
-        """Field and, for order 1, its gradient."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,6 +50,8 @@ class PreparedMap:
         Distance over which the field changes by as much as it varies (see `field_length`): the scale of all steps,
         cells and tolerances. The prior's own lengthscale says how smooth the field is, not how far it reaches.
     noise_sd : float, T
+    drift : Drift
+        How its samples' positions may be off.
     """
 
     field_map: FieldMap
@@ -74,6 +68,7 @@ class PreparedMap:
     raster: Raster
     lengthscale: float
     noise_sd: float
+    drift: Drift
 
 
 def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:
@@ -119,6 +114,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         raster=rasterize(field_map, lengthscale / 4, weights),
         lengthscale=lengthscale,
         noise_sd=field_map.hyperparameters.noise_sd,
+        drift=Drift.of(survey.positions, survey.field, survey.pose_sd, posterior),
     )
 
 
@@ -141,7 +137,4 @@ def field_length(values: FieldValues) -> float:
 
 
 def _lawful_gradient(values: FieldValues) -> Tensors:
-    if values.gradient is None:
-        msg = "the posterior gave no gradient although order 1 was asked for"
-        raise ValueError(msg)
-    return traceless_symmetric(values.gradient)
+    return traceless_symmetric(gradient_of(values))

@@ -16,9 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.field.values import FieldValues
+from magmatch.field.values import gradient_of
 from magmatch.geometry import rotate_vectors, skew, transform_points
 from magmatch.registration.cubes import sum_by_cube
+from magmatch.registration.drift import Drift, field_variance
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
@@ -83,6 +84,8 @@ class Direction:
         Where the samples lie, target's model frame.
     residual2 : (n,) array
         Squared norm of each residual over its expected variance.
+    drift : (6 + k, 6 + k) array
+        Covariance of the gradients' sum through the drift of the samples' own poses.
     """
 
     information: Matrix
@@ -90,6 +93,7 @@ class Direction:
     scores: Matrix
     positions: Points
     residual2: Scalars
+    drift: Matrix
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -231,8 +235,10 @@ def compare(
         Directions with at least `MIN_SAMPLES` samples inside the other map.
     """
     forward, backward = look_up(base, target, T_base_target, sensor, rows)
-    sides = (forward, target.noise_sd), (backward, base.noise_sd)
-    return tuple(_direction(side, sd, center, sensor) for side, sd in sides if len(side.sd) >= MIN_SAMPLES)
+    sides = (forward, target), (backward, base)
+    return tuple(
+        _direction(side, of.noise_sd, of.drift, center, sensor) for side, of in sides if len(side.sd) >= MIN_SAMPLES
+    )
 
 
 def look_up(
@@ -244,33 +250,36 @@ def look_up(
 ) -> "tuple[Lookup, Lookup]":
     """The base's map at the target's samples, and the target's map at the base's samples."""
     T_target_base = T_base_target.inv()
+    position_variance = base.drift.sd**2 + target.drift.sd**2
     y, b = target.samples[rows[0]], target.sample_field[rows[0]]
     _, sd, _, is_known = base.raster.lookup(transform_points(y, T_base_target))
     y, corrected = y[is_known], sensor.correct(b[is_known])
     seen = base.posterior.evaluate(transform_points(y, T_base_target), order=1).rotated(T_target_base)
-    forward = Lookup(
-        y, seen.field, sensor.half_way(corrected - seen.field), gradient_of(seen), corrected, sd[is_known]
-    )
+    G = gradient_of(seen)
+    sd = np.sqrt(sd[is_known] ** 2 + field_variance(G, position_variance))
+    forward = Lookup(rows[0][is_known], y, seen.field, sensor.half_way(corrected - seen.field), G, corrected, sd)
 
     z = transform_points(base.samples[rows[1]], T_target_base)
     b = rotate_vectors(base.sample_field[rows[1]], T_target_base)
     _, sd, _, is_known = target.raster.lookup(z)
     z, b = z[is_known], b[is_known]
     seen = target.posterior.evaluate(z, order=1)
-    corrected = sensor.correct(seen.field)
-    return forward, Lookup(z, b, sensor.half_way(corrected - b), gradient_of(seen), corrected, sd[is_known])
+    corrected, G = sensor.correct(seen.field), gradient_of(seen)
+    sd = np.sqrt(sd[is_known] ** 2 + field_variance(G, position_variance))
+    return forward, Lookup(rows[1][is_known], z, b, sensor.half_way(corrected - b), G, corrected, sd)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Lookup:
     """One survey's samples against the other's map, all in target axes."""
 
+    rows: Indices  # of the survey's samples
     positions: Points
     base_side: Vectors  # turns with the pose
     residual: Vectors
     gradient: Tensors  # of the map that was looked up
     target_side: Vectors  # corrected by the sensor model
-    sd: Scalars  # of the map that was looked up
+    sd: Scalars  # of the map that was looked up, and of positions that are off
 
 
 def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> np.ndarray:
@@ -308,7 +317,7 @@ def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tup
     return weight, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
 
 
-def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorModel) -> Direction:
+def _direction(lookup: Lookup, noise_sd: float, drift: Drift, center: Vector3, sensor: SensorModel) -> Direction:
     J = residual_jacobian(lookup, center, sensor)
     r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     weight, bend = student_weights(r2, lookup.sd, noise_sd)
@@ -320,6 +329,7 @@ def _direction(lookup: Lookup, noise_sd: float, center: Vector3, sensor: SensorM
         scores=(weighted * lookup.residual.reshape(-1, 1)).reshape(J.shape).sum(axis=1),
         positions=lookup.positions,
         residual2=r2 / (noise_sd**2 + lookup.sd**2),
+        drift=drift.score_covariance(weighted.reshape(J.shape), lookup.gradient, lookup.rows),
     )
 
 
@@ -328,14 +338,6 @@ def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -
     scale = np.concatenate([np.full(3, MAX_TURN), np.full(3, MAX_SHIFT * lengthscale), sensor_sd])
     xi: np.ndarray = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
     return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))
-
-
-def gradient_of(values: FieldValues) -> Tensors:
-    """Gradient of values that were asked for with order 1."""
-    if values.gradient is None:
-        msg = "the posterior gave no gradient although order 1 was asked for"
-        raise ValueError(msg)
-    return values.gradient
 
 
 def some_rows(

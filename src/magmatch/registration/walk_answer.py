@@ -86,7 +86,7 @@ def by_line_evidence(
     # The base's own stretches show how its poses drift, not how far the walk's frame is off as a whole.
     covariance = best.covariance + np.diag([0.0] * 3 + [walk.pose_sd**2] * 3)
     free = free_directions(
-        covariance,
+        best.covariance,
         best.center,
         walk.T_survey_walk,
         rotation_matrix(poses[0]),

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Positions that are off along a whole stretch of path: what they add to residuals, and to where a pose settles.
+
+A survey states how accurate its own positions are. Errors that each sample has for itself show in residuals; those
+that last along the path do not, since a pose follows them, so the covariance (`covariance.py`) has to be told.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from magmatch.field.held_out import has_path_order
+from magmatch.field.values import FieldFunction, gradient_of
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
+
+# Positions of dead reckoning wander: about their own mean they forget themselves in about this share of the path.
+CORRELATION_SHARE = 0.1
+# Stretches of one position error, per correlation length.
+STRETCHES_PER_LENGTH = 8
+# In how many standard deviations it must be seen that errors are each sample's own.
+SURE = 2.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drift:
+    """How the positions of a survey's samples may be off.
+
+    Attributes
+    ----------
+    sd : float, m
+        Of each coordinate, as the survey states it; 0 where it states none.
+    lasting_sd : float, m
+        The part that lasts: of covariance ``sd^2 exp(-d / length)``, d along the path.
+    stretch : (n,) int array
+        Stretch of path that each sample lies in.
+    correlation : (s, s) array
+        Of the stretches' errors.
+    """
+
+    sd: float
+    lasting_sd: float
+    stretch: Indices
+    correlation: Matrix
+
+    @classmethod
+    def of(cls, positions: Points, field: Vectors, pose_sd: float, posterior: FieldFunction) -> "Drift":
+        """What is left to last of a stated accuracy, after what samples show to be their own.
+
+        Parameters
+        ----------
+        positions : (n, 3) array, m; field : (n, 3) array, T
+            Samples in the order in which they were taken.
+        pose_sd : float, m
+            Stated accuracy.
+        posterior : FieldFunction
+            Their map.
+
+        Returns
+        -------
+        Drift
+        """
+        nothing = np.zeros(len(positions), dtype=np.int64), np.zeros((1, 1))
+        if not (pose_sd > 0 and has_path_order(positions)):
+            return cls(pose_sd, 0.0, *nothing)
+        lasting_sd = float(np.sqrt(max(pose_sd**2 - white_variance(positions, field, posterior), 0.0)))
+        walked = np.cumsum(np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1))
+        side = walked[-1] * CORRELATION_SHARE / STRETCHES_PER_LENGTH
+        stretch = (walked / side).astype(np.int64)
+        ends = np.arange(stretch[-1] + 1, dtype=np.float64)[:, None]
+        return cls(pose_sd, lasting_sd, stretch, np.exp(-cdist(ends, ends) / STRETCHES_PER_LENGTH))
+
+    def score_covariance(self, weighted: np.ndarray, gradient: Tensors, rows: Indices) -> Matrix:
+        """Covariance of the sum of the samples' scores through their positions.
+
+        Parameters
+        ----------
+        weighted : (n, 3, p) array
+            Jacobian of each residual times its weight.
+        gradient : (n, 3, 3) array, T/m
+            Of the field at the samples: how residuals change with positions.
+        rows : (n,) int array
+            Which samples.
+
+        Returns
+        -------
+        (p, p) array
+        """
+        p = weighted.shape[2]
+        if not self.lasting_sd:
+            return np.zeros((p, p))
+        pushes = np.einsum("nip,nij->njp", weighted, gradient).reshape(len(rows), -1)
+        sums = np.zeros((len(self.correlation), 3 * p))
+        np.add.at(sums, self.stretch[rows], pushes)
+        by_axis = sums.reshape(-1, 3, p)
+        found: Matrix = self.lasting_sd**2 * np.einsum(
+            "sjp,st,tjq->pq", by_axis, self.correlation, by_axis, optimize=True
+        )
+        return found
+
+
+def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
+    """Variance of one field component through positions that are off, T^2.
+
+    Parameters
+    ----------
+    gradient : (n, 3, 3) array, T/m
+    position_variance : float, m^2
+        Of each coordinate.
+
+    Returns
+    -------
+    (n,) array
+    """
+    return np.asarray(position_variance / 3 * np.einsum("nij,nij->n", gradient, gradient))
+
+
+def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) -> float:
+    """Variance of position errors that neighbours on a path do not share, where it can be seen.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m; field : (n, 3) array, T
+        Along the path.
+    posterior : FieldFunction
+        Their map.
+
+    Returns
+    -------
+    float, m^2
+        Of each coordinate: what makes the difference of neighbouring residuals grow with the gradient.
+    """
+    values = posterior.evaluate(positions, order=1)
+    G = gradient_of(values)
+    steps2 = (np.diff(field - values.field, axis=0) ** 2).sum(axis=1)
+    power = np.einsum("nij,nij->n", G, G)
+    X = np.stack([np.ones(len(steps2)), power[1:] + power[:-1]], axis=1)
+    scale = X.mean(axis=0)
+    if not (scale[1] > 0 and steps2.any()):
+        return 0.0
+    X, expected = X / scale, np.full(len(steps2), steps2.mean())
+    for _ in range(3):
+        # A square scatters in proportion to what is expected of it.
+        W = X / expected[:, None] ** 2
+        C = np.linalg.pinv(W.T @ X, hermitian=True)
+        a = C @ (W.T @ steps2)
+        expected = np.maximum(X @ np.maximum(a, 0.0), 0.05 * steps2.mean())
+    scatter = float((((steps2 - X @ a) / expected) ** 2).mean())
+    is_sure = a[1] > SURE * np.sqrt(scatter * C[1, 1])
+    return float(a[1] / scale[1]) if is_sure else 0.0
