@@ -23,7 +23,7 @@ LONELY_LENGTHSCALE = 0.5
 # In units of the samples' distance: closer splines are more than samples tell apart, or tell for less than they cost,
 # which of few samples is little; and where these lie anywhere the reach follows what they may leave between them, and
 # half a cell.
-CLOSEST_SPLINES, CLOSEST_OF_FEW, CLOSEST_OF_A_PATH, WIDEST_GAP = 0.95, 0.75, 0.4, 1.3
+CLOSEST_SPLINES, CLOSEST_OF_FEW, CLOSEST_OF_A_PATH, WIDEST_GAP = 1.05, 0.75, 0.4, 1.3
 FEW_SAMPLES = 500
 # The search starts here: spacing and lengthscale from the variogram, signal over noise and stiffness that suit most;
 # along a path a field so smooth that what it leaves shows which errors neighbours share.
