@@ -12,6 +12,7 @@ from magmatch.field.outliers import reweighted_residuals
 from magmatch.field.priors import PRIORS
 from magmatch.field.tiled_model import TiledModel
 from magmatch.field.tiles import Tiling
+from magmatch.simulation.simulate import simulate
 
 UT = 1e-6
 SETTINGS = FieldConfig(lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
@@ -79,6 +80,14 @@ def test_clean_rooms_and_steep_fields_keep_all_but_a_thousandth():
     r = x - near
     steep = b + 0.05 * UT * r / np.linalg.norm(r, axis=1, keepdims=True) ** 4
     assert len(build_map(Survey(x, steep), SETTINGS).survey) >= 0.995 * len(x)
+
+
+@pytest.mark.parametrize("seed", [400, 402])
+def test_simulated_rooms_keep_the_samples_that_come_close_to_steel(seed):
+    """What one of them sees is finer than the splines, and was taken for a contradiction."""
+    pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
+    survey = simulate("office-random", seed).base
+    assert len(build_map(survey).survey) >= len(survey) - 1
 
 
 def test_a_lift_that_passed_on_one_lap_of_four_is_left_out():
