@@ -36,9 +36,9 @@ N_NEIGHBOURS, FARTHEST, FEWEST_WITNESSES = 64, 1.0, 3
 SAME_PASS = 5.0
 # A neighbour agrees that shows this share of the residual; of them, so many may, since they may be outliers too.
 LARGEST_AGREEMENT, MOST_AGREEING = 0.25, 0.1
-# What the field changes by within this share of the spacing denies nothing: steep fields have structure finer than the
-# splines, that one sample sees and none around. False alarms in simulated rooms need up to 0.18, what recordings of two
-# buildings contradict 0.23 and more.
+# What the field changes by within this share of the spacing denies nothing: steep fields have structure finer than
+# the splines, that one sample sees and none around. False alarms in simulated rooms need up to 0.18, what recordings
+# of two buildings contradict 0.23 and more.
 LEAST_SHIFT = 0.2
 # Of fewer samples nobody can tell which are ordinary.
 FEWEST_SAMPLES = 100
