@@ -11,7 +11,7 @@ from magmatch.registration.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.evidence import Change, PoseEvidence, agreeing_cells, compare_cells, weigh_pose
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.refinement import RefinedPose
+from magmatch.registration.refinement import RefinedPose, step_between
 from magmatch.registration.unrelated import UnrelatedField
 from magmatch.typing import Indices
 
@@ -99,7 +99,7 @@ def _follow(
         weighed = weigh_pose(base, target, found.pose, unrelated, prior, change)
         if weighed.covariance is None:
             return None
-        step, pose = _step_between(pose, found.pose), found.pose
+        step, pose = step_between(pose, found.pose), found.pose
         if float(step @ np.linalg.solve(weighed.covariance, step)) > len(step):
             continue
         # Where no cells agree better than others, the change answers whatever the pose is.
@@ -107,8 +107,3 @@ def _follow(
         return weighed if len(rows) < n_cells and explains else None
     return None
 
-
-def _step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
-    """Perturbation about the centre that takes one pose to the other."""
-    moved = before.T_base_target.inv() * after.T_base_target
-    return np.concatenate([moved.rotation.as_rotvec(), moved.apply(before.center) - before.center])

@@ -17,12 +17,15 @@ from magmatch.registration.invariant_search import invariant_search
 from magmatch.registration.keypoint_search import keypoint_search
 from magmatch.registration.pose_prior import PosePrior, pose_prior
 from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.refinement import RefinedPose, RefinementConfig, refine
+from magmatch.registration.refinement import RefinedPose, RefinementConfig, refine, step_between
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensors import is_soft_iron, levels_to_try
 from magmatch.registration.stopwatch import Stopwatch
 
 log = logging.getLogger(__name__)
+
+# Poses that differ by less, in standard deviations, are one.
+TOGETHER = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -172,6 +175,8 @@ def _refine_and_rank(
     beside = poses_beside_changes(base, target, starts, ranked[0], best_alike, unrelated, prior, config.changes, seed)
     if beside:
         return beside
+    # Starts that came to rest where the best did are no rivals of it.
+    ranked = [e for k, e in enumerate(ranked) if not (k and _rest_together(ranked[0], e))]
     # The answer, and what comes near enough to be one.
     n_finished = sum(e is ranked[0] or e.log_evidence > ranked[0].log_evidence / 2 for e in ranked)
     ranked[:n_finished] = [weigh(e.pose, settings, tightest) for e in ranked[:n_finished]]
@@ -181,3 +186,11 @@ def _refine_and_rank(
 
 def _by_evidence(weighed: PoseEvidence) -> float:
     return -weighed.log_evidence
+
+
+def _rest_together(one: PoseEvidence, other: PoseEvidence) -> bool:
+    """Whether two refined poses differ by less than the first is uncertain by."""
+    if one.covariance is None:
+        return False
+    step = step_between(one.pose, other.pose)
+    return bool(step @ np.linalg.solve(one.covariance, step) < TOGETHER**2 * len(step))
