@@ -66,7 +66,8 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
     """
     total = np.zeros_like(pose.known_before)
     for direction in pose.directions:
-        bread = np.linalg.pinv(_regular(direction.curvature + pose.known_before), hermitian=True)
+        # An error bends both, a sample's pull and what holds against it: weights answer weights.
+        bread = np.linalg.pinv(_regular(direction.information + pose.known_before), hermitian=True)
         total += bread @ direction.drift @ bread
     covariance: Covariance6 = ((total + total.T) / 2)[:6, :6]
     return covariance
