@@ -106,4 +106,3 @@ def _follow(
         explains = weighed.misfit < config.max_misfit and found.noise < config.max_noise
         return weighed if len(rows) < n_cells and explains else None
     return None
-
