@@ -342,7 +342,7 @@ def _direction(lookup: Lookup, noise_sd: float, drift: Drift, center: Vector3, s
 
 
 def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -> np.ndarray:
-    """Bounded Gauss-Newton step; of minimum norm, so a direction that the data do not fix stays where it was."""
+    """Bounded Newton step; of minimum norm, so a direction that the data do not fix stays where it was."""
     scale = np.concatenate([np.full(3, MAX_TURN), np.full(3, MAX_SHIFT * lengthscale), sensor_sd])
     xi: np.ndarray = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
     return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))
