@@ -2,13 +2,21 @@
 """Where residuals show that something moved: poses that explain the cells which still agree."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.changes import ChangeConfig, refine_beside_changes
-from magmatch.registration.evidence import Change, PoseEvidence, agreeing_cells, compare_cells, weigh_pose
+from magmatch.registration.evidence import (
+    UNCHANGED_SHARES,
+    Change,
+    PoseEvidence,
+    agreeing_cells,
+    compare_cells,
+    weigh_pose,
+)
 from magmatch.registration.pose_prior import PosePrior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.refinement import RefinedPose, step_between
@@ -16,6 +24,9 @@ from magmatch.registration.unrelated import UnrelatedField
 from magmatch.typing import Indices
 
 log = logging.getLogger(__name__)
+
+# Shares of the cells that are tried beside a change, whatever agrees without one.
+WIDER_SHARES = (0.7, 0.85)
 
 
 def poses_beside_changes(
@@ -62,7 +73,7 @@ def poses_beside_changes(
     agreements.sort(key=lambda pair: -pair[0])
     log.info("something may have moved; looking for poses beside changes")
     found = [
-        _follow(base, target, replace(model, T_base_target=T), unrelated, prior, config, seed)
+        _best_followed(base, target, replace(model, T_base_target=T), unrelated, prior, config, seed)
         for agreement, T in agreements[: config.n_candidates]
         if agreement > config.min_agreement
     ]
@@ -71,12 +82,40 @@ def poses_beside_changes(
 
 
 def _agreement(
-    base: PreparedMap, target: PreparedMap, pose: RefinedPose, unrelated: UnrelatedField
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    unrelated: UnrelatedField,
+    shares: Sequence[float] = UNCHANGED_SHARES,
 ) -> tuple[Indices, float, float, int]:
     """Cells that agree, their evidence, what choosing them costs, and how many there are to choose from."""
     field = pose.sensor.correct(target.sample_field)
     seen = compare_cells(base, target, pose.T_base_target, field, unrelated)
-    return (*agreeing_cells(seen, unrelated), len(seen.rows))
+    return (*agreeing_cells(seen, unrelated, shares), len(seen.rows))
+
+
+def _best_followed(
+    base: PreparedMap,
+    target: PreparedMap,
+    start: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    config: ChangeConfig,
+    seed: int,
+) -> PoseEvidence | None:
+    """The most likely of what a pose leads to, by the cells that agree as they are and by larger shares.
+
+    Of what changed a little, the estimated change makes up: more cells can tell than agree without it.
+    """
+    best = _follow(base, target, start, unrelated, prior, config, seed, UNCHANGED_SHARES)
+    for share in WIDER_SHARES:
+        if best is not None and best.unchanged > share - 0.05:
+            continue
+        pose = start if best is None else best.pose
+        wider = _follow(base, target, pose, unrelated, prior, config, seed, (share,))
+        if wider is not None and (best is None or wider.log_evidence > best.log_evidence):
+            best = wider
+    return best
 
 
 def _follow(
@@ -87,10 +126,11 @@ def _follow(
     prior: PosePrior,
     config: ChangeConfig,
     seed: int,
+    shares: Sequence[float],
 ) -> PoseEvidence | None:
     """Refine a pose on the cells that agree, then on those that agree with what was found, until it stays."""
     for _ in range(config.n_rounds):
-        rows, _, price, n_cells = _agreement(base, target, pose, unrelated)
+        rows, _, price, n_cells = _agreement(base, target, pose, unrelated, shares)
         agrees, rng = unrelated.cells.holds(rows), np.random.default_rng(seed)
         found = refine_beside_changes(base, target, pose, agrees, prior, config, rng)
         if found is None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a pose is judged by: cells of the target that agree or disagree with the base's field."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -223,13 +224,17 @@ def compare_cells(
     return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), cells.mean(sd[:, None] ** 2)[:, 0])
 
 
-def agreeing_cells(seen: CellComparison, unrelated: UnrelatedField) -> tuple[Indices, float, float]:
+def agreeing_cells(
+    seen: CellComparison, unrelated: UnrelatedField, shares: Sequence[float] = UNCHANGED_SHARES
+) -> tuple[Indices, float, float]:
     """Cells that the base explains, where something has changed in the others.
 
     Parameters
     ----------
     seen : CellComparison
     unrelated : UnrelatedField
+    shares : sequence of float
+        That may be taken.
 
     Returns
     -------
@@ -243,7 +248,7 @@ def agreeing_cells(seen: CellComparison, unrelated: UnrelatedField) -> tuple[Ind
     chi2 = (seen.residual**2).sum(axis=1) / (unrelated.noise + seen.map_variance)
     ordered, n = seen.rows[np.argsort(chi2[seen.rows], kind="stable")], len(seen.rows)
     best: tuple[Indices, float, float] = (seen.rows, -np.inf, 0.0)
-    for share in UNCHANGED_SHARES if n else ():
+    for share in shares if n else ():
         rows = np.sort(ordered[: max(1, round(share * n))])
         price = float(gammaln(n + 1) - gammaln(len(rows) + 1) - gammaln(n - len(rows) + 1))
         log_ratio, _ = unrelated.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
