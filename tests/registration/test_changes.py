@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
+from magmatch.registration import change_search
 from magmatch.registration.change_search import poses_beside_changes
 from magmatch.registration.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.evidence import agreeing_cells, compare_cells, unrelated_field, weigh_pose
@@ -104,6 +105,22 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit(move
     assert best.misfit < 1.0
     assert best.unchanged < 1.0
     assert distance(best.pose.T_base_target, T_model, target) < 0.003
+
+
+def test_more_cells_than_agree_tell_beside_the_change(moved, ordinary, monkeypatch):
+    base, target, T_model, _ = moved
+    unrelated = unrelated_field(base, target)
+    whole = weigh_pose(base, target, ordinary, unrelated, FLAT)
+
+    def best():
+        return poses_beside_changes(base, target, [T_model], whole, ordinary, unrelated, FLAT, CONFIG, 0)[0]
+
+    wide = best()
+    monkeypatch.setattr(change_search, "WIDER_SHARES", ())
+    alone = best()
+    assert wide.unchanged > alone.unchanged
+    assert wide.log_evidence > alone.log_evidence + 10
+    assert distance(wide.pose.T_base_target, T_model, target) < 0.003
 
 
 def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):
