@@ -38,7 +38,7 @@ FAINTEST = 1e-10
 # Charges whose prior variance has fallen below this share of the strongest one's are left out from then on.
 FADED = 1e-5
 # The charges that are left were chosen by the same data: what the pose's covariance must grow by for that (measured).
-CHOSEN = 8.0
+CHOSEN = 16.0
 # Updates of the strengths of a field that the base has nothing to do with, and how little its constant is known, T.
 N_UNRELATED = 20
 CONSTANT_SD = 1e-4
