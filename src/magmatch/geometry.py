@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rigid motions over SciPy's RigidTransform: points, vectors and tensors move differently.
+"""Rigid motions over SciPy's RigidTransform: points, vectors and tensors move differently; and paths.
 
 ``T_base_target`` takes target coordinates to base coordinates. Tangent vectors are rotation first.
 """
@@ -7,7 +7,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.typing import Matrix, Points, Tensors, ThirdOrder, Vector3, Vectors
+from magmatch.typing import Matrix, Points, Scalars, Tensors, ThirdOrder, Vector3, Vectors
 
 # Largest entry of R R^T - I: what a file may hold, and what products of transforms accumulate by rounding.
 ORTHONORMAL_TOLERANCE = 1e-9
@@ -227,3 +227,19 @@ def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: 
     translation_error = float(np.linalg.norm(T_estimate.apply(center) - T_true.apply(center)))
     rotation_error = float((T_estimate.rotation.inv() * T_true.rotation).magnitude())
     return translation_error, rotation_error
+
+
+def path_walked(positions: Points) -> Scalars:
+    """Path walked up to each position.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m
+        One after the other.
+
+    Returns
+    -------
+    (n,) array, m
+        From 0.
+    """
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import magmatch as mm
+from magmatch.data.survey import Survey
 from magmatch.evaluation.trial import nees_of
 from magmatch.field.values import FieldValues
 from magmatch.registration.drift import CORRELATION_SHARE, Drift, field_variance, white_variance
@@ -27,7 +28,11 @@ class Quadratic:
 
 
 def drift_along(positions, pose_sd):
-    return Drift.of(positions, Quadratic().evaluate(positions).field, pose_sd, Quadratic())
+    return drift_of(positions, Quadratic().evaluate(positions).field, pose_sd, Quadratic())
+
+
+def drift_of(positions, field, pose_sd, posterior):
+    return Drift.of(Survey(positions, field, pose_sd=pose_sd), posterior)
 
 
 def circles(n=400):
@@ -75,14 +80,14 @@ def test_errors_of_each_sample_are_told_from_those_that_last(noise_sd):
     smooth = field.evaluate(x + slow).field + noise
     assert white_variance(x, smooth, field) < 0.01**2
     both = field.evaluate(x + own + slow).field + noise
-    assert Drift.of(x, both, 0.1, field).lasting_sd == pytest.approx(np.sqrt(0.1**2 - 0.03**2), rel=0.05)
-    assert Drift.of(x, jumpy, 0.03, field).lasting_sd < 0.01
+    assert drift_of(x, both, 0.1, field).lasting_sd == pytest.approx(np.sqrt(0.1**2 - 0.03**2), rel=0.05)
+    assert drift_of(x, jumpy, 0.03, field).lasting_sd < 0.01
 
 
 def test_where_nothing_changes_nothing_is_told():
     x, flat = circles(), Quadratic(0.0)
     assert white_variance(x, np.zeros_like(x), flat) == 0.0
-    assert Drift.of(x, np.zeros_like(x), 0.05, flat).lasting_sd == 0.05
+    assert drift_of(x, np.zeros_like(x), 0.05, flat).lasting_sd == 0.05
 
 
 def test_field_variance_is_that_of_moved_samples():

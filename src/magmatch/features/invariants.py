@@ -8,27 +8,12 @@ at the edge of an overlap.
 
 import numpy as np
 
-from magmatch.typing import Matrix, Scalars, Tensors, Vectors
+from magmatch.field.values import gradient_norm
+from magmatch.typing import Matrix, Tensors, Vectors
 
 N_INVARIANTS = 6
 # Keeps quotients finite where the gradient vanishes; far below any measurable gradient, T/m.
 _TINY_GRADIENT = 1e-15
-
-
-def gradient_norm(gradient: Tensors) -> Scalars:
-    """Frobenius norm of gradient tensors, T/m.
-
-    Parameters
-    ----------
-    gradient : (n, 3, 3) array, T/m
-        ``[i, a, b] = dB_a / dx_b``.
-
-    Returns
-    -------
-    (n,) array, T/m
-    """
-    norm: Scalars = np.sqrt(np.einsum("nij,nij->n", gradient, gradient))
-    return norm
 
 
 def traceless_symmetric(gradient: Tensors) -> Tensors:

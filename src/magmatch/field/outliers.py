@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from magmatch.data.survey import Survey
 from magmatch.field.held_out import has_path_order
 from magmatch.field.linear_model import Posterior
-from magmatch.field.values import gradient_of
+from magmatch.field.values import gradient_norm, gradient_of
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)
@@ -164,8 +164,7 @@ def _noise(residual: Vectors, posterior: Posterior) -> float:
 
 def _may_be_fine_structure(points: Points, residual: Vectors, posterior: Posterior) -> Mask:
     """Whether the field changes by as much as these residuals within a small part of the spacing."""
-    G = gradient_of(posterior.evaluate(points, order=1))
-    steepness = np.sqrt(np.einsum("nij,nij->n", G, G))
+    steepness = gradient_norm(gradient_of(posterior.evaluate(points, order=1)))
     return np.asarray(_sizes(residual) < LEAST_SHIFT * posterior.hyperparameters.spacing * steepness)
 
 

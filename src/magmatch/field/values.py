@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors, rotation_matrix
-from magmatch.typing import Points, Tensors, ThirdOrder, Vectors
+from magmatch.typing import Points, Scalars, Tensors, ThirdOrder, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,3 +69,19 @@ def gradient_of(values: FieldValues) -> Tensors:
         msg = "the posterior gave no gradient although order 1 was asked for"
         raise ValueError(msg)
     return values.gradient
+
+
+def gradient_norm(gradient: Tensors) -> Scalars:
+    """Frobenius norm of gradient tensors, T/m.
+
+    Parameters
+    ----------
+    gradient : (n, 3, 3) array, T/m
+        ``[i, a, b] = dB_a / dx_b``.
+
+    Returns
+    -------
+    (n,) array, T/m
+    """
+    norm: Scalars = np.sqrt(np.einsum("nij,nij->n", gradient, gradient))
+    return norm

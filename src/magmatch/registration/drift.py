@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from magmatch.data.survey import Survey
 from magmatch.field.held_out import has_path_order
-from magmatch.field.values import FieldFunction, gradient_of
+from magmatch.field.values import FieldFunction, gradient_norm, gradient_of
+from magmatch.geometry import path_walked
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 # Positions of dead reckoning wander: about their own mean they forget themselves in about this share of the path.
@@ -46,27 +48,25 @@ class Drift:
     correlation: Matrix
 
     @classmethod
-    def of(cls, positions: Points, field: Vectors, pose_sd: float, posterior: FieldFunction) -> "Drift":
+    def of(cls, survey: Survey, posterior: FieldFunction) -> "Drift":
         """What is left to last of a stated accuracy, after what samples show to be their own.
 
         Parameters
         ----------
-        positions : (n, 3) array, m; field : (n, 3) array, T
+        survey : Survey
             Samples in the order in which they were taken.
-        pose_sd : float, m
-            Stated accuracy.
         posterior : FieldFunction
-            Their map.
+            Their map, in the same frame.
 
         Returns
         -------
         Drift
         """
-        nothing = np.zeros(len(positions), dtype=np.int64), np.zeros((1, 1))
+        positions, pose_sd = survey.positions, survey.pose_sd
         if not (pose_sd > 0 and has_path_order(positions)):
-            return cls(pose_sd, 0.0, *nothing)
-        lasting_sd = float(np.sqrt(max(pose_sd**2 - white_variance(positions, field, posterior), 0.0)))
-        walked = np.cumsum(np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1))
+            return cls(pose_sd, 0.0, np.zeros(len(positions), dtype=np.int64), np.zeros((1, 1)))
+        lasting_sd = float(np.sqrt(max(pose_sd**2 - white_variance(positions, survey.field, posterior), 0.0)))
+        walked = path_walked(positions)
         side = walked[-1] * CORRELATION_SHARE / STRETCHES_PER_LENGTH
         stretch = (walked / side).astype(np.int64)
         ends = np.arange(stretch[-1] + 1, dtype=np.float64)[:, None]
@@ -114,7 +114,7 @@ def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
     -------
     (n,) array
     """
-    return np.asarray(position_variance / 3 * np.einsum("nij,nij->n", gradient, gradient))
+    return np.asarray(position_variance / 3 * gradient_norm(gradient) ** 2)
 
 
 def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) -> float:
@@ -136,7 +136,7 @@ def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) 
     first = np.unique(np.linspace(0, n - 1, min(n, MOST_PAIRS)).astype(np.int64))
     one, next_one = (posterior.evaluate(positions[rows], order=1) for rows in (first, first + 1))
     steps2 = ((field[first + 1] - next_one.field - field[first] + one.field) ** 2).sum(axis=1)
-    power = sum(np.einsum("nij,nij->n", G, G) for G in map(gradient_of, (one, next_one)))
+    power = sum(gradient_norm(gradient_of(values)) ** 2 for values in (one, next_one))
     X = np.stack([np.ones(len(steps2)), power], axis=1)
     scale = X.mean(axis=0)
     if not (scale[1] > 0 and steps2.any()):

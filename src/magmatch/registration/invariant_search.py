@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.features.invariants import gradient_norm, point_frames
+from magmatch.features.invariants import point_frames
+from magmatch.field.values import gradient_norm
 from magmatch.registration.annealing import anneal_poses
 from magmatch.registration.candidate import Candidate, SearchResult
 from magmatch.registration.pose_prior import MORE_NEIGHBOURS, PosePrior

@@ -14,8 +14,8 @@ from magmatch.registration.refinement import (
     Lookup,
     RefinedPose,
     RefinementConfig,
+    information_of,
     look_up,
-    normal_equations,
     residual_jacobian,
     some_rows,
     student_weights,
@@ -45,7 +45,7 @@ def map_covariance(
     """
     T, rng = pose.T_base_target, np.random.default_rng(seed)
     forward, backward = look_up(base, target, T, pose.sensor, some_rows(base, target, config, rng))
-    information = normal_equations(pose.directions)[0] + pose.known_before
+    information = information_of(pose.directions) + pose.known_before
     # The base's field enters the residual with a minus, the target's with a plus.
     of_base = [
         -rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T), rng)

@@ -155,7 +155,7 @@ class IndexFile:
             raster=self._raster(),
             lengthscale=about["lengthscale"],
             noise_sd=about["noise_sd"],
-            drift=Drift.of(survey.positions, survey.field, survey.pose_sd, field_map.posterior),
+            drift=Drift.of(survey, field_map.posterior),
             **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
         )
         table = self.table()

@@ -16,7 +16,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
 from magmatch.field.held_out import folds_of
 from magmatch.field.map import FieldMap
-from magmatch.geometry import skew
+from magmatch.geometry import path_walked, skew
 from magmatch.registration.walk import bin_along_path
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
@@ -211,9 +211,7 @@ def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generat
         Those that the rest of the survey still knows.
     """
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
-    steps = np.linalg.norm(np.diff(samples.positions, axis=0), axis=1)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
-    number = (arc / (STRETCH_LENGTH * length)).astype(np.int64)
+    number = (path_walked(samples.positions) / (STRETCH_LENGTH * length)).astype(np.int64)
     found = []
     for is_left_out in folds_of(number):
         found += _predict(field_map, samples, is_left_out, number, length, rng)

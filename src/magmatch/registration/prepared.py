@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.features.invariants import gradient_norm, rotation_invariants, traceless_symmetric
+from magmatch.features.invariants import rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
-from magmatch.field.values import FieldFunction, FieldValues, gradient_of
+from magmatch.field.values import FieldFunction, FieldValues, gradient_norm, gradient_of
 from magmatch.registration.cubes import thin
 from magmatch.registration.drift import Drift
 from magmatch.registration.raster import Raster, rasterize
@@ -114,7 +114,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         raster=rasterize(field_map, lengthscale / 4, weights),
         lengthscale=lengthscale,
         noise_sd=field_map.hyperparameters.noise_sd,
-        drift=Drift.of(survey.positions, survey.field, survey.pose_sd, posterior),
+        drift=Drift.of(survey, posterior),
     )
 
 

@@ -169,7 +169,7 @@ def refine(
         directions = compare(base, target, T, center, sensor, rows)
         if not directions:
             break
-        _, v = normal_equations(directions)
+        v = -np.sum([d.scores.sum(axis=0) for d in directions], axis=0)
         # What the likelihood bends by: with the weights alone in its place, steps fall short by a third.
         A = np.sum([d.curvature for d in directions], axis=0)
         # Neighbouring residuals are not independent; unscaled they would override any prior.
@@ -200,16 +200,15 @@ def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
     return np.concatenate([moved.rotation.as_rotvec(), moved.apply(before.center) - before.center])
 
 
-def normal_equations(directions: tuple[Direction, ...]) -> tuple[Matrix, np.ndarray]:
-    """Information of both directions together and the gradient of their log-likelihood."""
-    A = np.sum([d.information for d in directions], axis=0)
-    v = -np.sum([d.scores.sum(axis=0) for d in directions], axis=0)
-    return A, v
+def information_of(directions: tuple[Direction, ...]) -> Matrix:
+    """Information of both directions together: (6 + k, 6 + k)."""
+    A: Matrix = np.sum([d.information for d in directions], axis=0)
+    return A
 
 
 def overdispersion(directions: tuple[Direction, ...], side: float) -> float:
     """By how much cell-wise sums of the gradient scatter more than independent samples would (at least 1)."""
-    A, _ = normal_equations(directions)
+    A = information_of(directions)
     clusters = np.concatenate([sum_by_cube(d.scores, d.positions, side) for d in directions])
     meat = clusters.T @ clusters
     ratio = np.trace(np.linalg.lstsq(A, meat, rcond=1e-10)[0]) / len(A)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from magmatch.geometry import path_walked
 from magmatch.typing import Points, Scalars, Vector3
 
 
@@ -65,7 +66,7 @@ def resample(corners: Points, n: int) -> Points:
     (n, 3) array, m
         Points.
     """
-    walked = _walked(corners)
+    walked = path_walked(corners)
     at = np.linspace(0, walked[-1], n)
     return np.column_stack([np.interp(at, walked, corners[:, axis]) for axis in range(3)])
 
@@ -214,7 +215,7 @@ def heading_along(positions: Points) -> Scalars:
 
 def times_along(positions: Points, speed: float) -> Scalars:
     """Times of passing each point at constant speed, starting at 0: (n,), s."""
-    return _walked(positions) / speed
+    return path_walked(positions) / speed
 
 
 def smooth_noise(n: int, width: int, sd: float, rng: np.random.Generator) -> Scalars:
@@ -238,8 +239,3 @@ def smooth_noise(n: int, width: int, sd: float, rng: np.random.Generator) -> Sca
     """
     smooth = gaussian_filter1d(rng.standard_normal(n), width, mode="wrap")
     return np.asarray(sd * smooth / max(float(np.std(smooth)), np.finfo(float).tiny))
-
-
-def _walked(positions: Points) -> Scalars:
-    """Distance walked up to each point, m."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
