@@ -104,11 +104,8 @@ def test_workers_give_the_same_rows(tmp_path):
     told = []
     there = evaluate(plan, tmp_path / "there", jobs=2, tell=told.append)
     here = evaluate(plan, tmp_path / "here")
-    # A uniform field leaves the pose free, which magnifies the last bits of other processes' arithmetic.
-    for one, other in zip(without_costs(there), without_costs(here), strict=True):
-        for value, expected in zip(one, other, strict=True):
-            is_real = isinstance(expected, float)
-            assert value == (pytest.approx(expected, rel=1e-9, nan_ok=True) if is_real else expected)
+    # A uniform field leaves the pose free, which magnifies the last bits of another process.
+    assert [repr(row) for row in without_costs(there)] == [repr(row) for row in without_costs(here)]
     assert told[-1].n_done == told[-1].n_all == len(here)
     assert told[-1].seconds_left == 0
 

@@ -144,7 +144,7 @@ def _grown(array: np.ndarray, n_rows: int) -> np.ndarray:
     return grown
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _absorb(number, t, samples, first, seen, slot, kept, n_kept, sums, n_sums):  # type: ignore[no-untyped-def]
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
     for i in range(len(number)):

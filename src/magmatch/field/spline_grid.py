@@ -85,7 +85,7 @@ def _axis_table(t: np.ndarray, spacing: float) -> np.ndarray:
     return tables
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _contract(  # type: ignore[no-untyped-def]  # noqa: PLR0912
     ix, iy, iz, vx, vy, vz, cell_index, node_index, weights, n_in_plane, first, second_index, third, field, gradient,
     second,
@@ -149,7 +149,7 @@ def _load_slab(x, y_low, z_low, node_index, weights, slab):  # type: ignore[no-u
                 slab[a, y, z] = weights[node] if node >= 0 else 0.0
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always")
 def _fill_line(y, v, highest, plane, line):  # type: ignore[no-untyped-def]
     """All derivatives in the plane along one line of nodes."""
     for p in range((highest + 1) * (highest + 2) // 2):
@@ -163,7 +163,7 @@ def _fill_line(y, v, highest, plane, line):  # type: ignore[no-untyped-def]
             )
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always")
 def _sum_line(z, v, n_in_plane, line, sums):  # type: ignore[no-untyped-def]
     """All derivatives at one point of a line: more than are asked for, since known counts become vector code."""
     # Unsigned, or every access would first ask whether to count from the end.

@@ -7,7 +7,7 @@ from numba import njit
 from magmatch.field.spline_basis import derivative_rows, spline_values
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_offset, stencil, border, eta):  # type: ignore[no-untyped-def]
     """Add samples, visited cell by cell, to the Gram stencil, its border and the right-hand side."""
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
@@ -38,7 +38,7 @@ def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_
         gram[:], edge[:], rhs[:] = 0.0, 0.0, 0.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  # type: ignore[no-untyped-def]
     """Add ``Phi^T b`` of samples for several sets of field vectors, (n, 3, k), to the splines' rows of out."""
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
@@ -56,7 +56,7 @@ def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  
                     out[p, k] += rows[d, a] * fields[i, d, k]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  # type: ignore[no-untyped-def]
     """Minus the listed derivatives of the potential at points; 0 where a point lies in no active cell."""
     vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
@@ -94,7 +94,7 @@ def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  #
             out[i, r] = -total / spacing ** (dx + dy + dz - 1)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def linear_rows(cell, t, derivatives, spacing, rows):  # type: ignore[no-untyped-def]
     """Rows of the linear model at points in cells: (n, r, 67), the constant of the field's components last."""
     vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
@@ -107,7 +107,7 @@ def linear_rows(cell, t, derivatives, spacing, rows):  # type: ignore[no-untyped
             rows[i, c, 64 + c] = 1.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def point_covariances(order, cell, t, cell_nodes, derivatives, spacing, half_offset, stencil, border, corner, out):  # type: ignore[no-untyped-def]
     """Covariance of the listed derivatives (the first three with the constant added), points sorted by cell."""
     n_rows = derivatives.shape[0]

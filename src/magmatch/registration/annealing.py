@@ -83,7 +83,7 @@ def _anneal(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, s
         )
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _normal_equations(R, pb, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift):  # type: ignore[no-untyped-def]
     """Weighted normal equations of the left perturbation (dth, dp) about the anchor, and the score."""
     noise, V0, eps, field_rms, gradient_rms = scale[0], scale[1], scale[2], scale[3], scale[4]

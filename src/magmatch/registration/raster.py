@@ -149,7 +149,7 @@ def find_cell(values, origin, spacing, x, y, z):  # type: ignore[no-untyped-def]
     return i, j, k, u - i, v - j, w - k
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
     """Trilinear field and sd in a cell."""
     bx, by, bz, sd = 0.0, 0.0, 0.0, 0.0
@@ -166,7 +166,7 @@ def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
     return bx, by, bz, sd
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, nogil=True)
 def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-untyped-def]
     """Trilinear field (out[:3]), sd (out[3]) and gradient (out[4:13], row-major dB_a/dx_b) in a cell."""
     for d in range(4):
