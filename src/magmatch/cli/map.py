@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch map``: infer the field of a place and save it."""
 
+import logging
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from magmatch.field.tile_fit import TileTask
     from magmatch.field.tiled_model import Runner
     from magmatch.typing import Scalars
+
+log = logging.getLogger(__name__)
 
 EXAMPLES = (
     "magmatch map room.csv --out room.map",
@@ -106,7 +109,17 @@ def build(
         f"Mapped {len(field_map.survey)} samples: lengthscale {numbers.lengthscale:.3g} m, field varies by "
         f"{field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}\nWrote the map to {out}"
     )
+    _warn_of_sensors(samples, field_map)
     draw(report, field_map, samples, command_again(surveys, layouts, out))
+
+
+def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:
+    """Say so where readings turn with their sensor: what a map makes of them is no field of the place."""
+    from magmatch.preparation.sensor_trace import SHOWN, offset_evidence
+
+    for survey in surveys:
+        if offset_evidence(survey, field_map.hyperparameters) > SHOWN:
+            log.warning("%s: its readings turn with the sensor; 'magmatch prepare' calibrates it", survey.name)
 
 
 def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", command: str) -> None:

@@ -23,6 +23,8 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
     -------
     str
     """
+    from magmatch.registration.calibrated import in_words as calibration_words
+
     lines = [f"{'Accepted' if result.is_accepted else f'Not accepted ({result.status})'}: {result.reason}"]
     lines += [] if result.base is None else [f"Map: {result.base}"]
     if result.T_base_target is not None:
@@ -30,6 +32,7 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
         lines += ["  " + " ".join(f"{v:12.6f}" for v in row) for row in result.T_base_target.as_matrix()]
         lines += [f"  {_motion(result)}"]
     lines += [_figures(result)]
+    lines += [f"Sensor of the {side} calibrated: {words}" for side, words in calibration_words(result.sensor).items()]
     lines += [f"Free direction: {d.words}" for d in result.degenerate_directions]
     if result.seconds:
         stages = ", ".join(f"{name} {s:.2f}" for name, s in result.seconds.items() if name != "total")

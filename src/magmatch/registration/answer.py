@@ -251,7 +251,8 @@ def _sensor(best: PoseEvidence, target: PreparedMap) -> dict[str, Any] | None:
     gain = R @ sensor.gain @ R.T
     return {
         "bias": [float(c) for c in R @ sensor.bias],
-        "scale": float(np.trace(gain) / 3),
+        # Turning does not change it, but rounds it.
+        "scale": float(np.trace(sensor.gain) / 3),
         "gain": [[float(g) for g in row] for row in gain],
         "prior_sd": [float(s) for s in best.pose.sensor_sd],
     }

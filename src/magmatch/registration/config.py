@@ -27,6 +27,9 @@ class RegistrationConfig(BaseModel):
     # 'keypoints': the published detector, HOV and MSAC.
     search: Literal["auto", "invariants", "pairs", "keypoints"] = "auto"
     invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
+    # Where readings turn with their sensor, calibrate it as `magmatch prepare` does, register once more, and keep
+    # what is surer.
+    calibrate: bool = True
     # What is known of the pose beforehand.
     prior: PosePriorConfig = Field(default_factory=PosePriorConfig)
     walks: WalkConfig = Field(default_factory=WalkConfig)
@@ -44,6 +47,7 @@ PRESETS: dict[str, RegistrationConfig] = {
     "paper": RegistrationConfig(
         field=FieldConfig(prior="divergence_free", leave_out_outliers=False),
         search="keypoints",
+        calibrate=False,
         refinement=RefinementConfig(is_enabled=False),
         decision=DecisionConfig(rule="fitness"),
     ),

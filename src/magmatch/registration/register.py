@@ -13,6 +13,7 @@ from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_fitness
 from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
+from magmatch.registration.calibrated import calibrate_sides
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.keypoint_search import keypoint_search
@@ -27,6 +28,9 @@ from magmatch.registration.walk import choose_search
 from magmatch.threads import side_by_side, single_threaded
 
 log = logging.getLogger(__name__)
+
+# Map of the base, the target as it was used, and the answer.
+Found = tuple[FieldMap, Survey | FieldMap, RegistrationResult]
 
 
 def register(
@@ -85,21 +89,15 @@ def register_keeping_maps(
         What `register` gives.
     """
     config = config or PRESETS["default"]
-    # A map of the target leaves samples out; a walk is compared with all that were given.
-    clock, samples = Stopwatch(), survey_of(target)
-    inputs = (describe_input(survey_of(base)), describe_input(samples))
-    if isinstance(base, Survey):
-        # Both at once: a base that has to be mapped first leaves a core for the target.
-        base, target = clock.time("maps", side_by_side, partial(as_map, config=config), (base, target))
-    base_map = base.field_map if isinstance(base, MapIndex) else base
-    if config.search == "keypoints" and config.decision.rule == "fitness":
-        target = clock.time("maps", as_map, target, config)
-        answer = register_by_keypoints(base_map, target, config, seed, clock)
-    else:
-        answer = register_by_field(base, target, samples, config, seed, clock)
+    clock = Stopwatch()
+    inputs = (describe_input(survey_of(base)), describe_input(survey_of(target)))
+    found = _registered(base, target, config, seed, clock)
+    if config.calibrate:
+        found = _surer_when_calibrated(base, found, config, seed, clock)
+    base_map, used, answer = found
     return (
         base_map,
-        target,
+        used,
         replace(
             answer,
             seconds=clock.seconds(),
@@ -111,6 +109,51 @@ def register_keeping_maps(
     )
 
 
+def _registered(
+    base: Survey | FieldMap | MapIndex,
+    target: Survey | FieldMap,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Stopwatch,
+) -> Found:
+    """The answer for two surveys as they are."""
+    # A map of the target leaves samples out; a walk is compared with all that were given.
+    samples = survey_of(target)
+    if isinstance(base, Survey):
+        # Both at once: a base that has to be mapped first leaves a core for the target.
+        base, target = clock.time("maps", side_by_side, partial(as_map, config=config), (base, target))
+    base_map = base.field_map if isinstance(base, MapIndex) else base
+    if config.search == "keypoints" and config.decision.rule == "fitness":
+        target = clock.time("maps", as_map, target, config)
+        return base_map, target, register_by_keypoints(base_map, target, config, seed, clock)
+    target, answer = register_by_field(base, target, samples, config, seed, clock)
+    return base_map, target, answer
+
+
+def _surer_when_calibrated(
+    base: Survey | FieldMap | MapIndex, found: Found, config: RegistrationConfig, seed: int, clock: Stopwatch
+) -> Found:
+    """Where readings turn with their sensor, the answer for calibrated ones if that is the surer."""
+    base_map, target, _ = found
+    # An index is not made anew, nor is a walk that no map was made of long enough to tell.
+    asked = None if isinstance(base, MapIndex) else base_map
+    sides = clock.time("calibrate", calibrate_sides, asked, target if isinstance(target, FieldMap) else None)
+    if sides == (None, None):
+        return found
+    log.info("registering once more, calibrated")
+    new_base, new_target = (side and side.survey for side in sides)
+    again = _registered(new_base or (base if asked is None else base_map), new_target or target, config, seed, clock)
+    if _sureness(again[2]) <= _sureness(found[2]):
+        return found
+    told = {name: side.told() for name, side in zip(("base", "target"), sides, strict=True) if side is not None}
+    return again[0], again[1], replace(again[2], sensor={**(again[2].sensor or {}), "calibrated": told})
+
+
+def _sureness(answer: RegistrationResult) -> tuple[bool, float]:
+    log_odds = answer.evidence.get("log_odds")
+    return answer.is_accepted, -np.inf if log_odds is None else log_odds
+
+
 def register_by_field(
     base: FieldMap | MapIndex,
     target: Survey | FieldMap,
@@ -118,28 +161,30 @@ def register_by_field(
     config: RegistrationConfig,
     seed: int,
     clock: Stopwatch,
-) -> RegistrationResult:
-    """Compare the target with the base's field: as a walk where it is a line, as a map otherwise."""
+) -> tuple[Survey | FieldMap, RegistrationResult]:
+    """Compare the target with the base's field: as a walk where it is a line, else as a map; says which."""
     prepared = base.base if isinstance(base, MapIndex) else clock.time("prepare", prepare_base, base, config)
-    search = config.search
+    search, as_walk = config.search, None
     if search == "auto":
         search = choose_search(samples, prepared.lengthscale)
     if search == "pairs":
         log.info("searching for the walk by pairs of points")
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)
         rng = np.random.default_rng(seed)
-        answer = clock.time("walk", register_walk, walks, samples, config.walks, rng, config.prior)
-        answer = settle_walk(walks, target, answer, config, seed, clock)
-        if answer.is_accepted or config.search == "pairs":
-            return answer
-        # A line that turns and crosses itself may have the breadth that maps are compared by.
-        as_area = register_as_map(prepared, target, config, seed, clock)
-        return as_area if as_area.is_accepted or (as_area.probability or 0) > (answer.probability or 0) else answer
-    return register_as_map(prepared, target, config, seed, clock)
+        as_walk = clock.time("walk", register_walk, walks, samples, config.walks, rng, config.prior)
+        as_walk = settle_walk(walks, target, as_walk, config, seed, clock)
+        if as_walk.is_accepted or config.search == "pairs":
+            return target, as_walk
+    # A line that turns and crosses itself may have the breadth that maps are compared by.
+    target_map = clock.time("maps", as_map, target, config)
+    answer = register_as_map(prepared, target_map, config, seed, clock)
+    if as_walk is None or answer.is_accepted or (answer.probability or 0) > (as_walk.probability or 0):
+        return target_map, answer
+    return target, as_walk
 
 
 def register_as_map(
-    base: PreparedMap, target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
+    base: PreparedMap, target: FieldMap, config: RegistrationConfig, seed: int, clock: Stopwatch
 ) -> RegistrationResult:
     """Search, refine against the field, decide by the evidence of independent modes."""
     prepared = prepare_target(target, config, seed, clock)

@@ -40,7 +40,8 @@ class RegistrationResult:
         Other poses, best first; the best candidate stands first where nothing was accepted.
     degenerate_directions : tuple of DegenerateDirection
     sensor : dict or None
-        Bias (T) and scale between the magnetometers, when estimated.
+        Bias (T) and scale between the magnetometers, when estimated; and what was undone of each survey's own sensor
+        first (``calibrated``), where its readings showed it.
     residual : float or None
         Normalised rms field residual over the overlap (1 when model and noise explain everything).
     fitness : float or None

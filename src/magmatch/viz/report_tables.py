@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.calibrated import in_words as calibration_words
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.certainty import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure, poses_figure
@@ -47,6 +48,7 @@ def figures_table(result: RegistrationResult) -> str:
         rows.insert(0, ["Map", result.base])
     rows.append(["Probability", "not computed" if result.probability is None else percent(result.probability)])
     rows += _sensor(result.sensor or {})
+    rows += [[f"Calibrated {side}", words] for side, words in calibration_words(result.sensor).items()]
     rows += [["Free direction", d.words] for d in result.degenerate_directions]
     weighed = _weighed(result)
     return table(rows) + (details("What the decision was weighed from", table(weighed)) if weighed else "")

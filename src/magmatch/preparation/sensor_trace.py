@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Do readings turn with their sensor? A question quick enough to be asked of every survey that is registered."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.field.held_out import choose_part, has_path_order
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.region_model import fit_operations
+from magmatch.field.spline_evidence import correlated_samples
+from magmatch.preparation.config import CalibrationConfig
+from magmatch.preparation.consistency import MapConsistency
+from magmatch.threads import single_threaded
+from magmatch.typing import Indices, Points
+
+# Samples that are asked: through the survey where a map of that costs no more operations, else around a few places,
+# else with wider splines.
+N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.25), 4e9
+# Nats for one direction of the sensor's frame that are worth a calibration, which has the last word. Error-free logs
+# stay below 0; hard iron of 1.5 to 30 uT reaches 4 to 60.
+SHOWN = 3.0
+
+
+@single_threaded
+def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
+    """How much better a constant in the sensor's frame explains readings, beside a map of the place.
+
+    Parameters
+    ----------
+    survey : Survey
+        In any frame.
+    hyperparameters : Hyperparameters
+        Of the spline map of it.
+
+    Returns
+    -------
+    float, nats
+        Of the direction in the sensor's frame that shows most; below 0 where none does, minus infinity without
+        orientations, and where a map of even a few samples would cost too much.
+
+    Notes
+    -----
+    With c the columns of the orientations' matrices, P what no map explains of them, s the noise and k how many
+    samples count as one, the offset's information is ``A = c'Pc / (k s^2)`` and its score ``g = c'Py / (k s^2)``.
+    Along an eigenvector v of A with eigenvalue a, an offset of prior deviation d changes the log evidence by
+    ``(v'g)^2 / (2 (a + d^-2)) - ln(1 + a d^2) / 2``. Each direction is asked by itself: of a sensor that turns about
+    one axis two are told and the third is not.
+    """
+    if survey.orientations is None:
+        return -np.inf
+    samples = survey.transformed(survey.principal_frame().inv())
+    asked = _asked(samples.positions, hyperparameters)
+    if asked is None:
+        return -np.inf
+    rows, h = asked
+    part = samples.subset(rows)
+    assert part.orientations is not None  # those of the survey
+    columns = np.moveaxis(part.orientations.as_matrix(), 2, 0)
+    consistency = MapConsistency(part.positions, h, np.ones(len(part)))
+    left, right = consistency.project(np.concatenate([columns, part.field[None]]))
+    residual = right[-1]
+    # Thinned samples are neighbours along the path all the same.
+    places = rows // int(np.diff(rows).min(initial=len(survey)))
+    together = correlated_samples(residual, places) if has_path_order(part.positions) else 1.0
+    noise = together * max(h.noise_sd**2, float((residual**2).mean()))
+    products = np.einsum("inc,jnc->ij", left[:3], right) / noise
+    values, vectors = np.linalg.eigh((products[:, :3] + products[:, :3].T) / 2)
+    scores, precision = vectors.T @ products[:, 3], CalibrationConfig().hard_iron_sd ** -2
+    gains = scores**2 / (2 * (np.maximum(values, 0) + precision)) - np.log1p(np.maximum(values, 0) / precision) / 2
+    return float(gains.max())
+
+
+def _asked(points: Points, h: Hyperparameters) -> tuple[Indices, Hyperparameters] | None:
+    """Rows of samples, and splines over them, whose map is soon made.
+
+    Passes of one place with other headings are what tells: closer splines are given up before those are.
+    """
+    rows = [np.arange(0, len(points), -(-len(points) // N_ASKED))]
+    rows += [np.flatnonzero(choose_part(points, min(N_ASKED, len(points)) // cut, N_PLACES)) for cut in CUTS]
+    tried = ((some, replace(h, spacing=wider * h.spacing)) for wider in WIDER for some in rows)
+    return next((t for t in tried if fit_operations(points[t[0]], t[1]) <= MOST_OPERATIONS), None)

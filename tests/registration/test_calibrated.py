@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A target as it comes from a raw log is found all the same; what is undone of its sensor is said."""
+
+import numpy as np
+import pytest
+
+from magmatch.field.build import build_map
+from magmatch.geometry import transform_error
+from magmatch.registration.calibrated import in_words
+from magmatch.registration.config import PRESETS
+from magmatch.registration.register import register, register_keeping_maps
+from magmatch.registration.result import RegistrationResult
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.corruption import corrupt, draw_corruption
+from magmatch.simulation.simulate import simulate
+
+AS_IT_IS = PRESETS["default"].model_copy(update={"calibrate": False})
+
+
+@pytest.fixture(scope="module")
+def pair():
+    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
+    return simulate("office-hand-held", 41, SimulationConfig(n_samples=1500, room_size=(2.0, 2.0, 0.6)))
+
+
+@pytest.fixture(scope="module")
+def raw(pair):
+    rng = np.random.default_rng(41)
+    corruption = draw_corruption(rng)
+    return corrupt(pair.target, corruption, rng)[0], corruption
+
+
+@pytest.fixture(scope="module")
+def found(pair, raw):
+    return register_keeping_maps(build_map(pair.base), raw[0])
+
+
+def test_raw_target_is_refused_as_it_is_and_found_calibrated(pair, raw, found):
+    assert not register(pair.base, raw[0], AS_IT_IS).is_accepted
+    result = found[2]
+    assert result.is_accepted
+    distance, angle = transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)
+    assert distance < 8e-3
+    assert np.degrees(angle) < 0.3
+
+
+def test_what_was_undone_is_said_and_saved(raw, found, tmp_path):
+    result, corruption = found[2], raw[1]
+    told = result.sensor["calibrated"]
+    assert list(told) == ["target"]
+    np.testing.assert_allclose(told["target"]["hard_iron"], corruption.hard_iron, atol=1e-6)
+    assert told["target"]["time_offset"] == pytest.approx(corruption.clock_offset, abs=4e-3)
+    assert "hard iron" in in_words(result.sensor)["target"]
+    assert "clock" in in_words(result.sensor)["target"]
+    result.save(tmp_path / "result.json")
+    again = RegistrationResult.load(tmp_path / "result.json")
+    assert again.sensor == result.sensor
+    assert in_words(again.sensor) == in_words(result.sensor)
+
+
+def test_the_target_that_was_used_comes_back_for_pictures(raw, found):
+    _, target, result = found
+    assert not np.array_equal(target.survey.field[:100], raw[0].field[:100])
+    assert {entry["name"] for entry in result.inputs} == {"office-hand-held base", "office-hand-held target"}
+
+
+def test_a_clean_pair_is_registered_once(pair):
+    base, target = build_map(pair.base), build_map(pair.target)
+    result, plain = register(base, target), register(base, target, AS_IT_IS)
+    np.testing.assert_array_equal(result.T_base_target.as_matrix(), plain.T_base_target.as_matrix())
+    assert in_words(result.sensor) == in_words(plain.sensor) == {}
+    assert result.seconds["calibrate"] < result.seconds["total"]
+    assert "calibrate" not in plain.seconds
+
+
+def test_published_method_takes_surveys_as_they_are():
+    assert not PRESETS["paper"].calibrate
