@@ -12,7 +12,8 @@ from magmatch.atlas.atlas import Atlas, Sheet
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.register import prepare_target, settle_walk, survey_of
+from magmatch.registration.calibrated import calibrate, surer
+from magmatch.registration.register import as_map, prepare_target, settle_walk, survey_of
 from magmatch.registration.register_map import WeighedMap, judge_map, search_map
 from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
 from magmatch.registration.result import RegistrationResult
@@ -28,7 +29,6 @@ log = logging.getLogger(__name__)
 MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 4, 8, 0.5
 
 
-@single_threaded
 def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> RegistrationResult:
     """Find the map that holds a survey, and the pose in it; or say why there is none.
 
@@ -46,15 +46,36 @@ def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> Regis
         ``base`` names the map; alternatives name theirs. An answer is accepted only where no pose in any map comes
         near it, and it pays for a search through all of them.
     """
+    return localize_keeping_map(atlas, target, seed=seed)[1]
+
+
+@single_threaded
+def localize_keeping_map(
+    atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0
+) -> tuple[Survey | FieldMap, RegistrationResult]:
+    """Find the map that holds a survey, and hand on the target as it was used: for pictures.
+
+    Parameters
+    ----------
+    atlas, target, seed
+        As `localize` says.
+
+    Returns
+    -------
+    target : Survey or FieldMap
+        A survey only where the answer needed no map of it.
+    result : RegistrationResult
+        What `localize` gives.
+    """
     clock, config, survey = Stopwatch(), atlas.config, survey_of(target)
     length = float(np.median([sheet.table.length for sheet in atlas.sheets]))
     search = choose_search(survey, length) if config.search == "auto" else config.search
     if search == "pairs":
         answer = localize_walk(atlas, survey, seed, clock)
     else:
-        answer = localize_map(atlas, target, seed, clock)
+        target, answer = localize_map(atlas, clock.time("maps", as_map, target, config), seed, clock)
     found = (atlas.load(sheet).field_map.survey for sheet in atlas.sheets if sheet.name == answer.base)
-    return replace(
+    answer = replace(
         answer,
         seconds=clock.seconds(),
         config=config.model_dump(mode="json"),
@@ -62,6 +83,7 @@ def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> Regis
         seed=seed,
         inputs=tuple(describe_input(s) for s in (*found, survey)),
     )
+    return target, answer
 
 
 def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> RegistrationResult:
@@ -88,7 +110,19 @@ def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> 
     return _with_alternatives(answers)
 
 
-def localize_map(atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stopwatch) -> RegistrationResult:
+def localize_map(atlas: Atlas, target: FieldMap, seed: int, clock: Stopwatch) -> tuple[FieldMap, RegistrationResult]:
+    """The surer answer for a target as it is, and calibrated where its readings turn with its sensor."""
+    answer = _localize_map(atlas, target, seed, clock)
+    side = clock.time("calibrate", calibrate, target) if atlas.config.calibrate else None
+    if side is None:
+        return target, answer
+    log.info("searching once more, calibrated")
+    cleaned = clock.time("maps", as_map, side.survey, atlas.config)
+    better = surer(answer, _localize_map(atlas, cleaned, seed, clock), {"target": side})
+    return (target, answer) if better is answer else (cleaned, better)
+
+
+def _localize_map(atlas: Atlas, target: FieldMap, seed: int, clock: Stopwatch) -> RegistrationResult:
     """Score a few poses in every map, search the likeliest in full, judge the best pose of all."""
     config = atlas.config
     prepared = prepare_target(target, config, seed, clock)

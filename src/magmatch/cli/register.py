@@ -115,6 +115,5 @@ def _register(
     from magmatch.registration.register import register_keeping_maps
 
     if is_atlas(base):
-        base_map, result = register_in_folder(base, target, settings, seed)
-        return base_map, target, result
+        return register_in_folder(base, target, settings, seed)
     return register_keeping_maps(read_base(base, layouts, settings), target, settings, seed=seed)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def register_in_folder(
     folder: Path, target: "Survey | FieldMap", settings: "RegistrationConfig", seed: int
-) -> "tuple[FieldMap | None, RegistrationResult]":
+) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
     """Find a target in a folder of maps.
 
     Parameters
@@ -31,15 +31,17 @@ def register_in_folder(
     -------
     base_map : FieldMap or None
         The map that the result names.
+    target : Survey or FieldMap
+        As it was used.
     result : RegistrationResult
     """
     from magmatch.atlas.atlas import open_atlas
-    from magmatch.atlas.localize import localize
+    from magmatch.atlas.localize import localize_keeping_map
 
     atlas = open_atlas(folder, settings)
-    result = localize(atlas, target, seed=seed)
+    used, result = localize_keeping_map(atlas, target, seed=seed)
     named = [sheet for sheet in atlas.sheets if sheet.name == result.base]
-    return atlas.load(named[0]).field_map if named else None, result
+    return atlas.load(named[0]).field_map if named else None, used, result
 
 
 def read_base(path: Path, layouts: Layouts, settings: "RegistrationConfig") -> "Survey | FieldMap | MapIndex":

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_trace import SHOWN, offset_evidence
+from magmatch.registration.result import RegistrationResult
 from magmatch.threads import side_by_side
 
 if TYPE_CHECKING:
@@ -85,6 +86,34 @@ def _words(errors: Mapping[str, Any]) -> str:
     return ", ".join(words for words, is_told in parts.items() if is_told)
 
 
+def surer(
+    as_given: RegistrationResult, calibrated: RegistrationResult, sides: Mapping[str, Calibrated | None]
+) -> RegistrationResult:
+    """Choose between two answers: an accepted one before a refusal, then by log odds.
+
+    Parameters
+    ----------
+    as_given, calibrated : RegistrationResult
+        Of surveys as they are, and calibrated.
+    sides : dict of str to Calibrated or None
+        What was calibrated for the second, ``base`` or ``target``.
+
+    Returns
+    -------
+    RegistrationResult
+        The first unless the second is surer; the second says what was undone.
+    """
+    if _sureness(calibrated) <= _sureness(as_given):
+        return as_given
+    told = {name: side.told() for name, side in sides.items() if side is not None}
+    return replace(calibrated, sensor={**(calibrated.sensor or {}), "calibrated": told})
+
+
+def _sureness(answer: RegistrationResult) -> tuple[bool, float]:
+    log_odds = answer.evidence.get("log_odds")
+    return answer.is_accepted, -np.inf if log_odds is None else log_odds
+
+
 def calibrate_sides(base: FieldMap | None, target: FieldMap | None) -> tuple[Calibrated | None, Calibrated | None]:
     """Calibrate the surveys of two maps where their readings turn with their sensor.
 
@@ -98,11 +127,12 @@ def calibrate_sides(base: FieldMap | None, target: FieldMap | None) -> tuple[Cal
     base, target : Calibrated or None
         None where nothing is shown beyond doubt.
     """
-    first, second = side_by_side(_calibrated, (base, target))
+    first, second = side_by_side(calibrate, (base, target))
     return first, second
 
 
-def _calibrated(field_map: FieldMap | None) -> Calibrated | None:
+def calibrate(field_map: FieldMap | None) -> Calibrated | None:
+    """Calibrate the survey of one map where its readings turn with its sensor; None where nothing is shown."""
     # Several surveys in one map have sensors of their own; a declared box was meant for the samples as they are.
     if field_map is None or field_map.parts or field_map.config.domain is not None:
         return None

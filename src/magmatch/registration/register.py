@@ -13,7 +13,7 @@ from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_fitness
 from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
-from magmatch.registration.calibrated import calibrate_sides
+from magmatch.registration.calibrated import calibrate_sides, surer
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.keypoint_search import keypoint_search
@@ -143,15 +143,8 @@ def _surer_when_calibrated(
     log.info("registering once more, calibrated")
     new_base, new_target = (side and side.survey for side in sides)
     again = _registered(new_base or (base if asked is None else base_map), new_target or target, config, seed, clock)
-    if _sureness(again[2]) <= _sureness(found[2]):
-        return found
-    told = {name: side.told() for name, side in zip(("base", "target"), sides, strict=True) if side is not None}
-    return again[0], again[1], replace(again[2], sensor={**(again[2].sensor or {}), "calibrated": told})
-
-
-def _sureness(answer: RegistrationResult) -> tuple[bool, float]:
-    log_odds = answer.evidence.get("log_odds")
-    return answer.is_accepted, -np.inf if log_odds is None else log_odds
+    answer = surer(found[2], again[2], dict(zip(("base", "target"), sides, strict=True)))
+    return found if answer is found[2] else (again[0], again[1], answer)
 
 
 def register_by_field(
