@@ -9,10 +9,12 @@ import magmatch as mm
 from magmatch.field.linear_model import Posterior
 from magmatch.field.values import FieldValues
 from magmatch.registration.config import PRESETS
-from magmatch.registration.map_covariance import N_DRAWS, map_covariance
+from magmatch.registration.map_covariance import map_covariance
 from magmatch.registration.pose_prior import pose_prior
 from magmatch.registration.prepared import prepare
 from magmatch.registration.refinement import refine
+
+N_DRAWS = 24
 
 pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
 
@@ -32,7 +34,7 @@ def test_poses_in_drawn_maps_scatter_as_the_covariance_says():
     pair = mm.simulate("office-random", 4)
     config, rng = PRESETS["default"], np.random.default_rng(0)
     settings = config.refinement.model_copy(update={"n_steps": 6})
-    base, target = (prepare(mm.build_map(survey), 4, rng) for survey in (pair.base, pair.target))
+    base, target = (prepare(mm.build_map(survey), N_DRAWS, rng) for survey in (pair.base, pair.target))
     truth = base.T_map_model.inv() * pair.T_base_target * target.T_map_model
     prior = pose_prior(config.prior, base.T_map_model, target.T_map_model, base.raster.volume)
 

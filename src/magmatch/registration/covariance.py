@@ -12,6 +12,8 @@ from magmatch.typing import Covariance6, Matrix
 
 # Fewer independent cells than this give no covariance.
 MIN_CELLS = 4
+# Relative variance below which a direction counts as known to rounding.
+SMALLEST_SPREAD = 1e-12
 
 
 def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
@@ -50,6 +52,31 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
         total += bread @ (meat + prior) @ bread
         n_used += 1
     return (total + total.T) / 2 if n_used else None
+
+
+def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
+    """Least covariance that is nowhere below either of two, along the axes in which both are diagonal.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        Positive semidefinite, as the other.
+    other : (6, 6) array
+
+    Returns
+    -------
+    (6, 6) array
+        The first where the other is smaller in every direction.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    spread, along = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = scale[:, None] * along * np.sqrt(np.maximum(spread, SMALLEST_SPREAD))
+    relative = np.linalg.solve(root, np.linalg.solve(root, other).T)
+    values, vectors = np.linalg.eigh((relative + relative.T) / 2)
+    if values.max() <= 1:
+        return covariance
+    axes = root @ vectors
+    return np.asarray((axes * np.maximum(values, 1)) @ axes.T)
 
 
 def drift_covariance(pose: RefinedPose) -> Covariance6:

@@ -22,8 +22,6 @@ from magmatch.registration.refinement import (
 )
 from magmatch.typing import Covariance6, Matrix, Points, Vectors
 
-N_DRAWS = 24
-
 
 def map_covariance(
     base: PreparedMap, target: PreparedMap, pose: RefinedPose, config: RefinementConfig, seed: int
@@ -47,21 +45,21 @@ def map_covariance(
     forward, backward = look_up(base, target, T, pose.sensor, some_rows(base, target, config, rng))
     information = information_of(pose.directions) + pose.known_before
     # The base's field enters the residual with a minus, the target's with a plus.
-    of_base = [
-        -rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T), rng)
-    ]
-    of_target = _errors(target, backward.positions, rng)
-    scores = _scores(forward, target.noise_sd, pose, of_base) + _scores(backward, base.noise_sd, pose, of_target)
-    moves = np.linalg.solve(information, scores.T)[:6]
-    covariance: Covariance6 = moves @ moves.T / N_DRAWS
-    return covariance
+    of_base = [-rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T))]
+    of_target = _errors(target, backward.positions)
+    # The maps' errors have nothing to do with one another: their squares are added, rather than one draw of each.
+    total: Covariance6 = np.zeros((6, 6))
+    for lookup, noise_sd, errors in ((forward, target.noise_sd, of_base), (backward, base.noise_sd, of_target)):
+        moves = np.linalg.solve(information, _scores(lookup, noise_sd, pose, errors).T)[:6]
+        total = total + moves @ moves.T / len(errors)
+    return total
 
 
-def _errors(of: PreparedMap, points: Points, rng: np.random.Generator) -> list[Vectors]:
+def _errors(of: PreparedMap, points: Points) -> list[Vectors]:
     """How a map's field may differ from its mean at points: draws."""
     posterior = of.field_map.posterior
     mean = posterior.evaluate(points).field
-    return [posterior.evaluate(points, 0, weights).field - mean for weights in posterior.draw_weights(N_DRAWS, rng)]
+    return [posterior.evaluate(points, 0, weights).field - mean for weights in of.draws()]
 
 
 def _scores(lookup: Lookup, noise_sd: float, pose: RefinedPose, errors: list[Vectors]) -> Matrix:

@@ -9,6 +9,7 @@ import hashlib
 import json
 import logging
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from magmatch.registration.register_walk import WalkIndex, index_walks
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.index/1"
+SCHEMA = "magmatch.index/2"
 SUFFIX = ".index"
 # Arrays of `PreparedMap` and of `PairTable` that are stored as they are.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
@@ -91,6 +92,7 @@ class MapIndex:
                 "shape": list(raster.sd.shape),
             },
             "volume": raster.volume,
+            "n_draws": len(base.draws()),
             "noise": asdict(self.walks.noise),
             "table": {name: float(getattr(table, name)) for name in TABLE_SCALARS},
         }
@@ -156,6 +158,7 @@ class IndexFile:
             lengthscale=about["lengthscale"],
             noise_sd=about["noise_sd"],
             drift=Drift.of(survey, field_map.posterior),
+            draws=cache(lambda: list(field_map.posterior.draw_weights(about["n_draws"], _base_rng()))),
             **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
         )
         table = self.table()
@@ -188,7 +191,11 @@ def index_map(field_map: FieldMap, config: RegistrationConfig) -> MapIndex:
 
 def prepare_base(field_map: FieldMap, config: RegistrationConfig) -> PreparedMap:
     """Evaluate a base map; whatever the seed of a registration, so that a kept index gives the same answer."""
-    return prepare(field_map, config.invariants.n_draws, np.random.default_rng(0))
+    return prepare(field_map, config.invariants.n_draws, _base_rng())
+
+
+def _base_rng() -> np.random.Generator:
+    return np.random.default_rng(0)
 
 
 def index_base(base: PreparedMap, config: RegistrationConfig) -> WalkIndex:

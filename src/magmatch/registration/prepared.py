@@ -4,7 +4,9 @@
 Working in the model frame makes the answer follow every rigid motion of a survey: the model frame moves with it.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -52,6 +54,8 @@ class PreparedMap:
     noise_sd : float, T
     drift : Drift
         How its samples' positions may be off.
+    draws : callable
+        Gives posterior samples of the map, for `posterior.evaluate`; the same ones whenever it is called.
     """
 
     field_map: FieldMap
@@ -69,6 +73,7 @@ class PreparedMap:
     lengthscale: float
     noise_sd: float
     drift: Drift
+    draws: Callable[[], Sequence[Any]]
 
 
 def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:
@@ -115,6 +120,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         lengthscale=lengthscale,
         noise_sd=field_map.hyperparameters.noise_sd,
         drift=Drift.of(survey, posterior),
+        draws=lambda: weights,
     )
 
 

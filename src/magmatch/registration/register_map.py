@@ -11,10 +11,12 @@ from magmatch.registration.answer import by_evidence
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.change_search import poses_beside_changes
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.covariance import enclosing
 from magmatch.registration.decoys import decoys
 from magmatch.registration.evidence import PoseEvidence, unrelated_field, weigh_pose
 from magmatch.registration.invariant_search import invariant_search
 from magmatch.registration.keypoint_search import keypoint_search
+from magmatch.registration.map_covariance import map_covariance
 from magmatch.registration.pose_prior import PosePrior, pose_prior
 from magmatch.registration.prepared import PreparedMap
 from magmatch.registration.refinement import RefinedPose, RefinementConfig, refine, step_between
@@ -99,10 +101,10 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, seed: int, lead: 
     -------
     RegistrationResult
     """
+    ranked = _beyond_residuals(weighed, config, seed)
 
     def judge(chance: float | None) -> RegistrationResult:
-        w = weighed
-        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, lead, chance)
+        return by_evidence(weighed.base, weighed.target, weighed.found, ranked, config.decision, lead, chance)
 
     answer = judge(None)
     # A rough pose leaves little to chance, and a mirror has none.
@@ -110,6 +112,22 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, seed: int, lead: 
     if answer.is_accepted and is_searched and weighed.log_density < config.decision.certain_log_evidence:
         return judge(_best_by_chance(weighed, config, seed))
     return answer
+
+
+def _beyond_residuals(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> list[PoseEvidence]:
+    """The ranked poses, the first with a covariance that knows what the maps do not.
+
+    Far from a map's samples its error is alike everywhere: the pose follows it, and no residual tells. Where
+    residuals do tell of it, both say the same: the larger is taken, not the sum.
+    """
+    ranked = weighed.ranked
+    # Beside a change, what is left free is counted there.
+    if not ranked or ranked[0].covariance is None or ranked[0].is_beside_change:
+        return ranked
+    best = ranked[0]
+    assert best.covariance is not None  # has just been looked at
+    of_maps = map_covariance(weighed.base, weighed.target, best.pose, config.refinement, seed)
+    return [replace(best, covariance=enclosing(best.covariance, of_maps)), *ranked[1:]]
 
 
 def _best_by_chance(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> float:
