@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A target as it comes from a raw log is found all the same; what is undone of its sensor is said."""
 
+import json
+
 import numpy as np
 import pytest
 
+from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import transform_error
-from magmatch.registration.calibrated import in_words
+from magmatch.preparation.sensor_model import SensorModel
+from magmatch.registration.calibrated import in_words, undone
 from magmatch.registration.config import PRESETS
+from magmatch.registration.map_index import index_map
 from magmatch.registration.register import register, register_keeping_maps
 from magmatch.registration.result import RegistrationResult
 from magmatch.simulation.config import SimulationConfig
@@ -48,7 +53,8 @@ def test_what_was_undone_is_said_and_saved(raw, found, tmp_path):
     result, corruption = found[2], raw[1]
     told = result.sensor["calibrated"]
     assert list(told) == ["target"]
-    np.testing.assert_allclose(told["target"]["hard_iron"], corruption.hard_iron, atol=1e-6)
+    model = SensorModel(np.array(told["target"]["matrix"]), np.array(told["target"]["shift"]))
+    np.testing.assert_allclose(model.hard_iron, corruption.hard_iron, atol=1e-6)
     assert told["target"]["time_offset"] == pytest.approx(corruption.clock_offset, abs=4e-3)
     assert "hard iron" in in_words(result.sensor)["target"]
     assert "clock" in in_words(result.sensor)["target"]
@@ -62,6 +68,46 @@ def test_the_target_that_was_used_comes_back_for_pictures(raw, found):
     _, target, result = found
     assert not np.array_equal(target.survey.field[:100], raw[0].field[:100])
     assert {entry["name"] for entry in result.inputs} == {"office-hand-held base", "office-hand-held target"}
+
+
+def test_what_was_undone_can_be_undone_again_from_the_result(raw, found):
+    _, target, result = found
+    again = undone(raw[0], result.sensor, "target")
+    # The map leaves out what contradicts the rest.
+    rows = np.isin(again.times, target.survey.times)
+    np.testing.assert_allclose(again.field[rows], target.survey.field, rtol=0, atol=1e-15)
+    assert undone(raw[0], result.sensor, "base") is raw[0]
+    assert undone(raw[0], None, "target") is raw[0]
+
+
+def test_a_raw_base_is_calibrated_whatever_form_it_comes_in(pair, raw):
+    base = build_map(raw[0])
+    results = [register(form, pair.base) for form in (base, index_map(base, PRESETS["default"]))]
+    for result in results:
+        assert result.is_accepted
+        assert list(result.sensor["calibrated"]) == ["base"]
+    np.testing.assert_array_equal(results[0].T_base_target.as_matrix(), results[1].T_base_target.as_matrix())
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        True,
+        {"sideways": {}},
+        {"target": None},
+        {"target": {}},
+        {"target": {"time_offset": None, "shift": [0, 0, 0], "matrix": np.eye(3).tolist()}},
+        {"target": {"time_offset": 0, "shift": [0, 0], "matrix": np.eye(3).tolist()}},
+        {"target": {"time_offset": 0, "shift": [0, 0, 0], "matrix": np.zeros((3, 3)).tolist()}},
+    ],
+)
+def test_a_file_with_an_odd_calibration_is_refused(found, tmp_path, odd):
+    content = found[2].to_dict()
+    content["sensor"]["calibrated"] = odd
+    content.pop("checksum", None)
+    (tmp_path / "odd.json").write_text(json.dumps(content))
+    with pytest.raises(DataFormatError, match="sensor"):
+        RegistrationResult.load(tmp_path / "odd.json")
 
 
 def test_a_clean_pair_is_registered_once(pair):

@@ -51,6 +51,11 @@ def test_it_turns_with_the_axes(first, second, turn):
     np.testing.assert_allclose(turned, Q @ enclosing(one, other) @ Q.T, rtol=1e-6, atol=1e-6 * np.abs(turned).max())
 
 
+def test_nothing_known_of_one_leaves_the_other():
+    one, other = np.diag([0.0, *np.ones(5)]), np.eye(6)
+    np.testing.assert_allclose(enclosing(one, other), np.eye(6), atol=1e-9)
+
+
 def test_a_direction_that_is_known_exactly_is_kept():
     one, other = np.diag([0.0, *np.ones(5)]), np.diag([0.0, 4.0, *0.5 * np.ones(4)])
     assert np.diag(enclosing(one, other)) == pytest.approx([0, 4, 1, 1, 1, 1], abs=1e-9)

@@ -11,6 +11,7 @@ from magmatch import __version__
 from magmatch.atlas.atlas import Atlas, Sheet
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
+from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
 from magmatch.registration.calibrated import calibrate, surer
 from magmatch.registration.register import as_map, prepare_target, settle_walk, survey_of
@@ -73,7 +74,7 @@ def localize_keeping_map(
     if search == "pairs":
         answer = localize_walk(atlas, survey, seed, clock)
     else:
-        target, answer = localize_map(atlas, clock.time("maps", as_map, target, config), seed, clock)
+        target, answer = localize_map(atlas, clock.time("maps", as_map, target, config), survey, seed, clock)
     found = (atlas.load(sheet).field_map.survey for sheet in atlas.sheets if sheet.name == answer.base)
     answer = replace(
         answer,
@@ -110,15 +111,21 @@ def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> 
     return _with_alternatives(answers)
 
 
-def localize_map(atlas: Atlas, target: FieldMap, seed: int, clock: Stopwatch) -> tuple[FieldMap, RegistrationResult]:
+def localize_map(
+    atlas: Atlas, target: FieldMap, survey: Survey, seed: int, clock: Stopwatch
+) -> tuple[FieldMap, RegistrationResult]:
     """The surer answer for a target as it is, and calibrated where its readings turn with its sensor."""
     answer = _localize_map(atlas, target, seed, clock)
-    side = clock.time("calibrate", calibrate, target) if atlas.config.calibrate else None
+    side = clock.time("calibrate", calibrate, target, survey) if atlas.config.calibrate else None
     if side is None:
         return target, answer
     log.info("searching once more, calibrated")
-    cleaned = clock.time("maps", as_map, side.survey, atlas.config)
-    better = surer(answer, _localize_map(atlas, cleaned, seed, clock), {"target": side})
+    try:
+        cleaned = clock.time("maps", as_map, side.survey, atlas.config)
+        better = surer(answer, _localize_map(atlas, cleaned, seed, clock), {"target": side})
+    except (MagmatchError, np.linalg.LinAlgError) as error:
+        log.info("not searched calibrated: %s", error)
+        return target, answer
     return (target, answer) if better is answer else (cleaned, better)
 
 

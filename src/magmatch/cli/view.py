@@ -75,7 +75,7 @@ def view(
         raise ConfigurationError(msg)
     result = read_result(results[0]) if results else None
     if result is not None:
-        drawn = [_mapped(item, result) for item in drawn]
+        drawn = [_mapped(item, result, side) for item, side in zip(drawn, ("base", "target"), strict=False)]
     if goal is not None:
         _write_page(goal, drawn, result)
         put(str(goal))
@@ -102,14 +102,17 @@ def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
         require_viser()
 
 
-def _mapped(item: "Survey | FieldMap", result: "RegistrationResult") -> "Survey | FieldMap":
+def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
     """A survey's map as the registration made it, since residuals and cuts need one; the survey where none can be."""
     from magmatch.errors import SurveyError
+    from magmatch.registration.calibrated import undone
     from magmatch.registration.config import RegistrationConfig
-    from magmatch.registration.register import as_map
+    from magmatch.registration.register import as_map, survey_of
 
+    as_given = survey_of(item)
+    used = undone(as_given, result.sensor, side)
     try:
-        return as_map(item, RegistrationConfig.model_validate(result.config))
+        return as_map(item if used is as_given else used, RegistrationConfig.model_validate(result.config))
     except (SurveyError, ValidationError):
         return item
 

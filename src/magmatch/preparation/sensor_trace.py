@@ -19,7 +19,7 @@ from magmatch.typing import Indices, Points
 # else with wider splines.
 N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.25), 4e9
 # Nats for one direction of the sensor's frame that are worth a calibration, which has the last word. Error-free logs
-# stay below 0; hard iron of 1.5 to 30 uT reaches 4 to 60.
+# stay below 0; hard iron of 1.5 to 30 uT reaches 4 to 95 where places are passed more than once.
 SHOWN = 3.0
 
 
@@ -38,7 +38,7 @@ def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     -------
     float, nats
         Of the direction in the sensor's frame that shows most; below 0 where none does, minus infinity without
-        orientations, and where a map of even a few samples would cost too much.
+        orientations, and where a map of even a few samples costs too much or cannot be made.
 
     Notes
     -----
@@ -58,7 +58,10 @@ def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     part = samples.subset(rows)
     assert part.orientations is not None  # those of the survey
     columns = np.moveaxis(part.orientations.as_matrix(), 2, 0)
-    consistency = MapConsistency(part.positions, h, np.ones(len(part)))
+    try:
+        consistency = MapConsistency(part.positions, h, np.ones(len(part)))
+    except np.linalg.LinAlgError:
+        return -np.inf  # numbers so extreme that their map of fewer samples is lost in rounding
     left, right = consistency.project(np.concatenate([columns, part.field[None]]))
     residual = right[-1]
     # Thinned samples are neighbours along the path all the same.

@@ -75,7 +75,7 @@ def by_evidence(
         status=verdict.status,
         reason=verdict.reason,
         T_base_target=poses[0] if is_accepted else None,
-        covariance=_covariance(best, target) if is_accepted else None,
+        covariance=covariance_of(best, target) if is_accepted else None,
         probability=probabilities[0],
         overlap=best.overlap,
         # A unique answer has no alternatives; a refusal shows what was considered, best first.
@@ -132,7 +132,7 @@ def refined(
             status=Status.ACCEPTED,
             reason=odds_in_words(answer.evidence["log_odds"], answer.evidence["lead"]),
             T_base_target=pose,
-            covariance=_covariance(best, target),
+            covariance=covariance_of(best, target),
             alternatives=(),
         )
     return replace(
@@ -224,7 +224,7 @@ def _free_directions(
     )
 
 
-def _covariance(best: PoseEvidence, target: PreparedMap) -> Covariance6 | None:
+def covariance_of(best: PoseEvidence, target: PreparedMap) -> Covariance6 | None:
     """Of xi in the target's survey frame."""
     covariance = best.whole_covariance
     return None if covariance is None else to_survey_axes(covariance, best.pose.center, target.T_map_model)

@@ -4,22 +4,18 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
+from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import SHOWN, offset_evidence
 from magmatch.registration.result import RegistrationResult
-from magmatch.threads import side_by_side
-
-if TYPE_CHECKING:
-    from magmatch.preparation.sensor_model import SensorModel
 
 log = logging.getLogger(__name__)
 
@@ -44,15 +40,38 @@ class Calibrated:
     """
 
     survey: Survey
-    sensor: "SensorModel"
+    sensor: SensorModel
 
     def told(self) -> dict[str, Any]:
-        """The sensor's own errors, ready for JSON: s, T, and plain numbers; sensor frame."""
-        return {
-            "time_offset": self.sensor.time_offset,
-            "hard_iron": self.sensor.hard_iron.tolist(),
-            "soft_iron": self.sensor.soft_iron.tolist(),
-        }
+        """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
+        s = self.sensor
+        return {"time_offset": s.time_offset, "matrix": s.matrix.tolist(), "shift": s.shift.tolist()}
+
+
+def undone(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
+    """A survey without what a result says was undone of its sensor.
+
+    Parameters
+    ----------
+    survey : Survey
+        As it was given to the registration.
+    sensor : dict or None
+        Of a `RegistrationResult`.
+    side : str
+        ``base`` or ``target``.
+
+    Returns
+    -------
+    Survey
+        The very one where nothing was undone, or there are no orientations to do it by.
+    """
+    model = _models(sensor).get(side)
+    if model is None or survey.orientations is None:
+        return survey
+    from magmatch.preparation.prepare import apply_model
+    from magmatch.preparation.sensor_log import SensorLog
+
+    return apply_model(survey, SensorLog.of(survey, None), model, {}, is_changed=False)[0]
 
 
 def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
@@ -68,26 +87,31 @@ def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
     dict of str to str
         ``base``, ``target`` or both.
     """
+    return {side: _words(model) for side, model in _models(sensor).items()}
+
+
+def _models(sensor: Mapping[str, Any] | None) -> dict[str, SensorModel]:
     told = (sensor or {}).get("calibrated") or {}
-    return {side: _words(told[side]) for side in ("base", "target") if side in told}
+    return {
+        side: SensorModel(np.array(one["matrix"]), np.array(one["shift"]), one["time_offset"])
+        for side, one in told.items()
+    }
 
 
-def _words(errors: Mapping[str, Any]) -> str:
-    hard_iron = float(np.linalg.norm(errors.get("hard_iron", 0.0)))
-    soft_iron = np.asarray(errors.get("soft_iron", np.eye(3)))
-    u, stretch, vt = np.linalg.svd(soft_iron)
-    turn = float(Rotation.from_matrix(u @ vt).magnitude())
+def _words(model: SensorModel) -> str:
+    hard_iron, stretch = float(np.linalg.norm(model.hard_iron)), np.linalg.svd(model.soft_iron)[1]
+    turn = float(np.linalg.norm(model.misalignment))
     parts = {
-        f"clock {1e3 * errors.get('time_offset', 0.0):+.0f} ms": errors.get("time_offset", 0.0) != 0,
+        f"clock {1e3 * model.time_offset:+.0f} ms": model.time_offset != 0,
         f"hard iron {field_text(hard_iron)}": hard_iron > 0,
         f"soft iron {100 * (stretch.max() - stretch.min()) / 2:.1f} %": np.ptp(stretch) > SMALLEST,
         f"mounted {np.degrees(turn):.1f} deg askew": turn > SMALLEST,
     }
-    return ", ".join(words for words, is_told in parts.items() if is_told)
+    return ", ".join(words for words, is_told in parts.items() if is_told) or "nothing"
 
 
 def surer(
-    as_given: RegistrationResult, calibrated: RegistrationResult, sides: Mapping[str, Calibrated | None]
+    as_given: RegistrationResult, calibrated: RegistrationResult, sides: Mapping[str, Calibrated]
 ) -> RegistrationResult:
     """Choose between two answers: an accepted one before a refusal, then by log odds.
 
@@ -95,8 +119,8 @@ def surer(
     ----------
     as_given, calibrated : RegistrationResult
         Of surveys as they are, and calibrated.
-    sides : dict of str to Calibrated or None
-        What was calibrated for the second, ``base`` or ``target``.
+    sides : dict of str to Calibrated
+        What was calibrated for the second: ``base``, ``target`` or both.
 
     Returns
     -------
@@ -105,7 +129,7 @@ def surer(
     """
     if _sureness(calibrated) <= _sureness(as_given):
         return as_given
-    told = {name: side.told() for name, side in sides.items() if side is not None}
+    told = {name: side.told() for name, side in sides.items()}
     return replace(calibrated, sensor={**(calibrated.sensor or {}), "calibrated": told})
 
 
@@ -114,30 +138,25 @@ def _sureness(answer: RegistrationResult) -> tuple[bool, float]:
     return answer.is_accepted, -np.inf if log_odds is None else log_odds
 
 
-def calibrate_sides(base: FieldMap | None, target: FieldMap | None) -> tuple[Calibrated | None, Calibrated | None]:
-    """Calibrate the surveys of two maps where their readings turn with their sensor.
+def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
+    """Calibrate a survey where its readings turn with its sensor.
 
     Parameters
     ----------
-    base, target : FieldMap or None
-        Maps of the surveys as given; None is passed over.
+    field_map : FieldMap
+        Of the survey as it is.
+    survey : Survey
+        All of it; the map leaves out what contradicts the rest, which uncalibrated readings do.
 
     Returns
     -------
-    base, target : Calibrated or None
-        None where nothing is shown beyond doubt.
+    Calibrated or None
+        None where nothing is shown beyond doubt; also of a map of several surveys, whose sensors differ, and of one
+        for a declared box.
     """
-    first, second = side_by_side(calibrate, (base, target))
-    return first, second
-
-
-def calibrate(field_map: FieldMap | None) -> Calibrated | None:
-    """Calibrate the survey of one map where its readings turn with its sensor; None where nothing is shown."""
-    # Several surveys in one map have sensors of their own; a declared box was meant for the samples as they are.
-    if field_map is None or field_map.parts or field_map.config.domain is not None:
+    if field_map.parts or field_map.config.domain is not None:
         return None
-    survey = field_map.survey
-    if offset_evidence(survey, field_map.hyperparameters) < SHOWN:
+    if offset_evidence(field_map.survey, field_map.hyperparameters) < SHOWN:
         return None
     # Imports what half of all registrations take.
     from magmatch.preparation.prepare import prepare
@@ -145,7 +164,7 @@ def calibrate(field_map: FieldMap | None) -> Calibrated | None:
     log.info("%s: its readings turn with the sensor, which is calibrated", survey.name)
     try:
         prepared, report = prepare(survey, SETTINGS)
-    except MagmatchError as error:
+    except (MagmatchError, np.linalg.LinAlgError) as error:
         log.info("%s: not calibrated: %s", survey.name, error)
         return None
     return None if report.sensor.is_identity else Calibrated(prepared, report.sensor)

@@ -68,7 +68,8 @@ def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
     (6, 6) array
         The first where the other is smaller in every direction.
     """
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    floor = np.maximum(SMALLEST_SPREAD * np.diag(other), np.finfo(float).tiny)
+    scale = np.sqrt(np.maximum(np.diag(covariance), floor))
     spread, along = np.linalg.eigh(covariance / np.outer(scale, scale))
     root = scale[:, None] * along * np.sqrt(np.maximum(spread, SMALLEST_SPREAD))
     relative = np.linalg.solve(root, np.linalg.solve(root, other).T)

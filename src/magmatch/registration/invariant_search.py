@@ -49,7 +49,7 @@ class InvariantSearchConfig(BaseModel):
     sd_translation: float = Field(default=0.2, gt=0)
     # Floor of the invariants' whitening, as a share of their spread over both maps.
     whitening_floor: float = Field(default=0.1, gt=0)
-    # Posterior samples that give the spread of invariants and field.
+    # Posterior samples that give the spread of invariants and field, and what maps do not know of an accepted pose.
     n_draws: int = Field(default=8, ge=2)
 
 

@@ -9,7 +9,7 @@ import hashlib
 import json
 import logging
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +82,9 @@ class MapIndex:
             "tree.axes": table.tree.axes,
             "tree.values": table.tree.values,
         }
+        draws = base.draws()
+        if all(isinstance(weights, np.ndarray) for weights in draws):
+            arrays["draws"] = np.stack(draws)
         attributes: dict[str, Any] = {
             "key": key,
             "lengthscale": base.lengthscale,
@@ -92,7 +95,7 @@ class MapIndex:
                 "shape": list(raster.sd.shape),
             },
             "volume": raster.volume,
-            "n_draws": len(base.draws()),
+            "n_draws": len(draws),
             "noise": asdict(self.walks.noise),
             "table": {name: float(getattr(table, name)) for name in TABLE_SCALARS},
         }
@@ -158,7 +161,7 @@ class IndexFile:
             lengthscale=about["lengthscale"],
             noise_sd=about["noise_sd"],
             drift=Drift.of(survey, field_map.posterior),
-            draws=cache(lambda: list(field_map.posterior.draw_weights(about["n_draws"], _base_rng()))),
+            draws=cache(partial(_draws, arrays.get("draws"), field_map, about["n_draws"])),
             **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
         )
         table = self.table()
@@ -196,6 +199,11 @@ def prepare_base(field_map: FieldMap, config: RegistrationConfig) -> PreparedMap
 
 def _base_rng() -> np.random.Generator:
     return np.random.default_rng(0)
+
+
+def _draws(kept: np.ndarray | None, field_map: FieldMap, n_draws: int) -> list[Any]:
+    """Posterior samples as they were kept; of a map in tiles, drawn again where they are asked for."""
+    return list(field_map.posterior.draw_weights(n_draws, _base_rng()) if kept is None else np.array(kept))
 
 
 def index_base(base: PreparedMap, config: RegistrationConfig) -> WalkIndex:

@@ -9,11 +9,12 @@ import numpy as np
 
 from magmatch import __version__
 from magmatch.data.survey import Survey
+from magmatch.errors import MagmatchError
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_fitness
 from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
-from magmatch.registration.calibrated import calibrate_sides, surer
+from magmatch.registration.calibrated import calibrate, surer
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.keypoint_search import keypoint_search
@@ -83,17 +84,19 @@ def register_keeping_maps(
     Returns
     -------
     base_map : FieldMap
+        As it was used: of the calibrated survey, where the result says so.
     target : Survey or FieldMap
-        A survey only where the answer needed no map of it.
+        Likewise; a survey only where the answer needed no map of it.
     result : RegistrationResult
         What `register` gives.
     """
     config = config or PRESETS["default"]
-    clock = Stopwatch()
-    inputs = (describe_input(survey_of(base)), describe_input(survey_of(target)))
-    found = _registered(base, target, config, seed, clock)
+    # A map of the target leaves samples out; a walk is compared with all that were given.
+    clock, samples = Stopwatch(), survey_of(target)
+    inputs = (describe_input(survey_of(base)), describe_input(samples))
+    found = _registered(base, target, samples, config, seed, clock)
     if config.calibrate:
-        found = _surer_when_calibrated(base, found, config, seed, clock)
+        found = _surer_when_calibrated(base, samples, found, config, seed, clock)
     base_map, used, answer = found
     return (
         base_map,
@@ -112,13 +115,12 @@ def register_keeping_maps(
 def _registered(
     base: Survey | FieldMap | MapIndex,
     target: Survey | FieldMap,
+    samples: Survey,
     config: RegistrationConfig,
     seed: int,
     clock: Stopwatch,
 ) -> Found:
     """The answer for two surveys as they are."""
-    # A map of the target leaves samples out; a walk is compared with all that were given.
-    samples = survey_of(target)
     if isinstance(base, Survey):
         # Both at once: a base that has to be mapped first leaves a core for the target.
         base, target = clock.time("maps", side_by_side, partial(as_map, config=config), (base, target))
@@ -131,20 +133,33 @@ def _registered(
 
 
 def _surer_when_calibrated(
-    base: Survey | FieldMap | MapIndex, found: Found, config: RegistrationConfig, seed: int, clock: Stopwatch
+    base: Survey | FieldMap | MapIndex,
+    samples: Survey,
+    found: Found,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Stopwatch,
 ) -> Found:
     """Where readings turn with their sensor, the answer for calibrated ones if that is the surer."""
-    base_map, target, _ = found
-    # An index is not made anew, nor is a walk that no map was made of long enough to tell.
-    asked = None if isinstance(base, MapIndex) else base_map
-    sides = clock.time("calibrate", calibrate_sides, asked, target if isinstance(target, FieldMap) else None)
-    if sides == (None, None):
+    base_map, target, as_given = found
+    asked = {"base": (base_map, survey_of(base))}
+    # A walk that no map was made of is too short to tell.
+    asked |= {"target": (target, samples)} if isinstance(target, FieldMap) else {}
+    found_of = clock.time("calibrate", side_by_side, lambda side: calibrate(*asked[side]), asked)
+    sides = {side: one for side, one in zip(asked, found_of, strict=True) if one is not None}
+    if not sides:
         return found
     log.info("registering once more, calibrated")
-    new_base, new_target = (side and side.survey for side in sides)
-    again = _registered(new_base or (base if asked is None else base_map), new_target or target, config, seed, clock)
-    answer = surer(found[2], again[2], dict(zip(("base", "target"), sides, strict=True)))
-    return found if answer is found[2] else (again[0], again[1], answer)
+    new_base = sides["base"].survey if "base" in sides else base_map if isinstance(base, Survey) else base
+    new_samples = sides["target"].survey if "target" in sides else samples
+    new_target = new_samples if "target" in sides else target
+    try:
+        again = _registered(new_base, new_target, new_samples, config, seed, clock)
+    except (MagmatchError, np.linalg.LinAlgError) as error:
+        log.info("not registered calibrated: %s", error)
+        return found
+    answer = surer(as_given, again[2], sides)
+    return found if answer is as_given else (again[0], again[1], answer)
 
 
 def register_by_field(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.answer import by_evidence
+from magmatch.registration.answer import by_evidence, covariance_of
 from magmatch.registration.candidate import SearchResult
 from magmatch.registration.change_search import poses_beside_changes
 from magmatch.registration.config import RegistrationConfig
@@ -101,33 +101,34 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, seed: int, lead: 
     -------
     RegistrationResult
     """
-    ranked = _beyond_residuals(weighed, config, seed)
 
     def judge(chance: float | None) -> RegistrationResult:
-        return by_evidence(weighed.base, weighed.target, weighed.found, ranked, config.decision, lead, chance)
+        w = weighed
+        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, lead, chance)
 
     answer = judge(None)
     # A rough pose leaves little to chance, and a mirror has none.
     is_searched = config.search != "keypoints" and weighed.prior.T_base_target is None
     if answer.is_accepted and is_searched and weighed.log_density < config.decision.certain_log_evidence:
-        return judge(_best_by_chance(weighed, config, seed))
-    return answer
+        answer = judge(_best_by_chance(weighed, config, seed))
+    return _beyond_residuals(answer, weighed, config, seed) if answer.is_accepted else answer
 
 
-def _beyond_residuals(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> list[PoseEvidence]:
-    """The ranked poses, the first with a covariance that knows what the maps do not.
+def _beyond_residuals(
+    answer: RegistrationResult, weighed: WeighedMap, config: RegistrationConfig, seed: int
+) -> RegistrationResult:
+    """An accepted answer with a covariance that knows what the maps do not.
 
     Far from a map's samples its error is alike everywhere: the pose follows it, and no residual tells. Where
     residuals do tell of it, both say the same: the larger is taken, not the sum.
     """
-    ranked = weighed.ranked
+    best = weighed.ranked[0]
     # Beside a change, what is left free is counted there.
-    if not ranked or ranked[0].covariance is None or ranked[0].is_beside_change:
-        return ranked
-    best = ranked[0]
-    assert best.covariance is not None  # has just been looked at
+    if best.covariance is None or best.is_beside_change:
+        return answer
     of_maps = map_covariance(weighed.base, weighed.target, best.pose, config.refinement, seed)
-    return [replace(best, covariance=enclosing(best.covariance, of_maps)), *ranked[1:]]
+    whole = replace(best, covariance=enclosing(best.covariance, of_maps))
+    return replace(answer, covariance=covariance_of(whole, weighed.target))
 
 
 def _best_by_chance(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> float:

@@ -173,6 +173,17 @@ def _directions(value: Any) -> tuple[DegenerateDirection, ...]:
     return tuple(directions)
 
 
+def _sensor(value: Any) -> dict[str, Any]:
+    sensor = _mapping(value)
+    for side, told in _mapping(sensor.get("calibrated", {})).items():
+        _expect(side in {"base", "target"}, "'base' or 'target'", side)
+        _number(_mapping(told).get("time_offset"))
+        _numbers(told.get("shift"), "3 numbers", 3)
+        matrix = _numbers(told.get("matrix"), "3 rows of 3 numbers", 3, 3)
+        _expect(0.1 < np.linalg.det(matrix) < 10, "a matrix near the identity", told["matrix"])
+    return sensor
+
+
 def _links(value: Any) -> Links:
     base, target = (_numbers(_mapping(value)[side], "rows of 3 numbers", -1, 3) for side in ("base", "target"))
     _expect(len(base) == len(target) <= MAX_LINKS, f"at most {MAX_LINKS} pairs", [len(base), len(target)])
@@ -196,7 +207,7 @@ READERS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "overlap": ("overlap", lambda value: math.nan if value is None else _fraction(value)),
     "alternatives": ("alternatives", _alternatives),
     "degenerate_directions": ("degenerate_directions", _directions),
-    "sensor": ("sensor", _or_none(_mapping)),
+    "sensor": ("sensor", _or_none(_sensor)),
     "residual": ("residual", _or_none(_number)),
     "fitness": ("fitness", _or_none(_number)),
     "inliers": ("n_inliers", _count),
