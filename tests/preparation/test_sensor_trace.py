@@ -57,7 +57,7 @@ def test_without_orientations_nothing_is_told(hand_held):
 def test_costly_maps_are_asked_with_wider_splines_or_not_at_all(hand_held, monkeypatch):
     raw = hand_held[1]
     h = choose_spline_hyperparameters(raw.positions, raw.field)
-    least = fit_operations(raw.positions, replace(h, spacing=2.25 * h.spacing))
+    least = fit_operations(raw.positions, replace(h, spacing=sensor_trace.WIDER[-1] * h.spacing))
     monkeypatch.setattr(sensor_trace, "MOST_OPERATIONS", 1.01 * least)
     assert offset_evidence(raw, h) > SHOWN
     monkeypatch.setattr(sensor_trace, "MOST_OPERATIONS", 0.0)

@@ -17,7 +17,7 @@ from magmatch.typing import Indices, Points
 
 # Samples that are asked: through the survey where a map of that costs no more operations, else around a few places,
 # else with wider splines.
-N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.25), 4e9
+N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.25, 3.4), 4e9
 # Nats for one direction of the sensor's frame that are worth a calibration, which has the last word. Error-free logs
 # stay below 0; hard iron of 1.5 to 30 uT reaches 4 to 95 where places are passed more than once.
 SHOWN = 3.0
