@@ -10,11 +10,11 @@ from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import transform_error
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.registration.calibrated import in_words, undone
+from magmatch.registration.calibrated import Calibrated, in_words, surer, undone
 from magmatch.registration.config import PRESETS
 from magmatch.registration.map_index import index_map
 from magmatch.registration.register import register, register_keeping_maps
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.result import RegistrationResult, Status
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
@@ -117,6 +117,28 @@ def test_a_clean_pair_is_registered_once(pair):
     assert in_words(result.sensor) == in_words(plain.sensor) == {}
     assert result.seconds["calibrate"] < result.seconds["total"]
     assert "calibrate" not in plain.seconds
+
+
+@pytest.mark.parametrize(
+    ("as_given", "calibrated", "taken"),
+    [
+        ((True, 90.0), (True, 20.0), "calibrated"),
+        ((True, 90.0), (False, 95.0), "as given"),
+        ((False, 90.0), (True, 20.0), "calibrated"),
+        ((False, 3.0), (False, 2.0), "as given"),
+        ((False, 2.0), (False, 3.0), "calibrated"),
+        ((False, None), (False, None), "as given"),
+    ],
+)
+def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
+    def answer(is_accepted, log_odds):
+        status = Status.ACCEPTED if is_accepted else Status.INCONSISTENT
+        return RegistrationResult(status, "", pair.T_base_target, evidence={"log_odds": log_odds})
+
+    first, second = answer(*as_given), answer(*calibrated)
+    chosen = surer(first, second, {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))})
+    assert (chosen is first) == (taken == "as given")
+    assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})
 
 
 def test_published_method_takes_surveys_as_they_are():

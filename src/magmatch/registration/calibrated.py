@@ -113,7 +113,7 @@ def _words(model: SensorModel) -> str:
 def surer(
     as_given: RegistrationResult, calibrated: RegistrationResult, sides: Mapping[str, Calibrated]
 ) -> RegistrationResult:
-    """Choose between two answers: an accepted one before a refusal, then by log odds.
+    """Choose between two answers: an accepted one before a refusal, and calibrated where both are accepted.
 
     Parameters
     ----------
@@ -125,17 +125,22 @@ def surer(
     Returns
     -------
     RegistrationResult
-        The first unless the second is surer; the second says what was undone.
+        Of two refusals the one with higher log odds; the second says what was undone.
     """
-    if _sureness(calibrated) <= _sureness(as_given):
+    if as_given.is_accepted or calibrated.is_accepted:
+        # What turns with the sensor is no place's field, however well it may agree.
+        is_surer = calibrated.is_accepted
+    else:
+        is_surer = _log_odds(calibrated) > _log_odds(as_given)
+    if not is_surer:
         return as_given
     told = {name: side.told() for name, side in sides.items()}
     return replace(calibrated, sensor={**(calibrated.sensor or {}), "calibrated": told})
 
 
-def _sureness(answer: RegistrationResult) -> tuple[bool, float]:
+def _log_odds(answer: RegistrationResult) -> float:
     log_odds = answer.evidence.get("log_odds")
-    return answer.is_accepted, -np.inf if log_odds is None else log_odds
+    return -np.inf if log_odds is None else log_odds
 
 
 def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
