@@ -11,10 +11,9 @@ from magmatch import __version__
 from magmatch.atlas.atlas import Atlas, Sheet
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
-from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
-from magmatch.registration.calibrated import calibrate, surer
-from magmatch.registration.register import as_map, prepare_target, settle_walk, survey_of
+from magmatch.registration.calibrated import attempted, calibrate, surer
+from magmatch.registration.register import prepare_target, settle_walk, survey_of
 from magmatch.registration.register_map import WeighedMap, judge_map, search_map
 from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
 from magmatch.registration.result import RegistrationResult
@@ -74,7 +73,7 @@ def localize_keeping_map(
     if search == "pairs":
         answer = localize_walk(atlas, survey, seed, clock)
     else:
-        target, answer = localize_map(atlas, clock.time("maps", as_map, target, config), survey, seed, clock)
+        target, answer = localize_map(atlas, target, survey, seed, clock)
     found = (atlas.load(sheet).field_map.survey for sheet in atlas.sheets if sheet.name == answer.base)
     answer = replace(
         answer,
@@ -112,24 +111,24 @@ def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> 
 
 
 def localize_map(
-    atlas: Atlas, target: FieldMap, survey: Survey, seed: int, clock: Stopwatch
+    atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Stopwatch
 ) -> tuple[FieldMap, RegistrationResult]:
     """The surer answer for a target as it is, and calibrated where its readings turn with its sensor."""
-    answer = _localize_map(atlas, target, seed, clock)
-    side = clock.time("calibrate", calibrate, target, survey) if atlas.config.calibrate else None
+    found = target_map, answer = _localize_map(atlas, target, seed, clock)
+    side = clock.time("calibrate", calibrate, target_map, survey) if atlas.config.calibrate else None
     if side is None:
-        return target, answer
+        return found
     log.info("searching once more, calibrated")
-    try:
-        cleaned = clock.time("maps", as_map, side.survey, atlas.config)
-        better = surer(answer, _localize_map(atlas, cleaned, seed, clock), {"target": side})
-    except (MagmatchError, np.linalg.LinAlgError) as error:
-        log.info("not searched calibrated: %s", error)
-        return target, answer
-    return (target, answer) if better is answer else (cleaned, better)
+    again = attempted(_localize_map, atlas, side.survey, seed, clock)
+    if again is None:
+        return found
+    better = surer(answer, again[1], {"target": side})
+    return found if better is answer else (again[0], better)
 
 
-def _localize_map(atlas: Atlas, target: FieldMap, seed: int, clock: Stopwatch) -> RegistrationResult:
+def _localize_map(
+    atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stopwatch
+) -> tuple[FieldMap, RegistrationResult]:
     """Score a few poses in every map, search the likeliest in full, judge the best pose of all."""
     config = atlas.config
     prepared = prepare_target(target, config, seed, clock)
@@ -144,7 +143,8 @@ def _localize_map(atlas: Atlas, target: FieldMap, seed: int, clock: Stopwatch) -
 
     weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
     leads = _leads(weighed)
-    return _with_alternatives({sheet: judge_map(weighed[sheet], config, seed, leads[sheet]) for sheet in leads})
+    answers = {sheet: judge_map(weighed[sheet], config, seed, leads[sheet]) for sheet in leads}
+    return prepared.field_map, _with_alternatives(answers)
 
 
 def shortlist(sheets: tuple[Sheet, ...], votes: Scalars) -> list[Sheet]:

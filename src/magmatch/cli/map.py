@@ -115,10 +115,10 @@ def build(
 
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:
     """Say so where readings turn with their sensor: what a map makes of them is no field of the place."""
-    from magmatch.preparation.sensor_trace import SHOWN, offset_evidence
+    from magmatch.preparation.sensor_trace import turns_with_sensor
 
     for survey in surveys:
-        if offset_evidence(survey, field_map.hyperparameters) > SHOWN:
+        if turns_with_sensor(survey, field_map.hyperparameters):
             log.warning("%s: its readings turn with the sensor; 'magmatch prepare' calibrates it", survey.name)
 
 

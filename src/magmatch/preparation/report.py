@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from magmatch import __version__
 from magmatch.data.document import read_document, write_document
 from magmatch.errors import DataFormatError
@@ -101,7 +99,7 @@ class PreparationReport:
             "n_samples": list(self.n_samples),
             "steps": steps,
             "config": dict(self.config),
-            "sensor": {"matrix": self.sensor.matrix.tolist(), "shift": self.sensor.shift.tolist()},
+            "sensor": self.sensor.as_dict(),
             "inputs": [dict(entry) for entry in self.inputs],
             "version": self.version,
         }
@@ -126,23 +124,13 @@ class PreparationReport:
                 (int(content["n_samples"][0]), int(content["n_samples"][1])),
                 tuple(StepReport(**step) for step in content["steps"]),
                 content["config"],
-                _sensor_from(content["sensor"]),
+                SensorModel.from_dict(content["sensor"]),
                 tuple(content["inputs"]),
                 content["version"],
             )
         except (ValueError, KeyError, TypeError, IndexError, OverflowError) as error:
             words = f"missing {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:150]
             raise DataFormatError(path, f"is not a report of 'magmatch prepare' ({SCHEMA}): {words}") from None
-
-
-def _sensor_from(content: Mapping[str, Any]) -> SensorModel:
-    """Correction as a report holds it; ValueError where it is none."""
-    matrix, shift = np.array(content["matrix"], dtype=np.float64), np.array(content["shift"], dtype=np.float64)
-    is_one = matrix.shape == (3, 3) and shift.shape == (3,) and np.isfinite(matrix).all() and np.isfinite(shift).all()
-    if not is_one or not 0.1 < abs(np.linalg.det(matrix)) < 10:
-        msg = "expected a 3x3 matrix near the identity and 3 numbers"
-        raise ValueError(msg)
-    return SensorModel(matrix, shift)
 
 
 def _change(step: StepReport) -> str:

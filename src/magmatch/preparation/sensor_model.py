@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -47,6 +48,23 @@ class SensorModel:
     shift: Vector3 = field(default_factory=lambda: np.zeros(3))
     time_offset: float = 0.0
     currents: Mapping[str, Vector3] = field(default_factory=dict)
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> "SensorModel":
+        """Matrix and shift as a file holds them; ValueError where they are none."""
+        matrix = np.array(content["matrix"], dtype=np.float64)
+        shift = np.array(content["shift"], dtype=np.float64)
+        is_one = (
+            matrix.shape == (3, 3) and shift.shape == (3,) and np.isfinite(matrix).all() and np.isfinite(shift).all()
+        )
+        if not is_one or not 0.1 < abs(np.linalg.det(matrix)) < 10:
+            msg = "expected a 3x3 matrix near the identity and 3 numbers"
+            raise ValueError(msg)
+        return cls(matrix, shift)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Matrix and shift, ready for JSON: what holds for any log of the sensor."""
+        return {"matrix": self.matrix.tolist(), "shift": self.shift.tolist()}
 
     @property
     def is_identity(self) -> bool:

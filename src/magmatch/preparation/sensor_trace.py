@@ -23,6 +23,11 @@ N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.
 SHOWN = 3.0
 
 
+def turns_with_sensor(survey: Survey, hyperparameters: Hyperparameters) -> bool:
+    """Whether readings show so much of their sensor that a calibration is worth its time; see `offset_evidence`."""
+    return offset_evidence(survey, hyperparameters) >= SHOWN
+
+
 @single_threaded
 def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     """How much better a constant in the sensor's frame explains readings, beside a map of the place.

@@ -2,9 +2,9 @@
 """Surveys that show their sensor, calibrated as `magmatch prepare` does: some are only found then."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -14,8 +14,11 @@ from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.sensor_trace import SHOWN, offset_evidence
+from magmatch.preparation.sensor_trace import turns_with_sensor
 from magmatch.registration.result import RegistrationResult
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -44,8 +47,7 @@ class Calibrated:
 
     def told(self) -> dict[str, Any]:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
-        s = self.sensor
-        return {"time_offset": s.time_offset, "matrix": s.matrix.tolist(), "shift": s.shift.tolist()}
+        return {"time_offset": self.sensor.time_offset, **self.sensor.as_dict()}
 
 
 def undone(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
@@ -92,10 +94,7 @@ def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
 
 def _models(sensor: Mapping[str, Any] | None) -> dict[str, SensorModel]:
     told = (sensor or {}).get("calibrated") or {}
-    return {
-        side: SensorModel(np.array(one["matrix"]), np.array(one["shift"]), one["time_offset"])
-        for side, one in told.items()
-    }
+    return {side: replace(SensorModel.from_dict(one), time_offset=one["time_offset"]) for side, one in told.items()}
 
 
 def _words(model: SensorModel) -> str:
@@ -161,15 +160,20 @@ def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
     """
     if field_map.parts or field_map.config.domain is not None:
         return None
-    if offset_evidence(field_map.survey, field_map.hyperparameters) < SHOWN:
+    if not turns_with_sensor(field_map.survey, field_map.hyperparameters):
         return None
     # Imports what half of all registrations take.
     from magmatch.preparation.prepare import prepare
 
     log.info("%s: its readings turn with the sensor, which is calibrated", survey.name)
+    done = attempted(prepare, survey, SETTINGS)
+    return None if done is None or done[1].sensor.is_identity else Calibrated(done[0], done[1].sensor)
+
+
+def attempted(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
+    """What a step towards the second answer gives; None where it fails: then the first one stands."""
     try:
-        prepared, report = prepare(survey, SETTINGS)
+        return task(*args, **kwargs)
     except (MagmatchError, np.linalg.LinAlgError) as error:
-        log.info("%s: not calibrated: %s", survey.name, error)
+        log.info("not calibrated: %s", error)
         return None
-    return None if report.sensor.is_identity else Calibrated(prepared, report.sensor)

@@ -134,9 +134,12 @@ def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) 
     """
     n = len(positions) - 1
     first = np.unique(np.linspace(0, n - 1, min(n, MOST_PAIRS)).astype(np.int64))
-    one, next_one = (posterior.evaluate(positions[rows], order=1) for rows in (first, first + 1))
-    steps2 = ((field[first + 1] - next_one.field - field[first] + one.field) ** 2).sum(axis=1)
-    power = sum(gradient_norm(gradient_of(values)) ** 2 for values in (one, next_one))
+    # Most samples are in two pairs.
+    rows, places = np.unique(np.concatenate([first, first + 1]), return_inverse=True)
+    values, (one, other) = posterior.evaluate(positions[rows], order=1), places.reshape(2, -1)
+    steps2 = ((field[first + 1] - values.field[other] - field[first] + values.field[one]) ** 2).sum(axis=1)
+    steepness2 = gradient_norm(gradient_of(values)) ** 2
+    power = steepness2[one] + steepness2[other]
     X = np.stack([np.ones(len(steps2)), power], axis=1)
     scale = X.mean(axis=0)
     if not (scale[1] > 0 and steps2.any()):

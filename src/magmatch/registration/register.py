@@ -9,12 +9,11 @@ import numpy as np
 
 from magmatch import __version__
 from magmatch.data.survey import Survey
-from magmatch.errors import MagmatchError
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.answer import by_fitness
 from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
-from magmatch.registration.calibrated import calibrate, surer
+from magmatch.registration.calibrated import attempted, calibrate, surer
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.fitness import alignment_fitness
 from magmatch.registration.keypoint_search import keypoint_search
@@ -150,13 +149,13 @@ def _surer_when_calibrated(
     if not sides:
         return found
     log.info("registering once more, calibrated")
-    new_base = sides["base"].survey if "base" in sides else base_map if isinstance(base, Survey) else base
-    new_samples = sides["target"].survey if "target" in sides else samples
-    new_target = new_samples if "target" in sides else target
-    try:
-        again = _registered(new_base, new_target, new_samples, config, seed, clock)
-    except (MagmatchError, np.linalg.LinAlgError) as error:
-        log.info("not registered calibrated: %s", error)
+    new_base: Survey | FieldMap | MapIndex = base_map if isinstance(base, Survey) else base
+    if "base" in sides:
+        new_base = sides["base"].survey
+    if "target" in sides:
+        samples = target = sides["target"].survey
+    again = attempted(_registered, new_base, target, samples, config, seed, clock)
+    if again is None:
         return found
     answer = surer(as_given, again[2], sides)
     return found if answer is as_given else (again[0], again[1], answer)
