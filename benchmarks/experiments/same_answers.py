@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether a change of the code changed an answer: a fixed list of pairs, registered before and after.
+
+    python benchmarks/experiments/same_answers.py make PAIRS [--from DIR]     surveys of all pairs, once
+    python benchmarks/experiments/same_answers.py run PAIRS ANSWERS.jsonl     with the code that is installed
+    python benchmarks/experiments/same_answers.py compare BEFORE.jsonl AFTER.jsonl
+
+Rooms of each overlap, other places, walks, tables, corridors, planes, moved sources, corrupted sensors, recordings,
+the published method. Numbers are kept as hexadecimal floats: equal means equal to the bit. A second run goes on where
+the first ended. ``--like TEXT`` takes the pairs whose name holds it.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import magmatch as mm
+
+LOCAL = Path(__file__).resolve().parents[3] / "shared" / "data"
+ROOM = {"room_size": (3.0, 3.0, 0.6), "n_samples": 1500}
+# Statements that do not depend on the clock, the version or the settings' names.
+KEYS = (
+    "status", "reason", "T_base_target", "covariance", "probability", "evidence", "overlap", "alternatives",
+    "degenerate_directions", "sensor", "residual", "fitness", "inliers", "keypoints", "correspondences", "links",
+)  # fmt: skip
+
+
+def simulated() -> Iterator[tuple[str, str, int, dict[str, Any]]]:
+    """Name, scenario, seed and settings of every simulated pair."""
+    for overlap in (1.0, 0.75, 0.5, 0.3, 0.15):
+        for seed in range(8):
+            yield f"room-{overlap:g}-{seed}", "office-random", 500 + seed, {**ROOM, "overlap": overlap}
+    for seed in range(8):
+        yield f"nowhere-{seed}", "nowhere", 600 + seed, {"n_samples": 1000}
+    for name, scenario, n in (
+        ("uniform", "uniform", 2), ("repeated", "repeated", 2), ("table", "table", 4), ("robot", "table-robot", 4),
+        ("corridor", "corridor", 4), ("inside", "office-inside", 3), ("z30", "office-z30", 2), ("x30", "office-x30", 2),
+        ("hand-held", "office-hand-held", 2),
+    ):  # fmt: skip
+        for seed in range(n):
+            yield f"{name}-{seed}", scenario, 700 + seed, {"n_samples": 1200}
+    for share in (0.1, 0.2, 0.4):
+        for seed in range(3):
+            yield f"moved-{share:g}-{seed}", "office-random", 800 + seed, {"n_samples": 1200, "moved_sources": share}
+    for gap in (0.0, 0.2, 0.4):
+        yield f"planes-{gap:g}", "planar", 900, {"n_samples": 1200, "plane_gap": gap}
+    for drift in (0.05, 0.1):
+        yield f"drift-{drift:g}", "corridor", 901, {"n_samples": 1200, "pose_drift": drift}
+    for noise in (3e-6, 1e-5):
+        yield f"noise-{noise:g}", "office-random", 902, {"n_samples": 800, "noise_sd": noise}
+    for n in (100, 300):
+        yield f"few-{n}", "office-random", 903, {"n_samples": n}
+    for bias in (2e-6, 5e-6):
+        yield f"bias-{bias:g}", "office-random", 904, {"n_samples": 800, "bias": (bias, -bias, bias), "scale": 0.03}
+
+
+def save(folder: Path, name: str, base: mm.Survey, target: mm.Survey) -> None:
+    """Write both surveys of a pair, digit for digit."""
+    for side, survey in (("base", base), ("target", target)):
+        rows = {"positions": survey.positions, "field": survey.field, "pose_sd": np.array(survey.pose_sd)}
+        if survey.times is not None:
+            rows["times"] = survey.times
+        if survey.orientations is not None:
+            rows["quaternions"] = survey.orientations.as_quat()
+        np.savez(folder / f"{name}.{side}.npz", **rows)
+
+
+def load(path: Path) -> mm.Survey:
+    """Read what `save` wrote."""
+    rows = np.load(path)
+    turns = Rotation.from_quat(rows["quaternions"]) if "quaternions" in rows else None
+    times = rows["times"] if "times" in rows else None
+    return mm.Survey(rows["positions"], rows["field"], times, turns, name=path.stem, pose_sd=float(rows["pose_sd"]))
+
+
+def make(folder: Path, source: Path) -> None:
+    """Draw all pairs; uses rooms of the package that the other verbs leave alone."""
+    from magmatch.data.recordings import load_recordings
+    from magmatch.evaluation.recorded import CeaArea, CeaElsewhere, Halves, Interleaved, TwoRecordings
+    from magmatch.geometry import random_transform
+    from magmatch.simulation.config import SimulationConfig
+    from magmatch.simulation.corruption import corrupt, draw_corruption
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, scenario, seed, settings in simulated():
+        pair = mm.simulate(scenario, seed, SimulationConfig.model_validate(settings))
+        save(folder, name, pair.base, pair.target)
+    for seed in range(3):
+        pair = mm.simulate("office-hand-held", 40 + seed, SimulationConfig(n_samples=1200))
+        rng = np.random.default_rng(seed)
+        raw = corrupt(pair.target, draw_corruption(rng), rng)
+        save(folder, f"raw-{seed}", pair.base, raw[0] if isinstance(raw, tuple) else raw)
+    recorded: list[tuple[str, Callable[[int, Path | None], Any], int]] = [
+        ("cea-1", CeaArea(1), 2), ("cea-2", CeaArea(2), 2), ("elsewhere", CeaElsewhere(), 4),
+        ("aalto-same", TwoRecordings("aalto", "invensense-1", "invensense-2"), 1),
+        ("aalto-other", TwoRecordings("aalto", "trivisio-1", "invensense-2"), 1),
+        ("jidling", Halves("jidling", "volume"), 1), ("kok-eight", Halves("kok", "eight"), 1),
+        ("kok-square", Halves("kok", "square"), 1), ("kaist", Interleaved("kaist", "floor", 20.0), 1),
+    ]  # fmt: skip
+    for name, pair_of, n in recorded:
+        for seed in range(n):
+            pair = pair_of(seed, source)
+            save(folder, f"{name}-{seed}", pair.base, pair.target)
+    walks, rng = load_recordings("cea", source / "cea"), np.random.default_rng(77)
+    for floor in (1, 2):
+        one, two = walks[f"training-floor{floor}"], walks[f"test-floor{floor}"]
+        for length in (10, 20):
+            for k in range(2):
+                start = int(rng.integers(len(two) - 3000))
+                arc = np.cumsum(np.linalg.norm(np.diff(two.positions[start:], axis=0), axis=1))
+                stretch = two.subset(start + np.flatnonzero(arc < length))
+                target = stretch.transformed(random_transform(rng))
+                save(folder, f"walk-{length}-{floor}{k}", around(one, stretch), target)
+        other = walks[f"training-floor{3 - floor}"]
+        save(folder, f"walk-wrong-floor-{floor}", around(other, stretch), target)
+
+
+def around(walk: mm.Survey, stretch: mm.Survey) -> mm.Survey:
+    """What of a walk lies within 25 m of a stretch, floors apart."""
+    return walk.subset(np.linalg.norm(walk.positions[:, :2] - stretch.centroid[:2], axis=1) < 25)
+
+
+def exact(value: Any) -> Any:
+    """Numbers as hexadecimal, everything below as it is."""
+    if isinstance(value, dict):
+        # A reference to a module's name may change with its place.
+        return {key: exact(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [exact(v) for v in value]
+    return value.hex() if isinstance(value, float) else value
+
+
+def run(folder: Path, answers: Path, like: str, part: str) -> None:
+    """Register every pair that is not in the file yet."""
+    names = sorted(path.name.removesuffix(".base.npz") for path in folder.glob("*.base.npz"))
+    jobs = [(name, "default") for name in names]
+    jobs += [(n, "paper") for n in names if n in {"room-1-0", "room-0.5-1", "nowhere-0", "table-0", "z30-0", "x30-1"}]
+    jobs += [(n, "uncalibrated") for n in names if n.startswith(("raw-", "jidling"))]
+    jobs += [(n, "upright") for n in names if n.startswith(("corridor-", "z30"))]
+    k, n_parts = map(int, part.split("/"))
+    known = {json.loads(line)["name"] for line in answers.read_text().splitlines()} if answers.exists() else set()
+    for name, how in [job for job in jobs if like in "/".join(job)][k::n_parts]:
+        if f"{name}/{how}" in known:
+            continue
+        base, target = (load(folder / f"{name}.{side}.npz") for side in ("base", "target"))
+        start = time.perf_counter()
+        result = mm.register(base, target, config_of(how))
+        seconds = time.perf_counter() - start
+        document = result.to_dict()
+        row = {"name": f"{name}/{how}", **{key: exact(document[key]) for key in KEYS}, "took": round(seconds, 3)}
+        with answers.open("a") as stream:
+            stream.write(json.dumps(row) + "\n")
+        print(f"{name}/{how}: {row['status']}, {seconds:.1f} s", file=sys.stderr, flush=True)
+
+
+def config_of(how: str) -> mm.RegistrationConfig:
+    """Settings by name."""
+    from magmatch.registration.config import PRESETS
+
+    if how == "paper":
+        return PRESETS["paper"]
+    changes = {"uncalibrated": {"calibrate": False}, "upright": {"prior": {"is_gravity_aligned": True}}}
+    return mm.RegistrationConfig.model_validate(changes.get(how, {}))
+
+
+def compare(before: Path, after: Path) -> int:
+    """Print what differs; the number of pairs that do."""
+    old, new = ({(r := json.loads(line))["name"]: r for line in p.read_text().splitlines()} for p in (before, after))
+    both = [name for name in old if name in new]
+    n_different = 0
+    for name in both:
+        keys = [key for key in KEYS if old[name][key] != new[name][key]]
+        if keys:
+            n_different += 1
+            print(f"{name}: differs in {', '.join(keys)}")
+            for key in keys[:3]:
+                print(f"    {key}: {str(old[name][key])[:150]} -> {str(new[name][key])[:150]}")
+    ratio = np.median([new[name]["took"] / old[name]["took"] for name in both]) if both else np.nan
+    print(
+        f"{len(both)} pairs compared, {n_different} differ; {len(old) - len(both)} only before, "
+        f"{len(new) - len(both)} only after; median ratio of seconds {ratio:.2f}"
+    )
+    return n_different
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    making = verbs.add_parser("make")
+    making.add_argument("folder", type=Path)
+    making.add_argument("--from", dest="source", type=Path, default=LOCAL)
+    running = verbs.add_parser("run")
+    running.add_argument("folder", type=Path)
+    running.add_argument("answers", type=Path)
+    running.add_argument("--like", default="")
+    running.add_argument("--part", default="0/1", help="K/N: every Nth pair from the Kth on")
+    comparing = verbs.add_parser("compare")
+    comparing.add_argument("before", type=Path)
+    comparing.add_argument("after", type=Path)
+    arguments = parser.parse_args()
+    if arguments.verb == "make":
+        make(arguments.folder, arguments.source)
+    elif arguments.verb == "run":
+        run(arguments.folder, arguments.answers, arguments.like, arguments.part)
+    else:
+        sys.exit(bool(compare(arguments.before, arguments.after)))
+
+
+if __name__ == "__main__":
+    main()
