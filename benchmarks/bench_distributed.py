@@ -19,10 +19,10 @@ import numpy as np
 from bench_tiles import FIXED, walk
 from threadpoolctl import threadpool_limits
 
-from magmatch.field.distributed import DaskRunner
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.tile_fit import fit_weights
-from magmatch.field.tiled_model import TiledModel
+from magmatch.field.tiles.distributed import DaskRunner
+from magmatch.field.tiles.tile_fit import fit_weights
+from magmatch.field.tiles.tiled_model import TiledModel
 
 
 def tasks_of_a_floor(extent=(40.0, 30.0), n=60_000):

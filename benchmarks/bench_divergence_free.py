@@ -10,8 +10,8 @@ from time import process_time
 import numpy as np
 
 from magmatch import Survey, simulate
-from magmatch.field.dense import DenseGP
-from magmatch.field.kernels import DivergenceFreeKernel
+from magmatch.field.inducing.dense import DenseGP
+from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.simulation.config import SimulationConfig
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.priors import PRIORS
-from magmatch.field.region_model import fit_splines
-from magmatch.field.spline_model import SplineModel
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.tiles.region_model import fit_splines
 from magmatch.threads import single_threaded
 
 UT = 1e-6

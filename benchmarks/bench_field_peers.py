@@ -22,9 +22,9 @@ from scipy.spatial import cKDTree
 from magmatch import FieldConfig, build_map
 from magmatch.data.recordings import load_recordings
 from magmatch.errors import MagmatchError
-from magmatch.field.dense import DenseGP
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.kernels import DivergenceFreeKernel
+from magmatch.field.inducing.dense import DenseGP
+from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.threads import single_threaded

@@ -15,10 +15,10 @@ from bench_field import room
 from numba import njit
 from threadpoolctl import threadpool_limits
 
+from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
-from magmatch.field.selected_inverse import selected_inverse
-from magmatch.field.spline_basis import derivative_rows, derivative_table, spline_values
+from magmatch.field.spline.spline_basis import derivative_rows, derivative_table, spline_values
 
 SIZE = (3.0, 3.0, 1.0)
 H = {

@@ -17,11 +17,11 @@ from bench_field import dipole_field
 from threadpoolctl import threadpool_limits
 
 from magmatch.field.config import EstimatorConfig
-from magmatch.field.estimator import FieldEstimator
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing_grid import lay_inducing_grid
-from magmatch.field.kernels import DivergenceFreeKernel
-from magmatch.field.recursive import RecursiveSparseGP
+from magmatch.field.inducing.inducing_grid import lay_inducing_grid
+from magmatch.field.inducing.kernels import DivergenceFreeKernel
+from magmatch.field.inducing.recursive import RecursiveSparseGP
+from magmatch.field.live.estimator import FieldEstimator
 
 UT = 1e-6
 RATE, SPEED = 200, 1.0

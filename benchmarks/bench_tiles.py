@@ -23,12 +23,12 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.distributed import DaskRunner
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
-from magmatch.field.spline_model import SplineModel
-from magmatch.field.tiled_model import TiledModel
-from magmatch.field.tiles import Tiling
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.tiles.distributed import DaskRunner
+from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.tiles import Tiling
 
 UT = 1e-6
 CELL = 4.0

@@ -6,7 +6,7 @@ import pytest
 import magmatch as mm
 from magmatch.geometry import log_se3, random_transform, transform_error
 from magmatch.registration.config import PRESETS
-from magmatch.registration.map_index import index_map
+from magmatch.registration.index.map_index import index_map
 from magmatch.registration.register_walk import WalkConfig, register_walk
 from magmatch.simulation.config import SimulationConfig
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import magmatch
+from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selected_inverse import selected_inverse
-from magmatch.field.spline_model import SplineModel
+from magmatch.field.spline.spline_model import SplineModel
 from magmatch.threads import WhileAnyone, on_one_core, side_by_side
 
 

@@ -8,7 +8,7 @@ are simulated, areas of a building and robots' runs are cut from public recordin
 one place is registered, and so are ``--cross`` pairs of surveys of different places: every map meets many others, so
 wrong answers are cheap to look for. Maps and rows stay in DIR; a second run goes on where the first ended. Prints a
 table by kind of pair, how many wrong answers were accepted and how often poses of each stated probability were right;
-with ``--fit``, the weights for `magmatch.registration.probability` (then report on other seeds).
+with ``--fit``, the weights for `magmatch.registration.decide.probability` (then report on other seeds).
 """
 
 import argparse
@@ -26,7 +26,7 @@ from magmatch.data.survey import Survey
 from magmatch.evaluation.trial import nees_of
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
-from magmatch.registration.probability import features
+from magmatch.registration.decide.probability import features
 from magmatch.simulation.config import SimulationConfig
 
 LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"

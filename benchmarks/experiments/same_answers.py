@@ -41,8 +41,8 @@ def simulated() -> Iterator[tuple[str, str, int, dict[str, Any]]]:
         yield f"nowhere-{seed}", "nowhere", 600 + seed, {"n_samples": 1000}
     for name, scenario, n in (
         ("uniform", "uniform", 2), ("repeated", "repeated", 2), ("table", "table", 4), ("robot", "table-robot", 4),
-        ("corridor", "corridor", 4), ("inside", "office-inside", 3), ("z30", "office-z30", 2), ("x30", "office-x30", 2),
-        ("hand-held", "office-hand-held", 2),
+        ("corridor", "corridor", 4), ("inside", "office-inside", 3), ("z30", "office-z30", 2),
+        ("x30", "office-x30", 2), ("hand-held", "office-hand-held", 2),
     ):  # fmt: skip
         for seed in range(n):
             yield f"{name}-{seed}", scenario, 700 + seed, {"n_samples": 1200}
@@ -76,7 +76,7 @@ def load(path: Path) -> mm.Survey:
     """Read what `save` wrote."""
     rows = np.load(path)
     turns = Rotation.from_quat(rows["quaternions"]) if "quaternions" in rows else None
-    times = rows["times"] if "times" in rows else None
+    times = rows.get("times")
     return mm.Survey(rows["positions"], rows["field"], times, turns, name=path.stem, pose_sd=float(rows["pose_sd"]))
 
 

@@ -26,9 +26,9 @@ from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.geometry import log_se3, random_transform, transform_error, transform_points
-from magmatch.registration.pair_search import tabulate_pairs
-from magmatch.registration.prepared import prepare
+from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.register_walk import WalkConfig, WalkIndex, index_walks, register_walk
+from magmatch.registration.search.pair_search import tabulate_pairs
 
 LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 MAX_M, MAX_DEG = 0.25, 3.0

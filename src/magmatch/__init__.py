@@ -7,6 +7,8 @@ Names are resolved on first use, so that importing the package costs nothing unt
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from magmatch._version import __version__ as __version__
+
 if TYPE_CHECKING:
     from magmatch.atlas.atlas import Atlas, open_atlas
     from magmatch.atlas.localize import localize
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from magmatch.features.features import Features
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
-    from magmatch.field.estimator import FieldEstimator
+    from magmatch.field.live.estimator import FieldEstimator
     from magmatch.field.map import FieldMap
     from magmatch.grid import RegularGrid
     from magmatch.preparation.config import PreparationConfig
@@ -27,13 +29,11 @@ if TYPE_CHECKING:
     from magmatch.registration.result import RegistrationResult, Status
     from magmatch.simulation.simulate import simulate
 
-__version__ = "0.1.0"
-
 _HOMES = {
     "Atlas": "atlas.atlas",
     "Features": "features.features",
     "FieldConfig": "field.config",
-    "FieldEstimator": "field.estimator",
+    "FieldEstimator": "field.live.estimator",
     "FieldMap": "field.map",
     "PreparationConfig": "preparation.config",
     "RegistrationConfig": "registration.config",

@@ -10,7 +10,7 @@ from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
-from magmatch.registration.map_index import index_path, open_index
+from magmatch.registration.index.map_index import index_path, open_index
 from magmatch.registration.register import register
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption

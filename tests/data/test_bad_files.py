@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError, MagmatchError, SurveyError
@@ -169,7 +169,7 @@ def test_faults_are_named_alike_wherever_a_block_of_the_file_ends(size, tmp_path
         path = write(tmp_path / "survey.csv", content)
         messages = []
         for block in (1 << 20, size):
-            monkeypatch.setattr("magmatch.data.text.BLOCK", block)
+            monkeypatch.setattr("magmatch.data.tables.text.BLOCK", block)
             with pytest.raises(DataFormatError) as caught:
                 read_survey(path)
             messages.append(str(caught.value))

@@ -7,9 +7,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
-from magmatch.data.tum import write_tum
+from magmatch.data.tables.tum import write_tum
 from magmatch.errors import DataFormatError
 
 N = 20

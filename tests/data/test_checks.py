@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.checks import check_survey
 from magmatch.data.describe import describe
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
 from magmatch.data.units import TESLA_PER_UNIT, field_text, likely_field_unit

@@ -14,7 +14,7 @@ import requests
 from magmatch.data import datasets
 from magmatch.data.checks import check_survey
 from magmatch.data.datasets import DATASETS, Dataset, fetch, verified_files
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.recordings import load_recordings
 from magmatch.errors import ConfigurationError, DataFormatError, DatasetError, MissingExtraError

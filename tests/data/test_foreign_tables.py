@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from magmatch.data.format import SurveyFormat
-from magmatch.data.load_trajectory import load_trajectory
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError
 

@@ -6,7 +6,7 @@ import logging
 import numpy as np
 import pytest
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.errors import DataFormatError
 
@@ -57,7 +57,7 @@ def test_points_below_commas_are_refused_wherever_blocks_end(size, rows, tmp_pat
     def mixed(i, cells):
         return cells if i == 40 else [cell.replace(".", ",") for cell in cells]
 
-    monkeypatch.setattr("magmatch.data.text.BLOCK", size)
+    monkeypatch.setattr("magmatch.data.tables.text.BLOCK", size)
     with pytest.raises(DataFormatError, match="--recover"):
         read_survey(write(tmp_path / "s.csv", rows, mark=";", change=mixed), UT)
 

@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field import comparison
 from magmatch.field.build import build_map
-from magmatch.field.calibration import divide, widened
 from magmatch.field.comparison import Rival, _best
 from magmatch.field.config import FieldConfig
 from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import divide, widened
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 

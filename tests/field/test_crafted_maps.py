@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
-from magmatch.field.archive import MANIFEST
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
-from magmatch.field.store import MapRecord
-from magmatch.field.tile_fit import FitError
+from magmatch.field.storage.archive import MANIFEST
+from magmatch.field.storage.store import MapRecord
+from magmatch.field.tiles.tile_fit import FitError
 
 
 @pytest.fixture(scope="module")
@@ -254,5 +254,5 @@ def test_zip_bomb_is_refused_before_it_is_unpacked(saved):
 
 
 def test_file_beyond_the_bound_is_refused(saved, monkeypatch):
-    monkeypatch.setattr("magmatch.field.archive.MAX_BYTES", 1000)
+    monkeypatch.setattr("magmatch.field.storage.archive.MAX_BYTES", 1000)
     assert "larger than any saved map" in refusal(saved)

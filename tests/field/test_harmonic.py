@@ -8,11 +8,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.data.survey import Survey
 from magmatch.field.box import Box
 from magmatch.field.build import build_map
-from magmatch.field.charges import charge_design, charge_field
 from magmatch.field.config import FieldConfig
+from magmatch.field.equivalent_sources.charges import charge_design, charge_field
+from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
-from magmatch.field.shell import lay_shell
 
 EARTH = np.array([18e-6, 2e-6, -44e-6])
 BOX = np.array([2.0, 1.5, 0.8])

@@ -7,11 +7,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.field.cholesky.point_solves import solve_operations
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.point_solves import solve_operations
 from magmatch.field.priors import PRIORS
-from magmatch.field.spline_model import SplineModel, SplinePosterior
+from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.3, 100.0)
 FAR = np.array([[40.0, 0.0, 0.0], [-40.0, 5.0, 0.0]])

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.gaussian_grid import GaussianGrid
-from magmatch.field.inducing_grid import InducingGrid, lay_affordable_grid, lay_inducing_grid
-from magmatch.field.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.inducing.gaussian_grid import GaussianGrid
+from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid, lay_inducing_grid
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 
 laws = settings(deadline=None, derandomize=True, max_examples=15)
 CONSTANT = np.array([20e-6, 1e-6, -44e-6])

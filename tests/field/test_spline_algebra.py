@@ -7,14 +7,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magmatch.errors import ConfigurationError
-from magmatch.field.cells import lay_cells
-from magmatch.field.element_matrices import divergence_matrix, lone_cell_covariance, prior_element, smoothness_matrix
+from magmatch.field.cholesky.cells import lay_cells
+from magmatch.field.cholesky.multifrontal import factorise
+from magmatch.field.cholesky.nested_dissection import order_elimination
+from magmatch.field.cholesky.selected_inverse import selected_inverse
+from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.multifrontal import factorise
-from magmatch.field.nested_dissection import order_elimination
-from magmatch.field.selected_inverse import selected_inverse
-from magmatch.field.spline_model import SplineModel
-from magmatch.field.stencil_matrix import StencilMatrix
+from magmatch.field.spline.element_matrices import (
+    divergence_matrix,
+    lone_cell_covariance,
+    prior_element,
+    smoothness_matrix,
+)
+from magmatch.field.spline.spline_model import SplineModel
 
 few = settings(deadline=None, derandomize=True, max_examples=8)
 SHAPES = {"volume": (1.0, 0.7, 0.4), "plane": (1.2, 1.0, 0.0), "line": (2.5, 0.0, 0.0), "point": (0.0, 0.0, 0.0)}

@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 
-from magmatch.field.affordability import affordable_spacing
 from magmatch.field.held_out import (
     choose_part,
     has_path_order,
@@ -14,6 +13,7 @@ from magmatch.field.held_out import (
     typical_length,
 )
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.selection.affordability import affordable_spacing
 
 rng = np.random.default_rng(0)
 CLOUD = rng.uniform(0, 3, (2000, 3))
@@ -67,7 +67,7 @@ def test_part_has_about_the_samples_asked_for():
 
 
 def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeypatch):
-    monkeypatch.setattr("magmatch.field.affordability.MOST_OPERATIONS", (5e8, 1e5))
+    monkeypatch.setattr("magmatch.field.selection.affordability.MOST_OPERATIONS", (5e8, 1e5))
     x = rng.uniform(0, 30, (500, 3)) * [1, 1, 0.01]
     spacing = affordable_spacing(x, Hyperparameters(0.35, 1e-6, 1e-7, 0.1))
     assert spacing > 0.1

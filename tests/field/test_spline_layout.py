@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline_hyperparameters import Layout
+from magmatch.field.selection.spline_hyperparameters import Layout
 
 H = Hyperparameters(1.0, 1e-6, 1e-7, 0.2, stiffness=3000.0, reach=1.5)
 

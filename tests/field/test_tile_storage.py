@@ -16,7 +16,7 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
-from magmatch.field.tiled_posterior import TiledPosterior
+from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.geometry import random_transform
 
 CONFIG = FieldConfig(prior="spline", lengthscale=0.5, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
@@ -25,7 +25,7 @@ CONFIG = FieldConfig(prior="spline", lengthscale=0.5, signal_sd=5e-6, noise_sd=3
 @pytest.fixture(autouse=True)
 def _tiles_at_once(monkeypatch):
     """Maps of these tests are small; tile them all the same."""
-    monkeypatch.setattr("magmatch.field.region_model.MOST_CELLS", 0)
+    monkeypatch.setattr("magmatch.field.tiles.region_model.MOST_CELLS", 0)
 
 
 def walk(low, high, seed=0, name="walk", y=0.0):
@@ -40,7 +40,7 @@ def walk(low, high, seed=0, name="walk", y=0.0):
 @pytest.fixture(scope="module")
 def old():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("magmatch.field.region_model.MOST_CELLS", 0)
+        patch.setattr("magmatch.field.tiles.region_model.MOST_CELLS", 0)
         return build_map(walk(0, 14), CONFIG)
 
 
@@ -66,7 +66,7 @@ def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypat
     assert len(old.posterior.tiles) > 3
     points = old.survey.positions[::7]
     with monkeypatch.context() as patch:
-        patch.setattr("magmatch.field.spline_model.factorise", refuse)
+        patch.setattr("magmatch.field.spline.spline_model.factorise", refuse)
         loaded = FieldMap.load(saved)
         assert np.array_equal(loaded.evaluate(points, 2).second, old.evaluate(points, 2).second)
         assert loaded.knows(points).all()
@@ -176,7 +176,7 @@ ADDER = """
 import sys
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.field import region_model
+from magmatch.field.tiles import region_model
 region_model.MOST_CELLS = 0
 path, later = sys.argv[1:]
 field_map = FieldMap.load(path)

@@ -11,7 +11,7 @@ from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.estimator import FieldEstimator
+from magmatch.field.live.estimator import FieldEstimator
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.preparation.report import PreparationReport

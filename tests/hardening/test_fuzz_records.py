@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 
 from magmatch.cli.settings import read_settings, registration_config
-from magmatch.data.csv import read_points
-from magmatch.data.extrinsic import read_extrinsic
+from magmatch.data.formats.csv import read_points
+from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.survey import Survey
 from magmatch.errors import MagmatchError
-from magmatch.field.archive import MANIFEST
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.estimator import FieldEstimator
+from magmatch.field.live.estimator import FieldEstimator
 from magmatch.field.map import FieldMap
+from magmatch.field.storage.archive import MANIFEST
 from magmatch.preparation.report import PreparationReport
 from magmatch.registration.result import RegistrationResult
 

@@ -23,9 +23,10 @@ ELSEWHERE = {
     "simulation/simulate.py": "made again from a seed; the truth is written last",
 }
 IN_CATALOGUE = {
-    "data/document.py", "data/logs/write_mcap.py", "data/parquet.py", "data/table.py", "data/tum.py",
-    "data/write.py", "field/archive.py", "field/export.py", "registration/export.py",
-    "registration/mapped_arrays.py", "viz/page.py",
+    "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",
+    "data/tables/tum.py",
+    "data/write.py", "field/storage/archive.py", "field/export.py", "registration/export.py",
+    "registration/index/mapped_arrays.py", "viz/page.py",
 }  # fmt: skip
 
 

@@ -21,17 +21,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.data.table import write_table
+from magmatch.data.tables.table import write_table
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.write import SURVEY_WRITERS
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.estimator import FieldEstimator
 from magmatch.field.export import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.live.estimator import FieldEstimator
 from magmatch.preparation.report import PreparationReport, StepReport
 from magmatch.registration.export import write_g2o, write_relative_tum, write_static_transform
-from magmatch.registration.mapped_arrays import write_mapped
+from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
 
 

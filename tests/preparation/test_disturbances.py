@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magmatch.errors import SurveyError
-from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_contradictions
 from magmatch.preparation.prepare import prepare

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.calibration import calibrate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.prepare import prepare

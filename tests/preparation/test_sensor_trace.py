@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magmatch.field.region_model import fit_operations
-from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.tiles.region_model import fit_operations
 from magmatch.geometry import random_transform
 from magmatch.preparation import sensor_trace
 from magmatch.preparation.sensor_trace import SHOWN, offset_evidence

@@ -12,7 +12,7 @@ from magmatch.geometry import transform_error
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.registration.calibrated import Calibrated, in_words, surer, undone
 from magmatch.registration.config import PRESETS
-from magmatch.registration.map_index import index_map
+from magmatch.registration.index.map_index import index_map
 from magmatch.registration.register import register, register_keeping_maps
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.simulation.config import SimulationConfig

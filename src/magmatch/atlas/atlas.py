@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from magmatch.data.sniff import sniff
-from magmatch.data.text import is_folder
+from magmatch.data.formats.sniff import sniff
+from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import PRESETS, RegistrationConfig
-from magmatch.registration.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
-from magmatch.registration.pair_search import PairTable
+from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
+from magmatch.registration.search.pair_search import PairTable
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)

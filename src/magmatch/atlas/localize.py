@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.atlas.atlas import Atlas, Sheet
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.calibrated import attempted, calibrate, surer
+from magmatch.registration.clock import Stopwatch
+from magmatch.registration.prepared.walk import choose_search, walk_of
 from magmatch.registration.register import prepare_target, settle_walk, survey_of
 from magmatch.registration.register_map import WeighedMap, judge_map, search_map
 from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.serialization import describe_input
-from magmatch.registration.stopwatch import Stopwatch
-from magmatch.registration.walk import choose_search, walk_of
 from magmatch.threads import single_threaded
 from magmatch.typing import Scalars
 

@@ -13,17 +13,23 @@ from numba import njit
 
 from magmatch.data.survey import Survey
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.invariant_search import (
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.walk import Walk, walk_of
+from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
     align_frames,
     choose_anchors,
     judging_samples,
     similar_points,
 )
-from magmatch.registration.pair_search import PairSearchConfig, PairTable, choose_pairs, hypotheses, similar_pairs
-from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.scoring import score_poses, weigh_samples
-from magmatch.registration.walk import Walk, walk_of
+from magmatch.registration.search.pair_search import (
+    PairSearchConfig,
+    PairTable,
+    choose_pairs,
+    hypotheses,
+    similar_pairs,
+)
+from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Scalars
 
 # Pairs of the walk that vote, and base pairs that each is tried on.

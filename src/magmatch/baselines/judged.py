@@ -5,11 +5,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
-from magmatch.registration.answer import by_fitness
-from magmatch.registration.candidate import Candidate, SearchResult
-from magmatch.registration.decision import DecisionConfig
-from magmatch.registration.fitness import alignment_fitness
+from magmatch.registration.decide.answer import by_fitness
+from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.fitness import alignment_fitness
 from magmatch.registration.result import RegistrationResult
+from magmatch.registration.search.candidate import Candidate, SearchResult
 
 
 def judged(

@@ -11,14 +11,14 @@ from magmatch.baselines.judged import judged
 from magmatch.baselines.volume import level_points, magnitude_volume, shared_spacing
 from magmatch.errors import MissingExtraError
 from magmatch.field.map import FieldMap
-from magmatch.registration.answer import by_evidence
-from magmatch.registration.candidate import Candidate, SearchResult
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.evidence import unrelated_field, weigh_pose
-from magmatch.registration.pose_prior import PosePrior
-from magmatch.registration.prepared import prepare
-from magmatch.registration.refinement import refine
+from magmatch.registration.decide.answer import by_evidence
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import prepare
+from magmatch.registration.refine.refinement import refine
 from magmatch.registration.result import RegistrationResult
+from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.weigh.evidence import unrelated_field, weigh_pose
 
 
 class GicpConfig(BaseModel):

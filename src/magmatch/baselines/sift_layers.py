@@ -17,7 +17,7 @@ from magmatch.baselines.judged import judged
 from magmatch.baselines.volume import Layer, Volume, cut_layers, magnitude_volume, shared_spacing
 from magmatch.errors import MissingExtraError
 from magmatch.field.map import FieldMap
-from magmatch.registration.consensus import ConsensusConfig, vector_msac
+from magmatch.registration.published.consensus import ConsensusConfig, vector_msac
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Points, Vectors
 

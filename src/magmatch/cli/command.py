@@ -11,7 +11,7 @@ import typer
 from pydantic import ValidationError
 
 from magmatch.cli.narration import Narrator
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.errors import ConfigurationError
 
 LAYOUT_PANEL = "How to read the survey"

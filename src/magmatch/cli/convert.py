@@ -50,7 +50,7 @@ def convert(
     ] = "quaternion",
 ) -> None:
     """Write INPUT in another format, chosen by the ending of OUTPUT."""
-    from magmatch.data.sniff import sniff
+    from magmatch.data.formats.sniff import sniff
 
     check_outputs((out,), inputs=(source,))
     kind, suffix = sniff(source), out.suffix.lower()
@@ -59,7 +59,7 @@ def convert(
     elif kind == "map" and suffix in MAP_GRIDS:
         _write_grid(source, out, suffix, spacing, cut)
     elif kind in {"tum", "euroc"} and suffix == ".tum":
-        from magmatch.data.load_trajectory import load_trajectory
+        from magmatch.data.formats.load_trajectory import load_trajectory
 
         load_trajectory(source, layouts.of()).save(out)
     else:

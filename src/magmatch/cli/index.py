@@ -33,7 +33,7 @@ def index(
     """
     from magmatch.atlas.atlas import is_atlas, maps_in
     from magmatch.cli.inputs import read_map
-    from magmatch.registration.map_index import index_path, make_index, open_index
+    from magmatch.registration.index.map_index import index_path, make_index, open_index
 
     settings = registration_config("default", config)
     for path in [found for given in maps for found in (maps_in(given) if is_atlas(given) else (given,))]:

@@ -36,7 +36,7 @@ def info(
 
     Counts, extent, units, frames, gaps and quality warnings.
     """
-    from magmatch.data.sniff import sniff
+    from magmatch.data.formats.sniff import sniff
 
     kind = sniff(file)
     if kind == "registration":

@@ -36,8 +36,8 @@ def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Surve
     ConfigurationError
         A unit or frame was stated for a map, which knows its own.
     """
+    from magmatch.data.formats.sniff import sniff
     from magmatch.data.read import read_survey
-    from magmatch.data.sniff import sniff
 
     if sniff(path) != "map":
         return read_survey(path, layouts.of(survey))
@@ -66,7 +66,7 @@ def read_map(path: Path) -> "FieldMap":
     DataFormatError
         It is something else, or damaged.
     """
-    from magmatch.data.sniff import sniff
+    from magmatch.data.formats.sniff import sniff
     from magmatch.field.map import FieldMap
 
     kind = sniff(path)
@@ -111,7 +111,7 @@ def read_result(path: Path) -> "RegistrationResult":
     DataFormatError
         It is something else.
     """
-    from magmatch.data.sniff import sniff
+    from magmatch.data.formats.sniff import sniff
     from magmatch.registration.result import RegistrationResult
 
     kind = sniff(path)

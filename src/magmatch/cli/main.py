@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.cli import (
     convert,
     datasets,

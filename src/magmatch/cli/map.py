@@ -21,8 +21,8 @@ from magmatch.errors import ConfigurationError
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
     from magmatch.field.map import FieldMap
-    from magmatch.field.tile_fit import TileTask
-    from magmatch.field.tiled_model import Runner
+    from magmatch.field.tiles.tile_fit import TileTask
+    from magmatch.field.tiles.tiled_model import Runner
     from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)
@@ -161,7 +161,7 @@ def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> "Fi
 
 
 def _is_map(path: Path) -> bool:
-    from magmatch.data.sniff import sniff
+    from magmatch.data.formats.sniff import sniff
 
     return sniff(path) == "map"
 

@@ -13,7 +13,7 @@ from magmatch.cli.settings import merged, read_settings
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 
 if TYPE_CHECKING:
-    from magmatch.data.format import SurveyFormat
+    from magmatch.data.formats.format import SurveyFormat
     from magmatch.preparation.earth_field import Place
     from magmatch.preparation.sensor_model import SensorModel
 
@@ -57,7 +57,7 @@ def prepare(
     Each step says what it found, before and after. Corrections are made only where the data show them; samples are
     flagged, and left out only where the configuration says so.
     """
-    from magmatch.data.load_trajectory import load_trajectory
+    from magmatch.data.formats.load_trajectory import load_trajectory
     from magmatch.data.read import read_survey_and_channels
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare as run
@@ -110,8 +110,8 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     """Known correction of the sensor, from a report or from a recording of it being turned about."""
     from magmatch.data.survey import FIELD_COLUMNS
-    from magmatch.data.table import read_table
-    from magmatch.data.text import read_bytes
+    from magmatch.data.tables.table import read_table
+    from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
     from magmatch.preparation.ellipsoid import fit_ellipsoid
     from magmatch.preparation.report import PreparationReport

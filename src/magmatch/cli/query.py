@@ -43,8 +43,8 @@ def query(
     Columns x,y,z (m), bx,by,bz (T) and the standard deviations sx,sy,sz (T) of the noise-free field, in input order.
     Points that the map does not know get the prior's large standard deviation.
     """
-    from magmatch.data.csv import read_points
-    from magmatch.data.table import write_table
+    from magmatch.data.formats.csv import read_points
+    from magmatch.data.tables.table import write_table
 
     check_outputs((out,), inputs=(field_map, points))
     p_map = read_points(points, Layouts({("", "length_unit"): length_unit}).of())

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from magmatch.data.survey import Survey
     from magmatch.field.map import FieldMap
     from magmatch.registration.config import RegistrationConfig
-    from magmatch.registration.map_index import MapIndex
+    from magmatch.registration.index.map_index import MapIndex
     from magmatch.registration.result import RegistrationResult
 
 
@@ -61,7 +61,7 @@ def read_base(path: Path, layouts: Layouts, settings: "RegistrationConfig") -> "
     """
     from magmatch.data.survey import Survey
     from magmatch.errors import DataFormatError
-    from magmatch.registration.map_index import open_index
+    from magmatch.registration.index.map_index import open_index
 
     base = read_survey_or_map(path, layouts, "base")
     index = None if isinstance(base, Survey) else open_index(path, settings)

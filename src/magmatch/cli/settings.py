@@ -133,8 +133,8 @@ def _parsed(path: Path) -> Any:
     """Content of a YAML file, or of a result, which is JSON: for that a YAML parser takes a hundred times longer."""
     import yaml
 
-    from magmatch.data.text import read_bytes, text_lines
-    from magmatch.data.yaml_text import load_yaml
+    from magmatch.data.tables.text import read_bytes, text_lines
+    from magmatch.data.tables.yaml_text import load_yaml
 
     raw = read_bytes(path, MAX_RESULT_BYTES + 1)
     if raw[:1] == b"{":

@@ -57,7 +57,7 @@ def view(
     stdout; with --rerun a recording. With --out as well, both. Surveys that come with a result are mapped as its
     settings say.
     """
-    from magmatch.data.sniff import sniff
+    from magmatch.data.formats.sniff import sniff
 
     goal = out or (None if live or rerun else Path(files[0].stem + ".html"))
     check_outputs((goal, rerun), inputs=files)

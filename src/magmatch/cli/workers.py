@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from magmatch.field.tiled_model import Runner
+    from magmatch.field.tiles.tiled_model import Runner
 
 
 @contextmanager
@@ -36,7 +36,7 @@ def runner(jobs: int, scheduler: str | None) -> "Iterator[Runner]":
     if jobs == 1 and scheduler is None:
         yield map
         return
-    from magmatch.field.distributed import DaskRunner
+    from magmatch.field.tiles.distributed import DaskRunner
 
     if scheduler is not None and "://" not in scheduler:
         msg = f"--scheduler: expected an address such as tcp://10.0.0.1:8786, found '{scheduler}'"

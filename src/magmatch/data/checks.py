@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.units import (
     ORDINARY_FIELD,

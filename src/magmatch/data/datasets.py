@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magmatch.atomic import atomic_write
-from magmatch.data.text import read_bytes
+from magmatch.data.tables.text import read_bytes
 from magmatch.errors import ConfigurationError, DataFormatError, DatasetError
 
 logger = logging.getLogger(__name__)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.checks import check_survey, extent, time_gaps
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 

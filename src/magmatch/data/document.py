@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from magmatch.atomic import atomic_write
-from magmatch.data.text import read_bytes
+from magmatch.data.tables.text import read_bytes
 from magmatch.errors import DataFormatError
 
 _DIGEST = re.compile("[0-9a-fA-F]{16,}")

@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from magmatch.data.channels import read_channels
 from magmatch.data.checks import check_survey
-from magmatch.data.csv import read_survey_csv, recording_of_table, survey_of_table
-from magmatch.data.euroc import read_euroc_field
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.channels import read_channels
+from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
+from magmatch.data.formats.euroc import read_euroc_field
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.parquet import read_parquet
+from magmatch.data.formats.phone import PHONE_DEFAULTS, read_phone
+from magmatch.data.formats.recording import Recording
+from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
-from magmatch.data.parquet import read_parquet
-from magmatch.data.phone import PHONE_DEFAULTS, read_phone
-from magmatch.data.recording import Recording
-from magmatch.data.sniff import FileKind, sniff
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.quaternions import QUATERNION, rotations_of
-from magmatch.data.table import Table, read_table, write_table
+from magmatch.data.tables.quaternions import QUATERNION, rotations_of
+from magmatch.data.tables.table import Table, read_table, write_table
 from magmatch.errors import DataFormatError
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors

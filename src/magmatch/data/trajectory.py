@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from magmatch.data.quaternions import rotations_of
-from magmatch.data.tum import read_tum, write_tum
+from magmatch.data.tables.quaternions import rotations_of
+from magmatch.data.tables.tum import read_tum, write_tum
 from magmatch.errors import DataFormatError
 from magmatch.typing import Mask, Points, Scalars
 

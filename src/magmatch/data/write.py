@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.formats.parquet import write_parquet
 from magmatch.data.logs.write_mcap import write_mcap
-from magmatch.data.parquet import write_parquet
 from magmatch.data.points import write_ply, write_vtk_points
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory

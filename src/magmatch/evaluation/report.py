@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.atomic import atomic_write
 from magmatch.errors import DataFormatError
 from magmatch.evaluation.comparison import shortfalls

@@ -12,8 +12,8 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
 from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.map import FieldMap
-from magmatch.field.outliers import find_outliers
-from magmatch.field.tiled_model import Runner
+from magmatch.field.selection.outliers import find_outliers
+from magmatch.field.tiles.tiled_model import Runner
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask
 
@@ -34,8 +34,8 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     config : FieldConfig, optional
         Prior and hyperparameters; what is left out is chosen from the data.
     run : callable, optional
-        Runs the tasks of a map in tiles, such as `magmatch.field.distributed.DaskRunner`; one after the other here by
-        default. The map is the same to the bit.
+        Runs the tasks of a map in tiles, such as `magmatch.field.tiles.distributed.DaskRunner`; one after the other
+        here by default. The map is the same to the bit.
 
     Returns
     -------

@@ -15,11 +15,11 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.errors import MagmatchError
-from magmatch.field.calibration import Parts, divide
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import declared_box
 from magmatch.field.held_out import choose_part, typical_length
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import Parts, divide
 from magmatch.field.linear_model import LinearModel
 from magmatch.field.priors import PRIORS
 from magmatch.typing import Scalars

@@ -14,10 +14,10 @@ from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
 from magmatch.field.priors import PRIORS
-from magmatch.field.region_model import StoredTile, fit_splines
-from magmatch.field.spline_model import SplineModel
-from magmatch.field.tiled_model import Runner, TiledModel
-from magmatch.field.tiles import Index
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.tiles.region_model import StoredTile, fit_splines
+from magmatch.field.tiles.tiled_model import Runner, TiledModel
+from magmatch.field.tiles.tiles import Index
 from magmatch.threads import single_threaded
 
 

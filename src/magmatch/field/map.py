@@ -13,12 +13,12 @@ from magmatch.field.domain import BoundedPosterior
 from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Posterior
-from magmatch.field.region_model import StoredTile, tiles_of
-from magmatch.field.spline_model import SplinePosterior
-from magmatch.field.store import MapRecord
-from magmatch.field.tiled_model import Runner
-from magmatch.field.tiled_posterior import TiledPosterior
-from magmatch.field.tiles import Index
+from magmatch.field.spline.spline_model import SplinePosterior
+from magmatch.field.storage.store import MapRecord
+from magmatch.field.tiles.region_model import StoredTile, tiles_of
+from magmatch.field.tiles.tiled_model import Runner
+from magmatch.field.tiles.tiled_posterior import TiledPosterior
+from magmatch.field.tiles.tiles import Index
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.blocks import CHANNEL, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, held_out_error

@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from magmatch.field.factors import Factors
+from magmatch.field.cholesky.factors import Factors
+from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.held_out import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.multifrontal import factorise
-from magmatch.field.spline_model import SplineModel, SplinePosterior
+from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 from magmatch.typing import Points, Scalars, Tensors, Vectors
 
 # Stretches left out of a map; long enough that their ends do not predict their middle.

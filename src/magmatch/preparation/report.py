@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.data.document import read_document, write_document
 from magmatch.errors import DataFormatError
 from magmatch.preparation.sensor_model import SensorModel

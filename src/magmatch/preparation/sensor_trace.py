@@ -8,8 +8,8 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.held_out import choose_part, has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.region_model import fit_operations
-from magmatch.field.spline_evidence import correlated_samples
+from magmatch.field.selection.spline_evidence import correlated_samples
+from magmatch.field.tiles.region_model import fit_operations
 from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.consistency import MapConsistency
 from magmatch.threads import single_threaded

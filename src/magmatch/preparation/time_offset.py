@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from magmatch.field.cells import count_active_cells
+from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.blocks import sensor_blocks
 from magmatch.preparation.consistency import MapConsistency

@@ -11,16 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from magmatch.registration.answer import refined
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.evidence import unrelated_field, weigh_pose
-from magmatch.registration.map_covariance import map_covariance
-from magmatch.registration.pose_prior import pose_prior
-from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.refinement import refine
+from magmatch.registration.decide.answer import refined
+from magmatch.registration.prepared.pose_prior import pose_prior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.refine.refinement import refine
+from magmatch.registration.refine.sensors import levels_to_try
 from magmatch.registration.register_walk import WalkIndex
 from magmatch.registration.result import RegistrationResult, Status
-from magmatch.registration.sensors import levels_to_try
+from magmatch.registration.weigh.evidence import unrelated_field, weigh_pose
+from magmatch.registration.weigh.map_covariance import map_covariance
 
 log = logging.getLogger(__name__)
 

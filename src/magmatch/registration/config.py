@@ -6,13 +6,13 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.field.config import FieldConfig
-from magmatch.registration.changes import ChangeConfig
-from magmatch.registration.decision import DecisionConfig
-from magmatch.registration.invariant_search import InvariantSearchConfig
-from magmatch.registration.keypoint_search import KeypointSearchConfig
-from magmatch.registration.pose_prior import PosePriorConfig
-from magmatch.registration.refinement import RefinementConfig
+from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.prepared.pose_prior import PosePriorConfig
+from magmatch.registration.published.keypoint_search import KeypointSearchConfig
+from magmatch.registration.refine.changes import ChangeConfig
+from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.register_walk import WalkConfig
+from magmatch.registration.search.invariant_search import InvariantSearchConfig
 
 
 class RegistrationConfig(BaseModel):

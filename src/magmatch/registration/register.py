@@ -7,24 +7,24 @@ from functools import partial
 
 import numpy as np
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
-from magmatch.registration.answer import by_fitness
 from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
 from magmatch.registration.calibrated import attempted, calibrate, surer
+from magmatch.registration.clock import Stopwatch
 from magmatch.registration.config import PRESETS, RegistrationConfig
-from magmatch.registration.fitness import alignment_fitness
-from magmatch.registration.keypoint_search import keypoint_search
-from magmatch.registration.map_index import MapIndex, index_base, prepare_base
-from magmatch.registration.prepared import PreparedMap, prepare
+from magmatch.registration.decide.answer import by_fitness
+from magmatch.registration.decide.fitness import alignment_fitness
+from magmatch.registration.index.map_index import MapIndex, index_base, prepare_base
+from magmatch.registration.prepared.prepared_map import PreparedMap, prepare
+from magmatch.registration.prepared.walk import choose_search
+from magmatch.registration.published.keypoint_search import keypoint_search
 from magmatch.registration.register_map import judge_map, search_map
 from magmatch.registration.register_walk import WalkIndex, register_walk
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.serialization import describe_input
-from magmatch.registration.stopwatch import Stopwatch
-from magmatch.registration.walk import choose_search
 from magmatch.threads import side_by_side, single_threaded
 
 log = logging.getLogger(__name__)

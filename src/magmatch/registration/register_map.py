@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.answer import by_evidence, covariance_of
-from magmatch.registration.candidate import SearchResult
-from magmatch.registration.change_search import poses_beside_changes
+from magmatch.registration.clock import Stopwatch
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.covariance import enclosing
-from magmatch.registration.decoys import decoys
-from magmatch.registration.evidence import PoseEvidence, unrelated_field, weigh_pose
-from magmatch.registration.invariant_search import invariant_search
-from magmatch.registration.keypoint_search import keypoint_search
-from magmatch.registration.map_covariance import map_covariance
-from magmatch.registration.pose_prior import PosePrior, pose_prior
-from magmatch.registration.prepared import PreparedMap
-from magmatch.registration.refinement import RefinedPose, RefinementConfig, refine, step_between
+from magmatch.registration.decide.answer import by_evidence, covariance_of
+from magmatch.registration.prepared.pose_prior import PosePrior, pose_prior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.published.keypoint_search import keypoint_search
+from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
+from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.sensors import is_soft_iron, levels_to_try
-from magmatch.registration.stopwatch import Stopwatch
+from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.search.invariant_search import invariant_search
+from magmatch.registration.weigh.change_search import poses_beside_changes
+from magmatch.registration.weigh.covariance import enclosing
+from magmatch.registration.weigh.decoys import decoys
+from magmatch.registration.weigh.evidence import PoseEvidence, unrelated_field, weigh_pose
+from magmatch.registration.weigh.map_covariance import map_covariance
 
 log = logging.getLogger(__name__)
 

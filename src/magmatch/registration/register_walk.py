@@ -7,15 +7,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.data.survey import Survey
-from magmatch.registration.candidate import SearchResult
-from magmatch.registration.line_evidence import LineConfig, LineEvidence, weigh_walk
-from magmatch.registration.pair_search import PairSearchConfig, PairTable, pair_search, tabulate_pairs
-from magmatch.registration.path_noise import PathNoise, learn_path_noise
-from magmatch.registration.pose_prior import PosePriorConfig, pose_prior
-from magmatch.registration.prepared import PreparedMap
+from magmatch.registration.decide.walk_answer import WalkDecisionConfig, by_line_evidence
+from magmatch.registration.prepared.path_noise import PathNoise, learn_path_noise
+from magmatch.registration.prepared.pose_prior import PosePriorConfig, pose_prior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.walk import Walk, walk_of
-from magmatch.registration.walk_answer import WalkDecisionConfig, by_line_evidence
+from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, pair_search, tabulate_pairs
+from magmatch.registration.weigh.line_evidence import LineConfig, LineEvidence, weigh_walk
 
 
 class WalkConfig(BaseModel):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
 from magmatch.simulation.config import SimulationConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from magmatch import __version__
+from magmatch._version import __version__
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text

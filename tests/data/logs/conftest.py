@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 
@@ -69,7 +69,7 @@ class Flight:
     series: list = field(default_factory=list)
 
     def trajectory(self):
-        from magmatch.data.nanoseconds import seconds_of
+        from magmatch.data.tables.nanoseconds import seconds_of
         from magmatch.data.trajectory import Trajectory
 
         times = seconds_of(self.pose_ns.tolist())

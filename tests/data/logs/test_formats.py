@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
-from magmatch.data.tum import write_tum
+from magmatch.data.tables.tum import write_tum
 
 FORMATS = [
     "ROS 1 bag", "ROS 1 bag, bz2", "ROS 1 bag, lz4", "ROS 2 bag, sqlite3", "ROS 2 bag, messages compressed",

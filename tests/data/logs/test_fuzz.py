@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.data.format import SurveyFormat
-from magmatch.data.load_trajectory import load_trajectory
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.logs.open import open_log
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.errors import MagmatchError

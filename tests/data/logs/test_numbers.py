@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.logs.log import Batch, Channel
 from magmatch.data.logs.numbers import decoded, read_numbers
 from magmatch.data.logs.open import open_log

@@ -7,7 +7,7 @@ import sqlite3
 import numpy as np
 import pytest
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.logs.open import open_log
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError, MagmatchError

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.format import SurveyFormat
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.logs.read import list_topics
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError

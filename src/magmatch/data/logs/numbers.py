@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from magmatch.data.channels import MAX_CHANNELS, Channel, Channels
+from magmatch.data.formats.channels import MAX_CHANNELS, Channel, Channels
 from magmatch.data.logs.cursor import Cursor, MalformedError, UnevenError
 from magmatch.data.logs.log import Batch, Log, Topic, printable
 from magmatch.data.logs.log import Channel as Publisher
 from magmatch.data.logs.messages import ENCODINGS
-from magmatch.data.nanoseconds import seconds_of
+from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.typing import Indices, Scalars
 
 logger = logging.getLogger(__name__)

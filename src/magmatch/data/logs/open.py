@@ -10,7 +10,7 @@ from magmatch.data.logs.mcap import McapContainer
 from magmatch.data.logs.ros1_bag import Ros1Container
 from magmatch.data.logs.ros2_bag import open_ros2_folder
 from magmatch.data.logs.sqlite_log import SqliteLog
-from magmatch.data.text import is_folder, read_bytes
+from magmatch.data.tables.text import is_folder, read_bytes
 from magmatch.errors import DataFormatError
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.channels import NO_CHANNELS
-from magmatch.data.extrinsic import read_extrinsic
-from magmatch.data.format import SurveyFormat
-from magmatch.data.load_trajectory import load_trajectory
+from magmatch.data.formats.channels import NO_CHANNELS
+from magmatch.data.formats.extrinsic import read_extrinsic
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.recording import Recording
 from magmatch.data.logs.choose import STATIC_TOPICS, TREE_TYPES, Choice, choose_topics, has_poses
 from magmatch.data.logs.frames import FrameTree, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
@@ -20,8 +21,7 @@ from magmatch.data.logs.messages import ENCODINGS, Entries, Frames
 from magmatch.data.logs.numbers import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
-from magmatch.data.nanoseconds import seconds_of
-from magmatch.data.recording import Recording
+from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError

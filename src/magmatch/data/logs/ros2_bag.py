@@ -9,8 +9,8 @@ import yaml
 
 from magmatch.data.logs.log import Batch, Batcher, Log, Loss, Topic
 from magmatch.data.logs.source import MAX_CHUNK, MAX_RATIO
-from magmatch.data.text import read_bytes
-from magmatch.data.yaml_text import load_yaml
+from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.yaml_text import load_yaml
 from magmatch.errors import DataFormatError, MissingExtraError
 
 METADATA = "metadata.yaml"

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic, printable
 from magmatch.data.logs.source import MAX_CHUNK
-from magmatch.data.text import read_bytes
+from magmatch.data.tables.text import read_bytes
 from magmatch.errors import DataFormatError
 
 # The last of them: names in a damaged file are no UTF-8.

@@ -10,7 +10,7 @@ import numpy as np
 
 from magmatch.data.logs.log import Channel, Log, Topic
 from magmatch.data.logs.messages import Decoder, Entries, Faults, Frames
-from magmatch.data.quaternions import MAX_NORM_ERROR
+from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.data.nanoseconds import SECOND, nanoseconds_of
 from magmatch.data.survey import Survey
+from magmatch.data.tables.nanoseconds import SECOND, nanoseconds_of
 from magmatch.errors import MissingExtraError, SurveyError
 
 FIELD_TOPIC, POSE_TOPIC = "/magmatch/field", "/magmatch/pose"

@@ -3,8 +3,8 @@
 
 from pydantic import Field
 
-from magmatch.field.inducing_prior import InducingConfig, InducingPrior
-from magmatch.field.kernels import GRADIENT, CurlFreeKernel
+from magmatch.field.inducing.inducing_prior import InducingConfig, InducingPrior
+from magmatch.field.inducing.kernels import GRADIENT, CurlFreeKernel
 
 
 class CurlFreeConfig(InducingConfig):

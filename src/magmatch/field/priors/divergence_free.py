@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published prior: a divergence-free Gaussian process over inducing points on a grid, plus a constant field."""
 
-from magmatch.field.inducing_prior import InducingConfig, InducingPrior
-from magmatch.field.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.inducing.inducing_prior import InducingConfig, InducingPrior
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 
 
 class DivergenceFreeConfig(InducingConfig):

@@ -9,16 +9,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.field.box import Box
-from magmatch.field.calibration import calibrated, divide
+from magmatch.field.equivalent_sources.inner_sources import InnerSources, find_inner_sources
+from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
+from magmatch.field.equivalent_sources.shell_search import ShellFit, fit_shell, search_distance
 from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing_model import InducingModel
-from magmatch.field.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
-from magmatch.field.inner_sources import InnerSources, find_inner_sources
-from magmatch.field.kernels import CurlFreeKernel
+from magmatch.field.inducing.calibration import calibrated, divide
+from magmatch.field.inducing.inducing_model import InducingModel
+from magmatch.field.inducing.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
+from magmatch.field.inducing.kernels import CurlFreeKernel
 from magmatch.field.linear_model import LinearModel
-from magmatch.field.shell import SourceShell, lay_shell
-from magmatch.field.shell_search import ShellFit, fit_shell, search_distance
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)

@@ -6,10 +6,10 @@ from typing import Any
 from magmatch.field.box import Box
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import LinearModel
-from magmatch.field.region_model import lay_splines
-from magmatch.field.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.field.spline_model import SplineModel
-from magmatch.field.tiled_model import TiledModel
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.tiles.region_model import lay_splines
+from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.typing import Points, Vectors
 
 

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Other numbers of a log, such as motor currents: what a disturbance of the field may follow."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.parquet import read_other_columns
+from magmatch.data.formats.sniff import sniff
+from magmatch.data.survey import COLUMNS
+from magmatch.data.tables.table import read_table
+from magmatch.data.units import UNITS_PER_SECOND
+from magmatch.errors import DataFormatError
+from magmatch.typing import Scalars
+
+# Bound, stated in docs/formats.md: a robot's currents are a few; each costs three unknowns.
+MAX_CHANNELS = 64
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Channel:
+    """Numbers over time.
+
+    Attributes
+    ----------
+    times : (n,) array, s, optional
+        On the survey's clock, not decreasing; None where values stand row by row beside the samples.
+    values : (n,) array
+        In the file's own unit.
+    """
+
+    times: Scalars | None
+    values: Scalars
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Channels:
+    """What stands in a log beside field and poses.
+
+    Attributes
+    ----------
+    by_name : mapping of str to Channel
+    """
+
+    by_name: Mapping[str, Channel] = field(default_factory=dict)
+
+    def at(self, times: Scalars | None, n: int) -> dict[str, Scalars]:
+        """Values for the samples of a survey: by time where there is one, else row by row.
+
+        Parameters
+        ----------
+        times : (n,) array, s, optional
+            Of the survey, on the file's clock.
+        n : int
+            Number of its samples.
+
+        Returns
+        -------
+        dict of str to (n,) array
+            Channels whose values cannot be matched with the samples are left out.
+        """
+        found = {}
+        for name, channel in self.by_name.items():
+            if times is not None and channel.times is not None:
+                found[name] = np.interp(times, channel.times, channel.values)
+            elif len(channel.values) == n:
+                found[name] = channel.values
+        return found
+
+
+NO_CHANNELS = Channels()
+
+
+def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
+    """Read the number columns of a table that are none of a survey's.
+
+    Parameters
+    ----------
+    path : path
+        A CSV or Parquet file; others have none (recorder logs: see `magmatch.data.logs.read.read_log`).
+    layout : SurveyFormat
+        Names of the survey's own columns, and the unit of time.
+
+    Returns
+    -------
+    Channels
+        Columns that hold anything but finite numbers are left out, and all beyond the first 64.
+
+    Raises
+    ------
+    DataFormatError
+        The file is no table at all.
+    """
+    kind = sniff(path)
+    if kind == "csv":
+        times, columns = _of_csv(path, layout)
+    elif kind == "parquet":
+        times, columns = read_other_columns(path, layout, MAX_CHANNELS)
+    else:
+        return NO_CHANNELS
+    if times is not None:
+        times = times / UNITS_PER_SECOND[layout.time_unit]
+    return Channels({name: Channel(times, values) for name, values in columns.items()})
+
+
+def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dict[str, Scalars]]:
+    """Times in the file's unit, and the other columns."""
+    theirs = layout.column_names()
+    own = {*theirs, *COLUMNS}
+    table = read_table(path, own, recover=layout.recover)
+    columns: dict[str, Scalars] = {}
+    for name in table.names:
+        if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
+            continue
+        try:
+            other = read_table(path, (name,), recover=layout.recover)
+        except DataFormatError:
+            continue
+        is_there = np.isin(other.line_numbers, table.line_numbers)
+        if is_there.sum() == len(table):
+            columns[name] = other.columns[name][is_there]
+    clock = next((name for name, ours in theirs.items() if ours == "t"), "t")
+    return table.columns.get(clock), columns

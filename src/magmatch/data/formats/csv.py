@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from magmatch.data.formats.extrinsic import read_extrinsic
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.recording import Recording
+from magmatch.data.survey import COLUMNS, FIELD_COLUMNS, POSITION_COLUMNS, Survey
+from magmatch.data.tables.quaternions import QUATERNION
+from magmatch.data.tables.table import Table, read_table
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
+from magmatch.errors import DataFormatError
+from magmatch.typing import Points
+
+logger = logging.getLogger(__name__)
+
+
+def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
+    """Read a survey CSV into tesla, metre and the survey's frame.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    layout : SurveyFormat
+        Its units, frames and column names.
+
+    Returns
+    -------
+    Survey
+        Not yet checked for plausibility; see `magmatch.data.checks.check_survey`.
+
+    Raises
+    ------
+    DataFormatError
+        With line and column wherever one is at fault.
+    """
+    names = layout.column_names()
+    known = [*names, *(name for name in COLUMNS if name not in names.values())]
+    table = read_table(path, known, recover=layout.recover, advise=_advice)
+    return survey_of_table(table.renamed(names), layout)
+
+
+def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
+    """Turn a table of samples, from whatever format, into a survey.
+
+    Parameters
+    ----------
+    table : Table
+        In its own units and under our column names.
+    layout : SurveyFormat
+        Units, frames, and poses from elsewhere.
+
+    Returns
+    -------
+    Survey
+        In tesla and metre, survey frame.
+
+    Raises
+    ------
+    DataFormatError
+        A column is missing or at fault.
+    """
+    if table.has("t") and layout.time_unit != "s":
+        times = table.columns["t"] / UNITS_PER_SECOND[layout.time_unit]
+        table = replace(table, columns=table.columns | {"t": times})
+    if layout.trajectory is not None:
+        survey = recording_of_table(table, layout).survey()
+        return replace(survey, pose_sd=layout.pose_sd or 0.0)
+    survey = _with_own_poses(table)
+    field = survey.field * TESLA_PER_UNIT[layout.field_unit]
+    if layout.field_frame == "sensor":
+        if survey.orientations is None:
+            message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"
+            raise DataFormatError(table.path, message)
+        field = survey.orientations.apply(field)
+    return replace(
+        survey,
+        positions=survey.positions * METRE_PER_UNIT[layout.length_unit],
+        field=field,
+        pose_sd=survey.pose_sd if layout.pose_sd is None else layout.pose_sd,
+    )
+
+
+def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
+    """Join field samples with the poses of a trajectory file.
+
+    Parameters
+    ----------
+    table : Table
+        Columns ``t`` (s) and ``bx, by, bz``; others are ignored, and said to be.
+    layout : SurveyFormat
+        Units, and the trajectory.
+
+    Returns
+    -------
+    Recording
+    """
+    if layout.trajectory is None:
+        message = (
+            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"
+        )
+        raise DataFormatError(table.path, message)
+    table.require(["t", *FIELD_COLUMNS], "With a trajectory the samples need times on its clock")
+    table.require_increasing("t")
+    ignored = [name for name in (*POSITION_COLUMNS, *QUATERNION) if table.has(name)]
+    if ignored:
+        logger.warning(
+            "%s: columns %s are ignored, poses come from %s", table.path, ", ".join(ignored), layout.trajectory
+        )
+    return Recording(
+        path=table.path,
+        times=table.columns["t"],
+        field=table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit],
+        trajectory=load_trajectory(layout.trajectory, layout),
+        field_frame=layout.field_frame,
+        poses_from=layout.trajectory,
+    ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))
+
+
+def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:
+    """Read positions only, from any CSV with columns ``x, y, z``.
+
+    Parameters
+    ----------
+    path : path
+        The file; other columns are ignored.
+    layout : SurveyFormat, optional
+        Its length unit.
+
+    Returns
+    -------
+    (n, 3) array, m
+        Positions, in the file's order and frame.
+
+    Raises
+    ------
+    DataFormatError
+        With line and column wherever one is at fault.
+    """
+    table = read_table(path, POSITION_COLUMNS)
+    table.require(POSITION_COLUMNS)
+    return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[(layout or SurveyFormat()).length_unit]
+
+
+def _with_own_poses(table: Table) -> Survey:
+    """Build the survey in the file's own units."""
+    hint = _advice(table.names)
+    if table.has("x", "y", *FIELD_COLUMNS):
+        hint = "A survey on one height has a column z too; all 0 will do"
+    elif table.has(*POSITION_COLUMNS):
+        hint = f"All three components of the field are needed, its magnitude alone will not do. {hint}"
+    elif table.has("t", *FIELD_COLUMNS) and not _is_global(table.names):
+        hint = "A log without positions takes them from a TUM file: --trajectory POSES.tum"
+    table.require([*POSITION_COLUMNS, *FIELD_COLUMNS], hint)
+    return Survey.from_table(table)
+
+
+def _advice(names: Sequence[str]) -> str:
+    """What to do about a table without the columns of a survey, from the names it has."""
+    if _is_global(names):
+        return "Degrees of latitude and longitude are no positions in metres: project them first (UTM, a local plane)"
+    return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
+
+
+def _is_global(names: Sequence[str]) -> bool:
+    """Whether a table holds places on the globe."""
+    return any(name.startswith("lat") for name in names) and any(name.startswith("lon") for name in names)

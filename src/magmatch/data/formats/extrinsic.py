@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where the magnetometer sits on the body whose poses are known: seven numbers, or a YAML file that holds them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.tables.quaternions import MAX_NORM_ERROR
+from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.yaml_text import load_yaml
+from magmatch.errors import ConfigurationError, DataFormatError
+
+MAX_BYTES = 64 << 10
+EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
+
+
+def read_extrinsic(text: str) -> RigidTransform:
+    """Extrinsic of a magnetometer.
+
+    Parameters
+    ----------
+    text : str
+        ``x y z qx qy qz qw``, or ``x y z``, or the name of a YAML file with ``translation`` (``x, y, z``) and
+        ``rotation`` (``x, y, z, w``), as lists or by name, possibly under ``transform``.
+
+    Returns
+    -------
+    RigidTransform
+        ``T_body_sensor``.
+
+    Raises
+    ------
+    ConfigurationError, DataFormatError
+        The text, or the file, does not hold that.
+
+    Examples
+    --------
+    >>> read_extrinsic("0.1 0 0.3").translation.tolist()
+    [0.1, 0.0, 0.3]
+    """
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        return _from_yaml(Path(text))
+    problem = _problem(numbers)
+    if problem:
+        msg = f"--extrinsic: expected {EXPECTED} or the name of a YAML file; {problem}"
+        raise ConfigurationError(msg)
+    return _transform(numbers)
+
+
+def _from_yaml(path: Path) -> RigidTransform:
+    try:
+        content = load_yaml(read_bytes(path, MAX_BYTES).decode("utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, "is not YAML, expected the extrinsic of the magnetometer") from None
+    content = content.get("transform", content) if isinstance(content, dict) else content
+    try:
+        numbers = _listed(content["translation"], "xyz") + _listed(content["rotation"], "xyzw")
+    except (KeyError, TypeError, ValueError):
+        message = "expected translation: {x, y, z} and rotation: {x, y, z, w}, or lists of 3 and 4 numbers"
+        raise DataFormatError(path, message) from None
+    problem = _problem(numbers)
+    if problem:
+        raise DataFormatError(path, f"expected {EXPECTED}; {problem}")
+    return _transform(numbers)
+
+
+def _listed(part: Any, names: str) -> list[float]:
+    values = [part[name] for name in names] if isinstance(part, dict) else list(part)
+    if len(values) != len(names):
+        msg = f"expected {len(names)} numbers"
+        raise ValueError(msg)
+    return [float(value) for value in values]
+
+
+def _problem(numbers: list[float]) -> str:
+    """What is wrong with seven numbers; empty where nothing is."""
+    if len(numbers) not in {3, 7}:
+        return f"found {len(numbers)} numbers"
+    if not np.isfinite(numbers).all():
+        return "found NaN or infinity"
+    if len(numbers) == 7 and abs(float(np.linalg.norm(numbers[3:])) - 1) > MAX_NORM_ERROR:
+        return f"found a quaternion of length {np.linalg.norm(numbers[3:]):.4g}"
+    return ""
+
+
+def _transform(numbers: list[float]) -> RigidTransform:
+    turn = Rotation.from_quat(numbers[3:]) if len(numbers) == 7 else Rotation.identity()
+    return RigidTransform.from_components(numbers[:3], turn)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses from a file of their own: TUM or EuRoC, told by content."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from magmatch.data.formats.euroc import read_euroc_trajectory
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.sniff import FileKind, sniff
+from magmatch.data.trajectory import Trajectory
+from magmatch.data.units import METRE_PER_UNIT
+from magmatch.errors import DataFormatError
+
+TRAJECTORY_READERS: Mapping[FileKind, Callable[[str | Path], Trajectory]] = {
+    "tum": Trajectory.load,
+    "csv": Trajectory.load,  # whose error says what a TUM file looks like
+    "euroc": read_euroc_trajectory,
+}
+
+
+def load_trajectory(path: str | Path, layout: SurveyFormat) -> Trajectory:
+    """Read a trajectory file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    layout : SurveyFormat
+        Its length unit.
+
+    Returns
+    -------
+    Trajectory
+        In metres.
+
+    Raises
+    ------
+    DataFormatError
+        With the line at fault.
+    """
+    kind = sniff(path)
+    if kind not in TRAJECTORY_READERS:
+        message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw) or EuRoC"
+        raise DataFormatError(path, message)
+    return TRAJECTORY_READERS[kind](path).scaled(METRE_PER_UNIT[layout.length_unit])

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Parquet tables of samples: the columns of the survey CSV, in binary."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magmatch.atomic import atomic_write
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.survey import COLUMNS, SCHEMA, Survey
+from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.table import Table
+from magmatch.data.tables.text import read_bytes
+from magmatch.errors import DataFormatError, MissingExtraError
+from magmatch.typing import Scalars
+
+# Bounds, stated in docs/formats.md: a column of equal values takes no room in the file, but does in memory.
+MAX_ROWS = 50_000_000
+MAX_ROWS_PER_BYTE = 8
+MAX_THRIFT = 64 << 20  # bytes or entries of the file's description
+
+
+def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
+    """Read the columns of a survey from a Parquet file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    layout : SurveyFormat
+        Names of columns where they differ.
+
+    Returns
+    -------
+    Table
+        In the file's units; rows are counted from 1 as its line numbers. Time stamps become seconds since 1970.
+
+    Raises
+    ------
+    DataFormatError
+        Damaged, too large for its bytes, or with columns that are no finite numbers.
+    MissingExtraError
+        Reading Parquet needs the extra ``parquet``.
+    """
+    with _opened(path) as (file, pa):
+        names = [str(name) for name in file.schema_arrow.names]
+        known = _known(layout)
+        wanted = {name: known[name.lower()] for name in names if name.lower() in known}
+        if len(set(wanted.values())) < len(wanted):
+            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
+        for name in wanted:
+            _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
+        found = _columns(Path(path), file, list(wanted), pa)
+        about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
+    comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
+    n_rows = len(next(iter(found.values()), ()))
+    columns = {wanted[name]: values for name, values in found.items()}
+    return Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+
+
+def read_other_columns(
+    path: str | Path, layout: SurveyFormat, most: int
+) -> tuple[Scalars | None, dict[str, Scalars]]:
+    """Read the number columns of a Parquet file that are none of a survey's.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    layout : SurveyFormat
+        Names of the survey's own columns where they differ.
+    most : int
+        How many columns to read at most.
+
+    Returns
+    -------
+    times : (n,) array, optional
+        In the file's unit, time stamps in seconds.
+    columns : dict of str to (n,) array
+        Columns that hold anything but finite numbers are left out.
+    """
+    known = _known(layout)
+    columns: dict[str, Scalars] = {}
+    with _opened(path) as (file, pa):
+        schema, times = file.schema_arrow, None
+        for name in schema.names:
+            ours = known.get(name.lower())
+            if (ours is None and len(columns) == most) or ours not in (None, "t") or schema.names.count(name) > 1:
+                continue
+            try:
+                _require_numbers(Path(path), name, schema.field(name).type, pa)
+                values = _columns(Path(path), file, [name], pa)[name]
+            except DataFormatError:
+                continue
+            if ours == "t":
+                times = values
+            else:
+                columns[name] = values
+    return times, columns
+
+
+@contextmanager
+def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
+    """The file and pyarrow; whatever is wrong with the file becomes one error."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        feature = "reading Parquet"
+        raise MissingExtraError(feature, "parquet") from None
+    read_bytes(path, 4)
+    try:
+        with pq.ParquetFile(
+            path, thrift_string_size_limit=MAX_THRIFT, thrift_container_size_limit=MAX_THRIFT, pre_buffer=False
+        ) as file:
+            yield file, pa
+    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        words = " ".join(str(error).split())[:150]
+        raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
+
+
+def _known(layout: SurveyFormat) -> dict[str, str]:
+    """Our names of the columns of a survey by the file's, lower case."""
+    theirs = layout.column_names()
+    return theirs | {name: name for name in COLUMNS if name not in theirs.values()}
+
+
+def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scalars]:
+    """Some columns, read in pieces."""
+    n_rows = file.metadata.num_rows
+    if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * path.stat().st_size):
+        message = f"declares {n_rows} rows in {path.stat().st_size} bytes, expected at most {MAX_ROWS}"
+        raise DataFormatError(path, f"{message} and {MAX_ROWS_PER_BYTE} a byte")
+    blocks: dict[str, list[Scalars]] = {name: [] for name in names}
+    n_read = 0
+    for batch in file.iter_batches(batch_size=65_536, columns=names, use_threads=False):
+        for name in names:
+            blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa))
+        n_read += batch.num_rows
+        if n_read > n_rows:
+            raise DataFormatError(path, f"holds more than the {n_rows} rows it declares")
+    if not n_read:
+        raise DataFormatError(path, "holds no rows")
+    return {name: np.concatenate(blocks[name]) for name in names}
+
+
+def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
+    is_number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
+    if not is_number:
+        raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}", column=name)
+
+
+def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars:
+    """A piece of a column as float64, all of it finite."""
+    if column.null_count:
+        row = int(np.argmin(column.is_valid().to_numpy(zero_copy_only=False)))
+        raise DataFormatError(path, "expected a number, found null", line=first + row + 1, column=name)
+    if pa.types.is_timestamp(column.type):
+        # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
+        stamps = column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
+        return seconds_of(stamps.tolist())
+    values: Scalars = column.to_numpy(zero_copy_only=False).astype(np.float64)
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if len(wrong):
+        message = f"expected a finite number, found {values[wrong[0]]}"
+        raise DataFormatError(path, message, line=first + int(wrong[0]) + 1, column=name)
+    return values
+
+
+def write_parquet(survey: Survey, path: str | Path) -> None:
+    """Write a survey as Parquet, with the columns of the CSV; reading it back gives the same float64 values.
+
+    Parameters
+    ----------
+    survey : Survey
+    path : path
+        Where; an existing file is replaced only once the new one is complete.
+
+    Raises
+    ------
+    MissingExtraError
+        Writing Parquet needs the extra ``parquet``.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        feature = "writing Parquet"
+        raise MissingExtraError(feature, "parquet") from None
+    about = json.dumps({"frame": survey.frame, "pose_sd": float(survey.pose_sd)})
+    table = pa.table(survey.columns()).replace_schema_metadata({SCHEMA: about})
+    with atomic_write(path) as stream:
+        pq.write_table(table, stream, compression="zstd")

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording: field samples and poses on one clock, before they are joined into a survey."""
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.formats.channels import NO_CHANNELS, Channels
+from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.errors import DataFormatError
+from magmatch.typing import Scalars, Vectors
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Recording:
+    """What a logger wrote: the field at its own times, the poses at theirs.
+
+    Attributes
+    ----------
+    path : Path
+        Where it came from.
+    times : (n,) array, s
+        Of the field samples, strictly increasing.
+    field : (n, 3) array, T
+        In the frame that `field_frame` says.
+    trajectory : Trajectory
+        Poses on the same clock; of the sensor, once `T_body_sensor` has been applied by `carried`.
+    field_frame : {"sensor", "survey"}
+        Frame of the field vectors.
+    has_orientations : bool
+        False where the poses are positions only (the trajectory then holds identities).
+    frame : str
+        Name of the survey frame.
+    poses_from : Path, optional
+        Another file that the poses came from.
+    channels : Channels
+        Other numbers of the log, where they were asked for.
+    """
+
+    path: Path
+    times: Scalars
+    field: Vectors
+    trajectory: Trajectory
+    field_frame: Literal["sensor", "survey"] = "sensor"
+    has_orientations: bool = True
+    frame: str = "survey"
+    poses_from: Path | None = None
+    channels: Channels = NO_CHANNELS
+
+    def carried(self, T_body_sensor: RigidTransform | None) -> "Recording":
+        """Turn poses of the carrying body into poses of the sensor.
+
+        Parameters
+        ----------
+        T_body_sensor : RigidTransform or None
+            Takes sensor coordinates to body coordinates; None where the poses are the sensor's own.
+
+        Returns
+        -------
+        Recording
+        """
+        if T_body_sensor is None:
+            return self
+        body = self.trajectory
+        lever = body.orientations.apply(np.asarray(T_body_sensor.translation))
+        poses = Trajectory(body.times, body.positions + lever, body.orientations * T_body_sensor.rotation)
+        return replace(self, trajectory=poses)
+
+    def survey(self) -> Survey:
+        """Join: each field sample at the pose interpolated to its time, its vector in the survey frame.
+
+        Returns
+        -------
+        Survey
+            Samples that the trajectory covers; what is dropped is logged.
+
+        Raises
+        ------
+        DataFormatError
+            No sample is covered, or vectors in the sensor's frame without orientations.
+        """
+        if self.field_frame == "sensor" and not self.has_orientations:
+            message = "the poses are positions only, so field vectors in the sensor's frame cannot be turned"
+            raise DataFormatError(self.path, message)
+        is_covered = self._covered()
+        kept, field = self.times[is_covered], self.field[is_covered]
+        self._warn_of_pose_gaps(kept)
+        positions, orientations = self.trajectory.interpolate(kept)
+        return Survey(
+            positions,
+            orientations.apply(field) if self.field_frame == "sensor" else field,
+            kept,
+            orientations if self.has_orientations else None,
+            frame=self.frame,
+            name=self.path.name,
+        )
+
+    def _covered(self) -> np.ndarray:
+        """Samples within the trajectory; others are counted in a warning, and none at all is an error."""
+        times, poses = self.times, self.trajectory
+        is_covered = poses.covers(times)
+        n_covered = int(is_covered.sum())
+        if n_covered == 0:
+            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "nothing"
+            message = (
+                f"no sample lies within the trajectory: the field covers {span}, "
+                f"{self.poses_from or 'the poses'} covers {poses.times[0]:.3f} to {poses.times[-1]:.3f} s; "
+                "both need the same clock"
+            )
+            raise DataFormatError(self.path, message, column="t")
+        if n_covered < len(times):
+            n_dropped, n_before = len(times) - n_covered, int((times < poses.times[0]).sum())
+            logger.warning(
+                "%s: dropped %d of %d samples without a pose (%d before the trajectory begins, %d after it ends)",
+                self.path, n_dropped, len(times), n_before, n_dropped - n_before,
+            )  # fmt: skip
+        return is_covered
+
+    def _warn_of_pose_gaps(self, times: Scalars) -> None:
+        """Say where poses are interpolated across a hole in the trajectory."""
+        intervals = np.diff(self.trajectory.times)
+        limit = max(1.0, 10 * float(np.median(intervals)))
+        before = np.clip(np.searchsorted(self.trajectory.times, times, side="right") - 1, 0, len(intervals) - 1)
+        n_in_gaps = int((intervals[before] > limit).sum())
+        if n_in_gaps:
+            logger.warning(
+                "%s: %d samples lie in gaps of the trajectory longer than %.3g s; their poses are interpolated",
+                self.path, n_in_gaps, limit,
+            )  # fmt: skip

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tell what a file is by its content, before its name."""
+
+import itertools
+import json
+import lzma
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Literal
+
+from magmatch.data.tables.text import is_folder, read_bytes, text_lines
+from magmatch.errors import DataFormatError
+
+FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "phone"]
+
+# How files begin that people hand over by mistake, what they are, and what to do about it.
+_FOREIGN: tuple[tuple[bytes, str, str], ...] = (
+    (b"\x1f\x8b", "gzip", "decompress it first (gunzip)"),
+    (b"BZh", "bzip2", "decompress it first (bunzip2)"),
+    (b"\xfd7zXZ\0", "xz", "decompress it first (unxz)"),
+    (b"\x28\xb5\x2f\xfd", "Zstandard", "decompress it first (unzstd)"),
+    (b"7z\xbc\xaf\x27\x1c", "7-Zip", "unpack it first"),
+    (b"ULog\x01\x12\x35", "PX4 ULog", "export the field and the poses as text"),
+    (b"\x89HDF\r\n\x1a\n", "HDF5 (or MATLAB 7.3)", "export it as CSV"),
+    (b"MATLAB 5.0 MAT-file", "MATLAB", "export it as CSV"),
+    (b"\x93NUMPY", "NumPy", "export it as CSV"),
+    (b"\x89PNG", "PNG picture", "expected samples, not a picture"),
+    (b"\xff\xd8\xff", "JPEG picture", "expected samples, not a picture"),
+    (b"%PDF", "PDF document", "expected samples, not a document"),
+    (b"\xd0\xcf\x11\xe0", "old Excel workbook", "export the sheet as CSV"),
+    (b"\x80\x04\x95", "Python pickle", "pickles are never read, since they can run code; export it as CSV"),
+    (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
+    (b"<!DOCTYPE", "web page", "download the raw file instead"),
+    (b"<!doctype", "web page", "download the raw file instead"),
+    (b"<html", "web page", "download the raw file instead"),
+    (b"<?xml", "XML document", "export it as CSV"),
+)
+# A ROS 2 bag may also be a folder of such files.
+_SIGNATURES: dict[bytes, FileKind] = {
+    b"SQLite format 3\0": "log",
+    b"#ROSBAG V": "log",
+    b"\x89MCAP0\r\n": "log",
+    b"PAR1": "parquet",
+}
+# In the order in which they are looked for.
+PHONE_MEMBERS = ("magnetometer.csv", "raw data.csv", "magnetometeruncalibrated.csv")
+# All that zipfile raises over a damaged archive.
+BROKEN_ZIP = (
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,
+    EOFError,
+    ValueError,
+    KeyError,
+    OverflowError,
+    struct.error,
+    zlib.error,
+    lzma.LZMAError,
+)
+_REGISTRATION_SCHEMA = "magmatch.registration/"
+_TUM_WIDTH = 8
+MAX_JSON = 64 << 20
+_HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
+
+
+def sniff(path: str | Path) -> FileKind:
+    """Tell what a file is.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    str
+        ``csv`` (a table with a header row), ``map`` (a zip archive such as a saved map), ``registration`` (a
+        result of `register`), ``tum`` (rows of 8 numbers without a header), ``euroc`` (rows of numbers under
+        ``#timestamp``), ``log`` (a ROS 1 bag, ROS 2 bag or MCAP file), ``parquet``, or ``phone`` (an export of Sensor
+        Logger or phyphox: a table, a zip archive or a folder).
+
+    Raises
+    ------
+    DataFormatError
+        None of these; says what it seems to be and what to do.
+    """
+    if is_folder(path):
+        return _sniff_folder(path)
+    head = read_bytes(path, _HEAD)
+    kind = next((kind for signature, kind in _SIGNATURES.items() if head.startswith(signature)), None)
+    if kind is not None:
+        return kind
+    if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        return _sniff_archive(path)
+    for signature, what, advice in _FOREIGN:
+        if head.startswith(signature):
+            raise DataFormatError(path, f"is a {what} file, expected a survey (CSV) or a saved map; {advice}")
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in {b"{", b"["}:
+        return _sniff_json(path)
+    return _sniff_text(path, head)
+
+
+def _sniff_text(path: str | Path, head: bytes) -> FileKind:
+    """Text is told by its first row, or by a header that looks like a comment."""
+    if len(head) == _HEAD and b"\n" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
+    lines = [line.strip() for line in text_lines(path, head)]
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    if is_phone_header(first):
+        return "phone"
+    if _is_tum_row(first):
+        return "tum"
+    above = itertools.takewhile(lambda line: not line or line.startswith("#"), lines)
+    is_euroc = any(line.startswith("#") and is_euroc_header(line) for line in above)
+    return "euroc" if is_euroc and _are_numbers(first.rstrip(", \t").split(",")) else "csv"
+
+
+def _sniff_folder(path: str | Path) -> FileKind:
+    """A folder is a ROS 2 bag where it holds what recorders write."""
+    try:
+        names = [entry.name for entry in Path(path).iterdir()]
+    except PermissionError:
+        raise DataFormatError(path, "no permission to read it") from None
+    if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
+        return "log"
+    if any(is_phone_member(name) for name in names):
+        return "phone"
+    message = (
+        "is a folder, expected a file, a ROS 2 bag (metadata.yaml), a phone log (Magnetometer.csv) or, as the base "
+        "of 'magmatch register', saved maps"
+    )
+    raise DataFormatError(path, message)
+
+
+def _sniff_archive(path: str | Path) -> FileKind:
+    """A zip archive is a map unless its members say otherwise."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.namelist()
+    except BROKEN_ZIP:
+        raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
+    if "[Content_Types].xml" in members:
+        raise DataFormatError(path, "is an Excel workbook or Office document; export the sheet as CSV")
+    if any(is_phone_member(name) for name in members):
+        return "phone"
+    if all(name.lower().endswith((".csv", ".txt", "/")) for name in members):
+        raise DataFormatError(path, f"is a zip archive of {len(members)} text files or none; unpack it first")
+    if all(name.endswith(".npy") for name in members):
+        raise DataFormatError(
+            path, "is a NumPy .npz archive, expected a survey (CSV) or a saved map; export it as CSV"
+        )
+    return "map"
+
+
+def _sniff_json(path: str | Path) -> FileKind:
+    """JSON is a registration result, or nothing we read."""
+    try:
+        raw = read_bytes(path, MAX_JSON + 1)
+        if len(raw) > MAX_JSON:
+            raise DataFormatError(path, f"is JSON of more than {MAX_JSON} bytes, expected a survey (CSV)")
+        content = json.loads(raw.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
+    schema = content.get("schema") if isinstance(content, dict) else None
+    if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):
+        return "registration"
+    message = (
+        f"is JSON with schema {schema!r}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
+    )
+    raise DataFormatError(path, message)
+
+
+def is_phone_member(name: str) -> bool:
+    """Whether a file's name is one that Sensor Logger or phyphox gives to the samples of the magnetometer."""
+    return name.replace("\\", "/").rsplit("/", 1)[-1].lower() in PHONE_MEMBERS
+
+
+def is_phone_header(line: str) -> bool:
+    """Whether a header is that of Sensor Logger (``time, seconds_elapsed``) or phyphox (``Magnetic field x``)."""
+    text = line.lower()
+    return "seconds_elapsed" in text or "magnetic field x (" in text
+
+
+def is_euroc_header(line: str) -> bool:
+    """Whether a comment may be the header of an EuRoC file."""
+    return line.lstrip("# \t").lower().startswith("timestamp") and "," in line
+
+
+def _is_tum_row(text: str) -> bool:
+    """Whether a row is eight numbers separated by white space."""
+    cells = text.split()
+    return len(cells) == _TUM_WIDTH and _are_numbers(cells)
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    """Whether all cells read as numbers."""
+    try:
+        return bool([float(cell) for cell in cells])
+    except ValueError:
+        return False

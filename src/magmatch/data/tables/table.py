@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Text tables of numbers: read by column name, faults found by line and column, written whole or not at all."""
+
+import logging
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from magmatch.atomic import atomic_write
+from magmatch.data.tables.cells import (
+    cells_of,
+    delimiter_of,
+    listed,
+    names_of,
+    numbers_at_once,
+    numbers_of,
+    split_row,
+)
+from magmatch.data.tables.text import Block, text_blocks
+from magmatch.errors import DataFormatError
+from magmatch.typing import Indices, Matrix, Scalars
+
+logger = logging.getLogger(__name__)
+
+# Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
+CHUNK_ROWS = 20_000
+# Between these a comma can only belong to a number.
+MAY_HAVE_COMMAS = {";", "\t"}
+# Comment lines above the first row that are kept.
+MAX_COMMENTS = 1000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Table:
+    """Number columns of a text file, with the line each row stands on.
+
+    Attributes
+    ----------
+    path : Path
+        The file, for messages.
+    names : tuple of str
+        All columns of the header, lower case, in the file's order.
+    columns : dict of str to (n,) array
+        The columns that were asked for and are there; all values finite.
+    line_numbers : (n,) int array
+        Line of each row, counted from 1.
+    comments : tuple of str
+        Comment lines above the first row, without the ``#``.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    columns: dict[str, Scalars]
+    line_numbers: Indices
+    comments: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.line_numbers)
+
+    def has(self, *names: str) -> bool:
+        """Whether all these columns are there."""
+        return all(name in self.columns for name in names)
+
+    def require(self, names: Sequence[str], hint: str = "") -> None:
+        """Raise DataFormatError, naming what was expected and found, unless all these columns are there."""
+        missing = [name for name in names if name not in self.columns]
+        if missing:
+            message = f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {listed(self.names)}"
+            raise DataFormatError(self.path, f"{message}. {hint}" if hint else message)
+
+    def renamed(self, names: Mapping[str, str]) -> "Table":
+        """Return the table with columns under other names, given as {old: new}."""
+        columns = {names.get(name, name): values for name, values in self.columns.items()}
+        return Table(self.path, self.names, columns, self.line_numbers, self.comments)
+
+    def stack(self, *names: str) -> Matrix:
+        """Columns side by side: (n, k)."""
+        return np.column_stack([self.columns[name] for name in names])
+
+    def require_increasing(self, name: str) -> None:
+        """Raise DataFormatError at the first row where a column does not increase."""
+        values = self.columns[name]
+        wrong = np.flatnonzero(np.diff(values) <= 0)
+        if len(wrong):
+            row = int(wrong[0]) + 1
+            kind = "repeats" if values[row] == values[row - 1] else "runs backward"
+            message = (
+                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times"
+            )
+            raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
+
+
+def read_table(
+    path: str | Path,
+    known: Collection[str],
+    names: Sequence[str] | None = None,
+    raw: bytes | None = None,
+    *,
+    recover: bool | None = None,
+    advise: Callable[[Sequence[str]], str] = lambda _: "",
+) -> Table:
+    """Read the known columns of a delimited text file.
+
+    Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
+    semicolon, tab, or else white space. Between semicolons or tabs numbers may have decimal commas.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    known : collection of str
+        Columns to read where present, lower case; others are ignored, whatever they hold.
+    names : sequence of str, optional
+        The columns, for formats without a header row; by default the first row names them.
+    raw : bytes, optional
+        The content, where it is not that of a file of its own (a member of an archive).
+    recover : bool, optional
+        Leave out rows that cannot be read, and say how many, instead of refusing; None where there is no such
+        choice, which messages then do not offer.
+    advise : callable
+        What to do about a file that has none of the columns, from the names it has.
+
+    Returns
+    -------
+    Table
+        At least one row; every number finite.
+
+    Raises
+    ------
+    DataFormatError
+        With line and column wherever one is at fault.
+    """
+    reader = _TableReader(path, known, names, recover=recover, advise=advise)
+    for block in text_blocks(path, raw):
+        reader.take(block)
+    return reader.table()
+
+
+class _TableReader:
+    """Turns a table into numbers block by block."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        known: Collection[str],
+        names: Sequence[str] | None,
+        *,
+        recover: bool | None,
+        advise: Callable[[Sequence[str]], str],
+    ) -> None:
+        self.path, self.known, self.names = path, known, names
+        self.recover, self.advise = recover, advise
+        self.first_fault: DataFormatError | None = None
+        self.n_faults = 0
+        # What marks decimals, as far as it has been seen; commas only where something else separates the cells.
+        self.has_points = self.has_commas = False
+        self.comments: list[str] = []
+        self.has_begun = False
+        self.delimiter: str | None = None
+        self.wanted: dict[str, int] = {}
+        self.columns: list[list[Scalars]] = []
+        self.line_numbers: list[Indices] = []
+
+    def take(self, block: Block) -> None:
+        """Read the rows of a block; its first row may be the header."""
+        lines = block.lines
+        # A row of delimiters alone is what spreadsheets write for a blank line.
+        rows = [
+            i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")
+        ]
+        if not self.has_begun:
+            above = lines[: rows[0]] if rows else lines
+            self.comments += [line.strip().lstrip("#").strip() for line in above if line.strip()][:MAX_COMMENTS]
+        if rows and not self.has_begun:
+            self._begin(lines, rows, block.start)
+        if rows and not self.wanted:
+            self._choose()
+        for start in range(0, len(rows), CHUNK_ROWS):
+            chunk = rows[start : start + CHUNK_ROWS]
+            is_last = block.is_last and chunk[-1] == len(lines) - 1
+            self._take_rows([lines[i] for i in chunk], [block.start + i for i in chunk], is_last=is_last)
+
+    def _begin(self, lines: list[str], rows: list[int], start: int) -> None:
+        """Learn delimiter and names from the first row."""
+        self.has_begun = True
+        first = lines[rows[0]]
+        self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
+        if self.names is None:
+            cells, line = split_row(first, self.delimiter), start + rows.pop(0) + 1
+            self.names = names_of(self.path, cells, line, self.known, self.comments)
+
+    def _choose(self) -> None:
+        """Which columns to read, at the first row of numbers."""
+        names = self.names or ()
+        self.wanted = {name: k for k, name in enumerate(names) if name in self.known}
+        if not self.wanted:
+            message = f"expected columns such as {listed(tuple(self.known))}; found {listed(names)}"
+            advice = self.advise(names)
+            raise DataFormatError(self.path, f"{message}. {advice}" if advice else message)
+        self.columns = [[] for _ in self.wanted]
+
+    def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
+        block = None
+        if not self.has_commas:
+            block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
+        if block is not None and self.delimiter in MAY_HAVE_COMMAS and not self.has_points:
+            self.has_points = any("." in row for row in rows)
+        if block is None:
+            block, numbers = self._looked_at(rows, numbers, is_last=is_last)
+        for parts, values in zip(self.columns, block.T, strict=True):
+            parts.append(values.copy())
+        self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)
+
+    def _looked_at(self, rows: list[str], numbers: list[int], *, is_last: bool) -> tuple[Matrix, list[int]]:
+        """Numbers of rows cell by cell, and which of the rows were kept."""
+        try:
+            cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
+            if self.delimiter in MAY_HAVE_COMMAS:
+                self._put_points(cells, numbers)
+            return numbers_of(self.path, numbers, cells, self.wanted), numbers
+        except DataFormatError as error:
+            if self.recover is None:
+                raise
+            if not self.recover:
+                message = f"{error.message}; --recover leaves such rows out"
+                raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
+            if len(rows) == 1:
+                self.first_fault, self.n_faults = self.first_fault or error, self.n_faults + 1
+                return np.zeros((0, len(self.wanted))), []
+        # Halves, so that few bad rows among many cost little.
+        middle = len(rows) // 2
+        first, second = (
+            self._looked_at(rows[part], numbers[part], is_last=False) for part in (slice(middle), slice(middle, None))
+        )
+        return np.concatenate([first[0], second[0]]), first[1] + second[1]
+
+    def _put_points(self, cells: list[list[str]], numbers: list[int]) -> None:
+        """Write decimal commas as points, unless points stand there too: one of the two marks thousands then."""
+        pairs = [(i, name, row[k]) for i, row in zip(numbers, cells, strict=True) for name, k in self.wanted.items()]
+        with_point = next(((i, name, text) for i, name, text in pairs if "." in text), None)
+        if with_point is not None and self.has_commas:
+            i, name, text = with_point
+            message = f"found {text[:40]!r}, where numbers above have decimal commas"
+            raise DataFormatError(self.path, message, line=i + 1, column=name)
+        self.has_points |= with_point is not None
+        if self.has_points or not any("," in text for _, _, text in pairs):
+            return
+        self.has_commas = True
+        for row in cells:
+            for k in self.wanted.values():
+                row[k] = row[k].replace(",", ".")
+
+    def table(self) -> Table:
+        """All that was read."""
+        if not self.has_begun:
+            raise DataFormatError(self.path, "holds only comments and blank lines, expected rows of numbers")
+        if not self.line_numbers:
+            raise DataFormatError(self.path, "has a header row but no samples under it")
+        if self.first_fault is not None:
+            if not any(map(len, self.line_numbers)):
+                raise self.first_fault
+            logger.warning(
+                "%s: left out %d rows that cannot be read, the first: %s", self.path, self.n_faults, self.first_fault
+            )
+        if self.has_commas:
+            logger.warning("%s: decimal commas were read as points", self.path)
+        columns = {}
+        for name in self.wanted:  # one after the other, so that little is there twice
+            columns[name] = np.concatenate(self.columns.pop(0))
+        numbers = np.concatenate(self.line_numbers)
+        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments))
+
+
+def write_table(path: str | Path, columns: Mapping[str, Scalars], comments: Sequence[str] = ()) -> None:
+    """Write number columns as CSV, so that reading them gives the same float64 values.
+
+    Parameters
+    ----------
+    path : path
+        Where; an existing file is replaced only once the new one is complete.
+    columns : mapping of str to (n,) array
+        Column names and values, in the order to write.
+    comments : sequence of str
+        Lines to put above the header, without the ``#``.
+    """
+    with atomic_write(path) as stream:
+        stream.writelines(_rows(columns, comments))
+
+
+def _rows(columns: Mapping[str, Scalars], comments: Sequence[str]) -> Iterator[bytes]:
+    """Encode a table piece by piece."""
+    head = [f"# {comment}" for comment in comments] + [",".join(columns)]
+    yield ("\n".join(head) + "\n").encode()
+    n = len(next(iter(columns.values())))
+    for start in range(0, n, CHUNK_ROWS):
+        texts = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
+        yield ("\n".join(map(",".join, zip(*texts, strict=True))) + "\n").encode()

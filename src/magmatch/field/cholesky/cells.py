@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which cells and spline nodes exist: those within reach of a sample, so that cost follows the data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from magmatch.errors import ConfigurationError
+from magmatch.typing import Points, Scalars
+
+# Memory: about 4 kB per active cell for the matrices, as much again for the factor; 8 bytes per cell of the box.
+MAX_ACTIVE_CELLS = 400_000
+MAX_BOX_CELLS = 40_000_000
+# Two nodes interact when they touch a common cell: offsets -3..3 along each axis, 343 in all. Symmetric matrices
+# keep the second half, from the node itself on.
+STENCIL_REACH = 3
+FULL_STENCIL = (2 * STENCIL_REACH + 1) ** 3
+HALF_STENCIL = (FULL_STENCIL + 1) // 2
+
+_LOCAL = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+# [a, b], a <= b: place in the half stencil of the offset from the cell's node a to its node b.
+HALF_OFFSET = ((_LOCAL[None] - _LOCAL[:, None]) @ np.array([49, 7, 1])).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CellGrid:
+    """Active cells of a regular grid and the spline nodes that touch them.
+
+    Attributes
+    ----------
+    first : (3,) int array
+        Where cell (0, 0, 0) lies on the lattice, whose cell i is centred at ``i spacing`` along each axis, so that
+        grids over different samples share their splines.
+    spacing : float, m
+        Side of a cell.
+    cells : (c, 3) int array
+        Indices of the active cells; cell (i, j, k) is touched by nodes (i..i+3, j..j+3, k..k+3).
+    distance : (c,) array
+        From each active cell's centre to that of the nearest occupied one, in cells.
+    cell_index : (nx, ny, nz) int32 array
+        Number of each active cell in ``cells``; -1 elsewhere.
+    node_index : (nx + 9, ny + 9, nz + 9) int32 array
+        Number of each node, padded by 3 on every side; -1 where no active cell touches it.
+    nodes : (m, 3) int array
+        Indices of the nodes.
+    cell_nodes : (c, 64) int32 array
+        Nodes of each active cell.
+    """
+
+    first: np.ndarray
+    spacing: float
+    cells: np.ndarray
+    distance: np.ndarray
+    cell_index: np.ndarray
+    node_index: np.ndarray
+    nodes: np.ndarray
+    cell_nodes: np.ndarray
+
+    @property
+    def n_cells(self) -> int:
+        """Number of active cells."""
+        return len(self.cells)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of splines."""
+        return len(self.nodes)
+
+    def axis_cells(self, x: Scalars, axis: int) -> tuple[np.ndarray, Scalars]:
+        """Cell index along one axis (clipped to -1..n) and position in the cell, 0 to 1."""
+        u = lattice_coordinate(np.asarray(x), self.spacing) - float(self.first[axis])
+        i = np.floor(u)
+        n = self.cell_index.shape[axis]
+        return np.clip(np.where(np.isnan(i), -1, i), -1, n).astype(np.int64), u - i
+
+    def locate(self, points: Points) -> tuple[np.ndarray, Points]:
+        """Active cell of each point (-1 where there is none) and the position in it, 0 to 1 along each axis."""
+        cell, t = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
+        u = lattice_coordinate(np.asarray(points, dtype=np.float64), self.spacing) - self.first
+        _locate(u, self.cell_index, cell, t)
+        return cell, t
+
+    def stencil_shifts(self) -> np.ndarray:
+        """Distance in the flattened ``node_index`` to each of the 343 neighbours."""
+        _, ny, nz = self.node_index.shape
+        d = np.arange(-STENCIL_REACH, STENCIL_REACH + 1)
+        x, y, z = np.meshgrid(d, d, d, indexing="ij")
+        return np.asarray(((x * ny + y) * nz + z).ravel(), dtype=np.int64)
+
+    def flat_nodes(self) -> np.ndarray:
+        """Where each node lies in the flattened ``node_index``."""
+        return np.asarray(
+            np.ravel_multi_index(tuple((self.nodes + STENCIL_REACH).T), self.node_index.shape), dtype=np.int64
+        )
+
+
+@njit(cache=True, nogil=True)
+def _locate(u, cell_index, cell, t):  # type: ignore[no-untyped-def]
+    """Active cell of each point, given in cells from the first, and the position in it; -1 where there is none."""
+    ijk = np.zeros(3, dtype=np.int64)
+    for n in range(len(u)):
+        is_inside = True  # which NaN is nowhere
+        for axis in range(3):
+            t[n, axis] = u[n, axis] - np.floor(u[n, axis])
+            is_inside = is_inside and 0 <= u[n, axis] < cell_index.shape[axis]
+            if is_inside:
+                ijk[axis] = int(np.floor(u[n, axis]))
+        cell[n] = cell_index[ijk[0], ijk[1], ijk[2]] if is_inside else -1
+
+
+def count_active_cells(
+    points: Points, spacing: float, reach: float, most_in_box: float = MAX_BOX_CELLS
+) -> tuple[int, float]:
+    """How many cells `lay_cells` would activate, and how many the box around them holds.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    spacing : float, m
+    reach : float, cells
+    most_in_box : float
+        Cells of the box that are worth looking at.
+
+    Returns
+    -------
+    n_active : int
+        -1 where the box alone is too large to look at.
+    n_box : float
+    """
+    _, occupied, shape = _occupied(points, spacing, reach)
+    n_box = float(np.prod(shape))
+    if n_box > min(most_in_box, MAX_BOX_CELLS):
+        return -1, n_box
+    return int(np.isfinite(_distances(occupied, shape, reach)).sum()), n_box
+
+
+def lattice_coordinate(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Coordinate in cells; its integer part is the cell. A flat survey through the origin fills one layer."""
+    return np.asarray(x / spacing + 0.5)
+
+
+def lay_cells(
+    points: Points, spacing: float, reach: float, box: tuple[np.ndarray, np.ndarray] | None = None
+) -> CellGrid:
+    """Lay cells over all places within reach of a sample.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+        Where samples are.
+    spacing : float, m
+        Side of a cell.
+    reach : float, cells
+        Cells are active whose centre lies this near to the centre of a cell that holds a sample.
+    box : two (3,) int arrays, optional
+        First and one past the last cell of the lattice to activate, whatever the samples' reach.
+
+    Returns
+    -------
+    CellGrid
+
+    Raises
+    ------
+    ConfigurationError
+        If more cells would be needed than memory allows.
+    """
+    first, occupied, shape = _occupied(points, spacing, reach)
+    n_box = float(np.prod(shape))
+    if n_box > MAX_BOX_CELLS:
+        _refuse(f"{n_box:.3g} cells in the box of the samples, at most {MAX_BOX_CELLS:,}", spacing)
+    distance = _distances(occupied, shape, reach)
+    if box is not None:
+        low, high = np.maximum(box[0] - first, 0), np.maximum(box[1] - first, 0)
+        distance = distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        first = first + low
+    is_active = np.isfinite(distance)
+    cells = np.argwhere(is_active)
+    if len(cells) > MAX_ACTIVE_CELLS:
+        _refuse(f"{len(cells):,} cells near samples, at most {MAX_ACTIVE_CELLS:,}", spacing)
+    cell_index = np.full(distance.shape, -1, dtype=np.int32)
+    cell_index[is_active] = np.arange(len(cells), dtype=np.int32)
+    node_index = np.full(tuple(np.add(distance.shape, 3 + 2 * STENCIL_REACH)), -1, dtype=np.int32)
+    _mark_nodes(cells, node_index)
+    nodes = np.argwhere(node_index >= 0)
+    node_index[tuple(nodes.T)] = np.arange(len(nodes), dtype=np.int32)
+    cell_nodes = np.empty((len(cells), 64), dtype=np.int32)
+    _list_nodes(cells, node_index, cell_nodes)
+    return CellGrid(
+        first=first,
+        spacing=float(spacing),
+        cells=cells,
+        distance=distance[is_active].astype(np.float64),
+        cell_index=cell_index,
+        node_index=node_index,
+        nodes=nodes - STENCIL_REACH,
+        cell_nodes=cell_nodes,
+    )
+
+
+def _refuse(needed: str, spacing: float) -> None:
+    msg = f"the region is too large for a spacing of {spacing:.3g} m: {needed}; widen the spacing or map it in parts"
+    raise ConfigurationError(msg)
+
+
+def _occupied(points: Points, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First cell, distinct occupied cells (none where the box is too large) and number of cells along each axis."""
+    if len(points) == 0:
+        msg = "expected at least one sample to lay cells around, got none"
+        raise ValueError(msg)
+    if not (spacing > 0 and reach >= 0):
+        msg = f"expected a positive spacing and a reach of at least 0, got {spacing} m and {reach} cells"
+        raise ValueError(msg)
+    cell = np.floor(lattice_coordinate(points, spacing))
+    pad = np.floor(reach)
+    first, last = cell.min(axis=0) - pad, cell.max(axis=0) + pad
+    shape = last - first + 1
+    if np.prod(shape) > MAX_BOX_CELLS:
+        return first.astype(np.int64), np.zeros((0, 3), dtype=np.int64), shape
+    sizes = tuple(shape.astype(np.int64))
+    flat = np.unique(np.ravel_multi_index(tuple((cell - first).astype(np.int64).T), sizes))
+    return first.astype(np.int64), np.stack(np.unravel_index(flat, sizes), axis=1).astype(np.int64), shape
+
+
+def _distances(occupied: np.ndarray, shape: np.ndarray, reach: float) -> np.ndarray:
+    """Distance of every cell of the box to the nearest occupied one, infinite beyond the reach (all in cells)."""
+    distance = np.full(tuple(shape.astype(np.int64)), np.inf, dtype=np.float32)
+    offsets = ball_offsets(reach)
+    _spread(occupied, offsets, np.sqrt((offsets**2).sum(axis=1)).astype(np.float32), distance)
+    return distance
+
+
+@njit(cache=True, nogil=True)
+def _spread(occupied: np.ndarray, offsets: np.ndarray, length: np.ndarray, distance: np.ndarray) -> None:
+    for i in range(occupied.shape[0]):
+        for k in range(offsets.shape[0]):
+            x, y, z = occupied[i, 0] + offsets[k, 0], occupied[i, 1] + offsets[k, 1], occupied[i, 2] + offsets[k, 2]
+            distance[x, y, z] = min(distance[x, y, z], length[k])
+
+
+@njit(cache=True, nogil=True)
+def _mark_nodes(cells: np.ndarray, node_index: np.ndarray) -> None:
+    for n in range(cells.shape[0]):
+        for a in range(4):
+            for b in range(4):
+                for c in range(4):
+                    node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3] = 0
+
+
+@njit(cache=True, nogil=True)
+def _list_nodes(cells: np.ndarray, node_index: np.ndarray, cell_nodes: np.ndarray) -> None:
+    for n in range(cells.shape[0]):
+        for k in range(64):
+            a, b, c = k // 16, (k // 4) % 4, k % 4
+            cell_nodes[n, k] = node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3]
+
+
+def ball_offsets(radius: float) -> np.ndarray:
+    """Offsets (n, 3) of the cells whose centres lie within a radius (in cells)."""
+    r = int(np.floor(radius))
+    axis = np.arange(-r, r + 1)
+    offsets = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(offsets[(offsets**2).sum(axis=1) <= radius**2 + 1e-9])

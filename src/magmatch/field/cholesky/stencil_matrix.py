@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Symmetric matrices over spline nodes and the constant field: one half stencil per node and a border.
+
+Gram matrices, prior precisions and the needed part of covariances all have this pattern, so they add entry by entry.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from magmatch.field.cholesky.cells import HALF_OFFSET, HALF_STENCIL, CellGrid
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StencilMatrix:
+    """Symmetric matrix of size m + 3: m spline weights, then the three components of the constant field.
+
+    Attributes
+    ----------
+    stencil : (m, 172) array
+        Entry of each node with itself and the nodes after it that share a cell.
+    border : (m, 3) array
+        Entries of the nodes with the constant.
+    corner : (3, 3) array
+        Entries of the constant.
+    """
+
+    stencil: np.ndarray
+    border: np.ndarray
+    corner: np.ndarray
+
+    @classmethod
+    def zeros(cls, n_nodes: int) -> "StencilMatrix":
+        """Matrix of zeros over a number of nodes."""
+        return cls(np.zeros((n_nodes, HALF_STENCIL)), np.zeros((n_nodes, 3)), np.zeros((3, 3)))
+
+    def __add__(self, other: "StencilMatrix") -> "StencilMatrix":
+        """Entry by entry."""
+        return StencilMatrix(self.stencil + other.stencil, self.border + other.border, self.corner + other.corner)
+
+    def __sub__(self, other: "StencilMatrix") -> "StencilMatrix":
+        """Entry by entry."""
+        return StencilMatrix(self.stencil - other.stencil, self.border - other.border, self.corner - other.corner)
+
+    def times(self, x: np.ndarray, cells: CellGrid) -> np.ndarray:
+        """Product with a vector, (m + 3,)."""
+        out = np.zeros(len(x))
+        shifts = cells.stencil_shifts()[HALF_STENCIL - 1 :]
+        _multiply(
+            cells.flat_nodes(), shifts, cells.node_index.ravel(), self.stencil, self.border, self.corner, x, out
+        )
+        return out
+
+    def to_dense(self, cells: CellGrid) -> np.ndarray:
+        """Dense matrix (m + 3, m + 3), for checks."""
+        m = cells.n_nodes
+        dense = np.zeros((m + 3, m + 3))
+        flat, shifts, lookup = (
+            cells.flat_nodes(),
+            cells.stencil_shifts()[HALF_STENCIL - 1 :],
+            cells.node_index.ravel(),
+        )
+        other = lookup[flat[:, None] + shifts]
+        row, slot = np.nonzero(other >= 0)
+        dense[row, other[row, slot]] = self.stencil[row, slot]
+        dense[other[row, slot], row] = self.stencil[row, slot]
+        dense[:m, m:], dense[m:, :m], dense[m:, m:] = self.border, self.border.T, self.corner
+        return dense
+
+
+def sum_of_elements(cells: CellGrid, element: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Stencils (m, 172) of the weighted sum of one 64 x 64 matrix over all active cells.
+
+    Parameters
+    ----------
+    cells : CellGrid
+    element : (64, 64) array
+        Symmetric.
+    weights : (c,) array
+        Factor of each cell.
+
+    Returns
+    -------
+    (m, 172) array
+    """
+    stencil = np.zeros((cells.n_nodes, HALF_STENCIL))
+    _add_element(stencil, element, weights, cells.cell_nodes, HALF_OFFSET)
+    return stencil
+
+
+@njit(cache=True, nogil=True)
+def _add_element(stencil, element, weights, cell_nodes, half_offset):  # type: ignore[no-untyped-def]
+    for n in range(cell_nodes.shape[0]):
+        w = weights[n]
+        for a in range(64):
+            row = stencil[cell_nodes[n, a]]
+            last = 4 * (a // 4) + 4
+            for b in range(a, last):
+                row[half_offset[a, b]] += w * element[a, b]
+            # Four splines along z are neighbours in memory: one instruction.
+            for b in range(last, 64, 4):
+                k = half_offset[a, b]
+                s0, s1, s2, s3 = row[k], row[k + 1], row[k + 2], row[k + 3]
+                e0, e1, e2, e3 = element[a, b], element[a, b + 1], element[a, b + 2], element[a, b + 3]
+                row[k], row[k + 1], row[k + 2], row[k + 3] = s0 + w * e0, s1 + w * e1, s2 + w * e2, s3 + w * e3
+
+
+@njit(cache=True, nogil=True)
+def _multiply(flat, shifts, lookup, stencil, border, corner, x, out):  # type: ignore[no-untyped-def]
+    m = stencil.shape[0]
+    for c in range(3):
+        for d in range(3):
+            out[m + c] += corner[c, d] * x[m + d]
+    for i in range(m):
+        total = stencil[i, 0] * x[i]
+        for o in range(1, stencil.shape[1]):
+            q = lookup[flat[i] + shifts[o]]
+            if q >= 0:
+                total += stencil[i, o] * x[q]
+                out[q] += stencil[i, o] * x[i]
+        for c in range(3):
+            total += border[i, c] * x[m + c]
+            out[m + c] += border[i, c] * x[i]
+        out[i] += total

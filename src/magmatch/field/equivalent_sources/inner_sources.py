@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Equivalent sources among or next to the samples: in the holes they leave and where magnets stand, if evidence asks.
+
+Small groups of charges are taken one after the other, each for what it adds to the evidence, so that holes of chance
+stay empty and no magnet is made up.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from magmatch.field.equivalent_sources.charges import charge_design
+from magmatch.field.equivalent_sources.holes import hole_charges
+from magmatch.field.equivalent_sources.magnets import magnet_charges
+from magmatch.field.equivalent_sources.shell import SourceShell
+from magmatch.field.held_out import has_path_order
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
+
+log = logging.getLogger(__name__)
+
+# A group must add so many nats; those that add this share of what the best does are taken with it. Along a path so
+# many samples may share an error, and count as one.
+_LEAST_GAIN, _TOGETHER, _SAMPLES_AS_ONE = 10.0, 0.5, 16.0
+_MOST_ROUNDS = 12
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InnerSources:
+    """Where sources may stand nearer than a layer, and what samples say about them: found once, asked at any noise.
+
+    Attributes
+    ----------
+    shell : SourceShell
+    points : (n, 3) array, m
+        Samples.
+    charges : (k, 3) array, m
+        At magnets, then in holes.
+    group : (k,) int array
+        Which magnet or part of a hole each stands for.
+    strength : (j,) array, T m^2
+        How large those at magnets may be; those in holes are as large as the layer's.
+    gram : (m, m) array
+        Products of all columns, each per unit of charge: the layer's, those of the charges, the constant field's.
+    product : (m,) array, T
+        Of the columns with the field.
+    """
+
+    shell: SourceShell
+    points: Points
+    charges: Points
+    group: Indices
+    strength: Scalars
+    gram: Matrix
+    product: Scalars
+
+    def filled(self, h: Hyperparameters, constant_sd: float) -> SourceShell:
+        """Layer with those charges that the evidence asks for.
+
+        Parameters
+        ----------
+        h : Hyperparameters
+            Signal and noise of the layer.
+        constant_sd : float, T
+            Prior standard deviation of the constant field.
+
+        Returns
+        -------
+        SourceShell
+            The same where there is no need.
+        """
+        if len(self.charges) == 0:
+            return self.shell
+        unit = h.looseness * h.signal_sd
+        holes = np.full(len(self.charges) - len(self.strength), self.shell.scale[0])
+        scale = np.concatenate([self.strength / unit, holes])
+        size = np.concatenate([unit * self.shell.scale, unit * scale, np.full(3, constant_sd)]) / h.noise_sd
+        is_extra = np.zeros(len(size), dtype=np.bool_)
+        is_extra[self.shell.n_weights : -3] = True
+        gram, y = self.gram * size * size[:, None], self.product * size / h.noise_sd
+        least = _LEAST_GAIN * (_SAMPLES_AS_ONE if has_path_order(self.points) else 1.0)
+        taken = _taken(gram, y, is_extra, self.group, least)
+        if not taken.any():
+            return self.shell
+        log.info("%d of %d charges at magnets and in holes among the samples taken", taken.sum(), len(taken))
+        return self.shell.with_charges(self.charges[taken], scale[taken], self.points)
+
+
+def find_inner_sources(shell: SourceShell, points: Points, field: Vectors) -> InnerSources:
+    """Look where sources may stand nearer than a layer of charges.
+
+    Parameters
+    ----------
+    shell : SourceShell
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+
+    Returns
+    -------
+    InnerSources
+    """
+    magnets, magnet, strength = magnet_charges(points, field, shell.distance)
+    holes, hole = hole_charges(shell, points)
+    charges = np.concatenate([magnets, holes])
+    if len(charges) == 0:
+        none = np.zeros((0, 0))
+        return InnerSources(shell, points, charges, hole, strength, none, none[0:0].ravel())
+    group = np.concatenate([magnet, hole + magnet.max(initial=-1) + 1])
+    everything = np.concatenate([shell.sources, charges])
+    columns = charge_design(np.ascontiguousarray(points), everything, 0).reshape(-1, len(everything))
+    constant = np.kron(np.eye(3), np.ones((len(points), 1)))
+    A = np.hstack([columns, constant])
+    return InnerSources(shell, points, charges, group, strength, A.T @ A, A.T @ field.T.ravel())
+
+
+def _taken(gram: Matrix, y: Scalars, is_extra: Mask, group: Indices, least: float) -> Mask:
+    """Which further columns add to the evidence, group by group: greedily, against all that was taken before."""
+    base, extra = np.flatnonzero(~is_extra), np.flatnonzero(is_extra)
+    cross, outer = gram[np.ix_(base, extra)], gram[np.ix_(extra, extra)]
+    S, u = _left(gram[np.ix_(base, base)], cross, y[base], outer, y[extra])
+    taken = np.zeros(len(group), dtype=np.bool_)
+    for _ in range(_MOST_ROUNDS):
+        gains = _gains(*_left(S[np.ix_(taken, taken)], S[taken], u[taken], S, u), group)
+        gains[np.unique(group[taken])] = -np.inf
+        best = float(gains.max())
+        if best < least:
+            break
+        taken |= (gains >= max(least, _TOGETHER * best))[group]
+    return taken
+
+
+def _left(inner: Matrix, cross: Matrix, r: Scalars, outer: Matrix, q: Scalars) -> tuple[Matrix, Scalars]:
+    """What data say about outer columns once inner ones, of weights with prior N(0, I), have taken their part."""
+    if len(inner) == 0:
+        return outer, q
+    L = cholesky(inner + np.eye(len(inner)), lower=True, overwrite_a=True, check_finite=False)
+    half = solve_triangular(L, np.column_stack([cross, r]), lower=True, check_finite=False)
+    return outer - half[:, :-1].T @ half[:, :-1], q - half[:, :-1].T @ half[:, -1]
+
+
+def _gains(S: Matrix, u: Scalars, group: Indices) -> Scalars:
+    """What each group of columns adds to the log evidence: ``u^T (I + S)^-1 u / 2 - log det(I + S) / 2``."""
+    gains = np.empty(group.max() + 1)
+    for k in range(len(gains)):
+        own = np.flatnonzero(group == k)
+        L = cholesky(S[np.ix_(own, own)] + np.eye(len(own)), lower=True)
+        z = solve_triangular(L, u[own], lower=True)
+        gains[k] = 0.5 * z @ z - np.log(np.diag(L)).sum()
+    return gains

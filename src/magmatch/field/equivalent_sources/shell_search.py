@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Distance of equivalent sources from the samples, signal and noise: by evidence, or on a path by held-out stretches.
+
+Along a path neighbouring samples share their errors, which evidence takes for field: there what is left out decides.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from magmatch.field.equivalent_sources.shell import SourceShell
+from magmatch.field.inducing.calibration import Parts
+from magmatch.field.inducing.marginal_likelihood import tridiagonal, tridiagonal_score
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+
+log = logging.getLogger(__name__)
+
+# Noise over signal, both as variances.
+_NOISE_RATIOS = np.geomspace(1e-7, 10.0, 33)
+_FEW_NOISE_RATIOS = np.geomspace(1e-5, 0.3, 7)
+# Constant field over signal, as standard deviations: next to free.
+_CONSTANT = 100.0
+_MOST_STEPS = 8
+# Held-out stretches that nothing else comes near miss by as much as the field varies: a low power of the residuals
+# keeps them from drowning the others.
+_PATH_POWER = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ShellFit:
+    """A distance with the best signal and noise for it; the higher the score, the better.
+
+    Attributes
+    ----------
+    distance : float, m
+    signal_sd, noise_sd : float, T
+    score : float
+        Log evidence up to a constant, or minus the log of the held-out error.
+    """
+
+    distance: float
+    signal_sd: float
+    noise_sd: float
+    score: float
+
+
+def search_distance(fit_at: Callable[[float], ShellFit], start: float, low: float, high: float) -> ShellFit:
+    """Walk uphill in the distance, by steps of sqrt(2), then of its root.
+
+    Parameters
+    ----------
+    fit_at : function
+        Best fit at a distance.
+    start, low, high : float, m
+
+    Returns
+    -------
+    ShellFit
+    """
+    fits: dict[float, ShellFit] = {}
+
+    def fit(distance: float) -> ShellFit:
+        distance = float(np.clip(distance, low, high))
+        if distance not in fits:
+            fits[distance] = fit_at(distance)
+            log.debug("%s", fits[distance])
+        return fits[distance]
+
+    center, step = fit(start).distance, float(np.sqrt(2))
+    for _ in range(_MOST_STEPS):
+        best = max((fit(center), fit(center / step), fit(center * step)), key=lambda f: f.score)
+        if best.distance == center:
+            if step < 1.3:
+                break
+            step **= 0.5
+        center = best.distance
+    return max(fits.values(), key=lambda f: f.score)
+
+
+def fit_shell(shell: SourceShell, points: Points, field: Vectors, parts: Parts) -> ShellFit:
+    """Signal and noise that suit one layer of sources best.
+
+    Parameters
+    ----------
+    shell : SourceShell
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    parts : Parts
+        Of the same samples.
+
+    Returns
+    -------
+    ShellFit
+    """
+    unit = float(np.abs(field - field.mean(axis=0)).max())
+    y = ((field - field.mean(axis=0)) / unit).T.ravel()
+    A = _design(shell, points)
+    gram, r = A.T @ A, A.T @ y
+    if parts.is_path and parts.folds:
+        ratio, score = _by_stretches(A, y, gram, r, parts)
+    else:
+        ratio, score = _by_evidence(gram, r, y)
+    w = _solve(gram, r, ratio)
+    variance = max(float(y @ y - r @ w) / len(y), np.finfo(float).tiny)
+    noise_sd = unit * float(np.sqrt(variance))
+    return ShellFit(shell.distance, noise_sd / float(np.sqrt(ratio)), noise_sd, score)
+
+
+def _by_evidence(gram: Matrix, r: Scalars, y: Scalars) -> tuple[float, float]:
+    """Noise ratio of the highest marginal likelihood, with that likelihood.
+
+    With ``A^T A = Q T Q^T`` the n-dimensional Gaussian needs only the small tridiagonal T: its determinant is that of
+    ``I + T / ratio``, its quadratic form ``y'y - z'(T + ratio I)^-1 z``, ``z = Q^T A^T y``.
+    """
+    diagonal, off_diagonal, z = tridiagonal(gram, r)
+    n, m = len(y), len(r)
+    best = (-np.inf, 1.0)
+    for ratio in _NOISE_RATIOS:
+        log_determinant, quadratic = tridiagonal_score(diagonal + ratio, off_diagonal, z)
+        left = float(y @ y) - quadratic
+        if not left > 0:
+            continue
+        score = -0.5 * (n * np.log(left / n) + log_determinant - m * np.log(ratio))
+        best = max(best, (float(score), float(ratio)))
+    return best[1], best[0]
+
+
+def _by_stretches(A: Matrix, y: Scalars, gram: Matrix, r: Scalars, parts: Parts) -> tuple[float, float]:
+    """Noise ratio of the smallest held-out error, with minus its logarithm."""
+    errors = np.zeros(len(_FEW_NOISE_RATIOS))
+    for fold in parts.folds:
+        rows = np.tile(fold, 3)
+        out = A[rows]
+        kept_gram, kept_r = gram - out.T @ out, r - out.T @ y[rows]
+        for k, ratio in enumerate(_FEW_NOISE_RATIOS):
+            errors[k] += _power_sum(out @ _solve(kept_gram, kept_r, ratio) - y[rows], fold)
+    best = int(np.argmin(errors))
+    return float(_FEW_NOISE_RATIOS[best]), -float(np.log(errors[best])) / _PATH_POWER
+
+
+def _power_sum(residual: Scalars, fold: Mask) -> float:
+    square = (residual.reshape(3, fold.sum()) ** 2).sum(axis=0)
+    return float((square ** (_PATH_POWER / 2)).mean())
+
+
+def _solve(gram: Matrix, r: Scalars, ratio: float) -> Scalars:
+    loaded = gram.copy()
+    loaded[np.diag_indices_from(loaded)] += ratio
+    try:
+        return np.asarray(cho_solve(cho_factor(loaded, lower=True, overwrite_a=True), r))
+    except LinAlgError:
+        return np.zeros(len(r))
+
+
+def _design(shell: SourceShell, points: Points) -> Matrix:
+    """Field per unit of each weight, the constant's columns large: (3 n, m + 3)."""
+    n = len(points)
+    return np.hstack([shell.design(points), np.kron(_CONSTANT * np.eye(3), np.ones((n, 1)))])

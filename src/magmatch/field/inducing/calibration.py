@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What to leave out of a survey to judge a model, and how much wider its spread must be for it to be honest.
+
+The folds are made of stretches of a path, or of cubes and of a slice off one end where samples come in no order. The
+slice is what lies beyond a survey: there a model extrapolates, and is over-confident first.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from magmatch.field.box import Box
+from magmatch.field.held_out import folds_of, has_path_order, path_stretches, space_blocks
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.marginal_likelihood import choose_samples
+from magmatch.field.linear_model import LinearModel, Posterior, Prior
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+
+# Fewer samples are not divided.
+FEWEST_SAMPLES = 40
+# Size of what is left out, in lengthscales; a slice off the end holds at most this share of the samples.
+_CUBE, _SLICE, _SLICE_SHARE = 0.5, 0.5, 0.15
+# Samples that are used, all folds together.
+_N_USED = 2000
+# Samples of one fold at which the covariance is computed.
+_N_COMPARED = 400
+# Factors tried on the posterior's standard deviation.
+_INFLATIONS = np.geomspace(1.0, 8.0, 19)
+_COVERAGE, _IN_SDS = 0.95, 1.96
+# Standard errors by which neighbours' residuals must be alike to count as misfit.
+_LEAST_T = 2.0
+
+# From held-in and held-out rows to the posterior of the held-in samples.
+FitWithout = Callable[[Mask], Posterior]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Parts:
+    """A survey's samples in parts, some of which are left out at a time.
+
+    Attributes
+    ----------
+    number : (n,) int array
+        Which part each sample is in.
+    folds : tuple of (n,) bool arrays
+        What is left out, one set at a time.
+    is_path : bool
+        Whether the parts are stretches of a path.
+    """
+
+    number: Indices
+    folds: tuple[Mask, ...]
+    is_path: bool
+
+    @property
+    def rest(self) -> tuple[Mask, ...]:
+        """Sets of parts that are in none of the folds but, perhaps, in the slice."""
+        return tuple(folds_of(self.number, others=True)) if self.folds else ()
+
+
+def divide(points: Points, lengthscale: float) -> Parts:
+    """Parts of a survey to leave out: stretches of a path or cubes, and a slice off one end.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    lengthscale : float, m
+        How far a field reaches.
+
+    Returns
+    -------
+    Parts
+        Without folds where there are too few samples to leave any out.
+    """
+    extent = np.ptp(points, axis=0)
+    is_path = has_path_order(points)
+    if len(points) < FEWEST_SAMPLES or not extent.max() > 0:
+        return Parts(np.zeros(len(points), dtype=np.int64), (), is_path)
+    if is_path:
+        number = path_stretches(points, lengthscale)
+        return Parts(number, tuple(folds_of(number)), is_path)
+    size = max(_CUBE * lengthscale, float(extent.max()) / 200)
+    number = space_blocks(points, size, np.random.default_rng(0))
+    along = points[:, int(np.argmax(extent))]
+    limit = max(float(along.max()) - _SLICE * lengthscale, float(np.quantile(along, 1 - _SLICE_SHARE)))
+    end = along > limit
+    return Parts(number, (*folds_of(number), *([end] if end.any() and not end.all() else [])), is_path)
+
+
+def calibrated(
+    prior: Prior,
+    points: Points,
+    field: Vectors,
+    h: Hyperparameters,
+    box: Box | None = None,
+    model: LinearModel[Any] | None = None,
+) -> Hyperparameters:
+    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+
+    Parameters
+    ----------
+    prior : Prior
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    h : Hyperparameters
+    box : Box, optional
+        What the prior is laid over beside the points.
+    model : LinearModel, optional
+        The prior with these numbers where it is laid over these points already.
+
+    Returns
+    -------
+    Hyperparameters
+    """
+    some = np.sort(choose_samples(points, field, _N_USED))
+    few, values = points[some], field[some]
+    parts = divide(few, h.lengthscale)
+    if not parts.folds:
+        return h
+    model = prior.build(points, field, h, box) if model is None else model
+    everything = model.observe(few, values)
+
+    def without(fold: Mask) -> Posterior:
+        return model.infer(everything - model.observe(few[fold], values[fold]))
+
+    honest = widened(h, few, values, parts, without)
+    # Along a path neighbours share errors of their poses too.
+    least = 1.0 if parts.is_path else misfit_inflation(few, values, model.infer(everything))
+    return replace(honest, inflation=max(honest.inflation, least))
+
+
+def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> float:
+    """Factor on a posterior's standard deviation that makes room for what the model cannot follow.
+
+    Noise is each sample's own: what the residuals of nearest neighbours share is misfit, such as that of a source
+    which the prior rules out. It was taken for noise, which many samples average away; their misfit they do not.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    posterior : Posterior
+        Of these samples.
+
+    Returns
+    -------
+    float
+        At least 1, which it is unless neighbours share something beyond chance.
+    """
+    rows = np.arange(len(points))
+    residual = field - posterior.evaluate(points).field
+    nearest = np.asarray(cKDTree(points).query(points, k=2)[1])
+    # Of samples at one place either may stand first.
+    other = np.where(nearest[:, 0] == rows, nearest[:, 1], nearest[:, 0])
+    shared = (residual * residual[other]).mean(axis=1)
+    if not shared.mean() > _LEAST_T * shared.std() / np.sqrt(len(rows)):
+        return 1.0
+    covariance = posterior.covariance(points[_some(np.ones(len(rows), dtype=np.bool_))])
+    variance = np.trace(covariance, axis1=1, axis2=2).mean() / 3 / posterior.hyperparameters.inflation**2
+    return float(np.sqrt(1.0 + shared.mean() / variance))
+
+
+def widened(h: Hyperparameters, points: Points, field: Vectors, parts: Parts, fit: FitWithout) -> Hyperparameters:
+    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+
+    The mean stays what it is: noise and prior grow alike. Of a few spreads the sharpest, in mean log width, that
+    covers 95 % of all held-out components together is taken.
+
+    Parameters
+    ----------
+    h : Hyperparameters
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    parts : Parts
+    fit : function
+        Posterior without the samples of a mask.
+
+    Returns
+    -------
+    Hyperparameters
+    """
+    if not parts.folds:
+        return h
+    sizes, variances = [], []
+    for fold in parts.folds:
+        posterior, rows = fit(fold), _some(fold)
+        sizes.append(np.abs(posterior.evaluate(points[rows]).field - field[rows]))
+        covariance = posterior.covariance(points[rows])
+        variances.append(np.diagonal(covariance, axis1=1, axis2=2) / (h.inflation * h.noise_sd) ** 2)
+    growth, inflation = _sharpest(np.concatenate(sizes) / h.noise_sd, np.concatenate(variances))
+    return replace(h, noise_sd=growth * h.noise_sd, looseness=growth * h.looseness, inflation=inflation)
+
+
+def _sharpest(size: Scalars, variance: Scalars) -> tuple[float, float]:
+    """Factor on the noise (at least 1) and on the posterior's sd that cover held-out components most sharply."""
+    best = (np.inf, 1.0, 1.0)
+    for inflation in _INFLATIONS:
+        width = np.sqrt(1.0 + inflation**2 * variance)
+        growth = max(float(np.quantile(size / width, _COVERAGE)) / _IN_SDS, 1.0)
+        best = min(best, (float(np.log(growth) + np.log(width).mean()), growth, float(inflation)))
+    return best[1], best[2]
+
+
+def _some(fold: Mask) -> Indices:
+    """Rows of a fold, thinned."""
+    rows = np.flatnonzero(fold)
+    return np.asarray(rows[:: -(-len(rows) // _N_COMPARED)], dtype=np.int64)

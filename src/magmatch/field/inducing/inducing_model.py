@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A dense basis plus a constant field as a linear model: Gaussians on inducing points, or equivalent sources.
+
+``B(x) = K(x, U) w + c`` with ``w ~ N(0, K_UU^-1)``, or independent weights, and ``c ~ N(0, constant_sd^2 I)``.
+Everything is computed in whitened weights v, ``[w, c] = s L^-T v`` with ``L L^T / s^2`` the prior precision: their
+prior is N(0, I), so that neither the unit of the field nor the condition of ``K_UU`` reaches the factorisation of the
+posterior.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
+from scipy.spatial import cKDTree
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.gaussian_grid import GaussianGrid
+from magmatch.field.inducing.information import DenseInformation
+from magmatch.field.inducing.kernels import N_ROWS, Kernel
+from magmatch.field.inducing.whitening import gram_factor
+from magmatch.field.linear_model import Axes
+from magmatch.field.values import FieldValues
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
+
+# Rows times weights of one block of the design matrix, in numbers: 64 MiB.
+_BLOCK_NUMBERS = 2**23
+# Stands for a constant field that is held at zero, T.
+_NO_CONSTANT_SD = 1e-30
+
+
+class Basis(Protocol):
+    """Vector fields that weights (T) stand for, with unit prior variance of a component."""
+
+    @property
+    def n_weights(self) -> int:
+        """How many."""
+        ...
+
+    def is_whole(self, points: Points) -> Mask:
+        """Where the basis alone is the prior; elsewhere the prior has a part that the basis cannot represent."""
+        ...
+
+    def design(self, points: Points, order: int = 0) -> Matrix:
+        """Field and derivatives per unit of each weight: (rows n, m), rows component-major."""
+        ...
+
+    def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
+        """Field and derivatives at points."""
+        ...
+
+    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, in C order."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InducingModel:
+    """A dense basis over a region, with fixed hyperparameters.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    basis : Basis
+    kernel : Kernel
+        Prior covariance of the field, for unit variance, where the basis alone is not the prior.
+    constant_sd : float, T
+        Prior standard deviation of the constant field.
+    factor : (m, m) or (m,) array
+        Lower Cholesky factor of the weights' prior precision times the noise variance, the constant included; its
+        diagonal alone where the weights are independent.
+    samples : cKDTree
+        Where the region's samples are.
+    known_reach : float, m
+        Distance from a sample within which the field counts as known.
+    sources : cKDTree or None
+        Sources among the samples: what lies nearer to one of these than to any sample does not count as known.
+    """
+
+    hyperparameters: Hyperparameters
+    basis: Basis
+    kernel: Kernel
+    constant_sd: float
+    factor: np.ndarray
+    samples: cKDTree
+    known_reach: float
+    sources: cKDTree | None = None
+
+    @classmethod
+    def over(
+        cls,
+        points: Points,
+        hyperparameters: Hyperparameters,
+        basis: GaussianGrid,
+        kernel: Kernel,
+        *,
+        constant_sd: float,
+        jitter: float,
+        known_reach: float,
+    ) -> "InducingModel":
+        """Factorise the prior of the weights.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+            Samples of the region.
+        hyperparameters : Hyperparameters
+        basis : GaussianGrid
+        kernel : Kernel
+            Of unit variance.
+        constant_sd : float, T
+            0 holds the constant field at zero.
+        jitter : float
+            Added to the diagonal of the inducing points' covariance, relative to the variance.
+        known_reach : float, m
+
+        Returns
+        -------
+        InducingModel
+        """
+        n = basis.n_weights
+        gram = basis.gram()
+        factor = np.zeros((n + 3, n + 3), order="F")
+        factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
+        h = hyperparameters
+        factor[:n, :n] *= h.noise_sd / (h.looseness * h.signal_sd)
+        factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
+        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
+
+    @classmethod
+    def of_independent_weights(
+        cls,
+        points: Points,
+        hyperparameters: Hyperparameters,
+        basis: Basis,
+        kernel: Kernel,
+        *,
+        constant_sd: float,
+        known_reach: float,
+        sources: cKDTree | None = None,
+    ) -> "InducingModel":
+        """Take a basis whose weights are independent; arguments as in `over`."""
+        h = hyperparameters
+        factor = np.full(basis.n_weights + 3, h.noise_sd / (h.looseness * h.signal_sd))
+        factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
+        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach, sources)
+
+    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> DenseInformation:
+        """Information in samples; ``weights`` scale each sample's inverse noise variance."""
+        n = len(points)
+        root = np.ones(n) if weights is None else np.sqrt(np.asarray(weights, dtype=np.float64))
+        b = np.asarray(field, dtype=np.float64) / self.hyperparameters.noise_sd
+        information = DenseInformation.none(len(self.factor))
+        gram, eta = information.gram, information.eta
+        for rows in _blocks(n, 3 * len(self.factor)):
+            A = self.features(points[rows], 0)
+            A *= np.tile(root[rows], 3)
+            gram = blas.dsyrk(1.0, A, beta=1.0, c=gram, lower=1, overwrite_c=1)
+            eta += A @ (root[rows, None] * b[rows]).T.ravel()
+        square = float(root**2 @ (b**2).sum(axis=1))
+        return DenseInformation(gram, eta, square, float(b.size))
+
+    def infer(self, information: DenseInformation) -> "InducingPosterior":
+        """Posterior of the weights given information."""
+        precision = information.gram.copy(order="F")
+        precision[np.diag_indices_from(precision)] += 1.0
+        try:
+            factor = cholesky(precision, lower=True, overwrite_a=True, check_finite=False)
+        except LinAlgError as error:
+            smallest = float(np.linalg.eigvalsh(information.gram, "L")[0])
+            msg = (
+                f"the posterior precision is not positive definite ({error}): the information has the eigenvalue "
+                f"{smallest:.1e}, expected none below 0 (was more subtracted than had been added?)"
+            )
+            raise ValueError(msg) from error
+        factor = np.asfortranarray(factor)
+        half = solve_triangular(factor, information.eta, lower=True)
+        white = solve_triangular(factor, half, lower=True, trans=1)
+        return InducingPosterior(self, factor, white, self.weights_of(white))
+
+    def features(self, points: Points, order: int) -> Matrix:
+        """Field and derivatives per unit of each whitened weight, in units of the noise: (m, rows n), by columns."""
+        n, m = len(points), self.basis.n_weights
+        design = np.zeros((N_ROWS[order] * n, m + 3))
+        design[:, :m] = self.basis.design(points, order)
+        for a in range(3):
+            design[a * n : (a + 1) * n, m + a] = 1.0
+        if self.factor.ndim == 1:
+            design /= self.factor
+            return design.T
+        return np.asarray(blas.dtrsm(1.0, self.factor, design.T, lower=1, overwrite_b=1))
+
+    def weights_of(self, white: np.ndarray) -> np.ndarray:
+        """Weights (T) that whitened weights (m,) or (m, k) stand for."""
+        if self.factor.ndim == 1:
+            return np.asarray(self.hyperparameters.noise_sd * (white.T / self.factor).T)
+        return np.asarray(self.hyperparameters.noise_sd * solve_triangular(self.factor, white, lower=True, trans=1))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InducingPosterior:
+    """A fitted field.
+
+    Attributes
+    ----------
+    model : InducingModel
+    factor : (m, m) array
+        Lower Cholesky factor of the whitened weights' posterior precision.
+    white : (m,) array
+        Posterior mean of the whitened weights.
+    weights : (m,) array, T
+        Posterior mean of the weights: of the inducing points, component-major, then the constant field.
+    """
+
+    model: InducingModel
+    factor: Matrix
+    white: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Numbers that shape the prior."""
+        return self.model.hyperparameters
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+        """Field and derivatives at points, by default of the posterior mean."""
+        w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
+        return self.model.basis.evaluate(np.asarray(points, dtype=np.float64), w[:-3], order, w[-3:])
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, one axis after the other."""
+        return self.model.basis.evaluate_on_grid(axes, self.weights[:-3], order, self.weights[-3:])
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Posterior covariance of field (and gradient) at each point; the prior's far from the samples (DTC)."""
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        points = np.asarray(points, dtype=np.float64)
+        k = N_ROWS[order]
+        h = self.hyperparameters
+        prior = (h.looseness * h.signal_sd) ** 2 * self.model.kernel.at_one_point(order)
+        prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
+        out = np.empty((len(points), k, k))
+        is_whole = self.model.basis.is_whole(points)
+        for rows in _blocks(len(points), k * len(self.factor)):
+            A = self.model.features(points[rows], order)
+            beside = prior - h.noise_sd**2 * _squares(A, k)
+            beside[is_whole[rows]] = 0.0
+            remaining = _squares(blas.dtrsm(1.0, self.factor, A, lower=1, overwrite_b=1), k)
+            out[rows] = beside + h.noise_sd**2 * remaining
+        # The prior is widened too: held-out samples found its numbers too sure, not the weights alone.
+        out *= h.inflation**2
+        return out
+
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Posterior covariance of the field at all points together (DTC): (3 n, 3 n), row ``3 i + a``."""
+        points = np.asarray(points, dtype=np.float64)
+        n, h = len(points), self.hyperparameters
+        beside = (h.looseness * h.signal_sd) ** 2 * self.model.kernel.covariance(points, points)
+        beside += self.model.constant_sd**2 * np.kron(np.eye(3), np.ones((n, n)))
+        A = self.model.features(points, 0)
+        beside -= h.noise_sd**2 * (A.T @ A)
+        is_whole = np.tile(self.model.basis.is_whole(points), 3)
+        beside[is_whole] = 0.0
+        beside[:, is_whole] = 0.0
+        return h.inflation**2 * (_by_point(beside) + h.noise_sd**2 * self._influence(A))
+
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``."""
+        return self._influence(self.model.features(np.asarray(points, dtype=np.float64), 0))
+
+    def _influence(self, features: Matrix) -> np.ndarray:
+        half = blas.dtrsm(1.0, self.factor, features, lower=1, overwrite_b=1)
+        return _by_point(half.T @ half)
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+        """Posterior samples of the weights, (n_draws, m)."""
+        noise = rng.standard_normal((len(self.white), n_draws))
+        noise *= self.hyperparameters.inflation
+        white = self.white[:, None] + solve_triangular(self.factor, noise, lower=True, trans=1)
+        return np.ascontiguousarray(self.model.weights_of(white).T)
+
+    def knows(self, points: Points) -> Mask:
+        """Whether each point lies near a sample of the region the model was laid over."""
+        p, model = np.asarray(points, dtype=np.float64), self.model
+        distance, _ = model.samples.query(p, distance_upper_bound=model.known_reach)
+        is_known = np.isfinite(distance)
+        if model.sources is not None:
+            is_known &= model.sources.query(p, distance_upper_bound=model.known_reach)[0] > distance
+        return np.asarray(is_known)
+
+
+def _blocks(n: int, numbers_per_point: int) -> Iterator[slice]:
+    """Ranges of points whose design matrices stay bounded."""
+    step = max(1, _BLOCK_NUMBERS // numbers_per_point)
+    return (slice(start, min(start + step, n)) for start in range(0, n, step))
+
+
+def _by_point(covariance: np.ndarray) -> np.ndarray:
+    """From rows ``a n + i``, component by component, to rows ``3 i + a``."""
+    n = len(covariance) // 3
+    return np.asarray(covariance.reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
+
+
+def _squares(A: Matrix, k: int) -> np.ndarray:
+    """Products of each point's k columns with themselves: (n, k, k)."""
+    rows = A.T.reshape(k, -1, len(A))
+    out = np.empty((rows.shape[1], k, k))
+    for a in range(k):
+        for b in range(a + 1):
+            out[:, a, b] = out[:, b, a] = np.einsum("nm,nm->n", rows[a], rows[b])
+    return out

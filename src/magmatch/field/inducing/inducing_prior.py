@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A Gaussian process over inducing points on a grid, plus a constant field: what such priors share."""
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from magmatch.errors import SurveyError
+from magmatch.field.box import Box
+from magmatch.field.held_out import typical_length
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import calibrated
+from magmatch.field.inducing.gaussian_grid import GaussianGrid
+from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
+from magmatch.field.inducing.inducing_model import InducingModel
+from magmatch.field.inducing.kernels import GaussianKernel, Term
+from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
+from magmatch.field.linear_model import LinearModel
+from magmatch.typing import Points, Vectors
+
+log = logging.getLogger(__name__)
+
+# A field that varies less than this is taken as constant: well below the rounding of any recording, T.
+SMALLEST_SD = 1e-12
+MIN_SAMPLES = 4
+# More samples take minutes with thousands of dense weights.
+MOST_SAMPLES = 30_000
+# Nodes farther apart than wished by more than this lose what the field holds.
+_AFFORDABLE_WIDENING = 1.3
+
+
+class InducingConfig(BaseModel):
+    """Settings of a Gaussian process over inducing points."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Spacing of the inducing points over the lengthscale; see docs/theory.md for the figures.
+    spacing_ratio: float = Field(default=0.7, gt=0)
+    # Closer nodes add nothing but rounding, whatever spacing is asked for.
+    min_spacing_ratio: float = Field(default=0.5, gt=0)
+    # How far beyond the samples inducing points lie, in lengthscales.
+    reach_ratio: float = Field(default=1.0, ge=0)
+    # Most inducing points (3 weights each); more makes the spacing, and if need be the lengthscale, wider.
+    max_inducing_points: int = Field(default=1200, ge=8)
+    # Prior standard deviation of the constant field, T; 0 for none, as published. Broad against the Earth's
+    # 25 to 65 uT: a zero-mean field of that size would otherwise dictate lengthscale and signal.
+    constant_sd: float = Field(default=1e-4, ge=0)
+    # Added to the diagonal of the inducing points' covariance, relative to the variance of one component.
+    jitter: float = Field(default=1e-9, gt=0)
+    # Distance from a sample within which the field counts as known, in lengthscales.
+    known_ratio: float = Field(default=0.75, gt=0)
+    # Samples for choosing the hyperparameters.
+    n_likelihood_samples: int = Field(default=300, ge=8)
+
+
+class InducingPrior:
+    """Lays inducing points over a survey; cost grows with samples times weights squared.
+
+    Parameters
+    ----------
+    name : str
+        What configuration calls it.
+    kernel : type
+        Covariance of the field.
+    terms : tuple of Term
+        Operator from the weights of a node to the field.
+    config : InducingConfig
+    """
+
+    def __init__(
+        self, name: str, kernel: type[GaussianKernel], terms: tuple[Term, ...], config: InducingConfig
+    ) -> None:
+        self.name, self.kernel, self.terms, self.config = name, kernel, terms, config
+
+    def choose_hyperparameters(
+        self,
+        points: Points,
+        field: Vectors,
+        box: Box | None = None,  # noqa: ARG002
+        calibrate: bool = True,
+    ) -> Hyperparameters:
+        """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+        field : (n, 3) array, T
+        box : Box, optional
+            Not used: beyond the inducing points the kernel speaks.
+        calibrate : bool
+            Widen noise and spread as held-out samples ask for.
+
+        Returns
+        -------
+        Hyperparameters
+
+        Raises
+        ------
+        SurveyError
+            Fewer than 4 samples, or NaN.
+        """
+        check_samples(points, field)
+        extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+        if float(field.std(axis=0).max()) < SMALLEST_SD or extent == 0:
+            # Nothing varies, or nothing can be told from noise: any numbers do, these give flat answers.
+            sd = max(float(field.std(axis=0).max()), SMALLEST_SD)
+            lengthscale = max(extent / 2, 1.0)
+            return self._resolved(points, LikelihoodFit(lengthscale, sd, sd, 0.0))
+        n = self.config.n_likelihood_samples
+        fit = fit_lengthscale(self._unit_kernel, points, field, _bounds(extent), n)
+        grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, None)
+        affordable = grid.spacing / self.config.spacing_ratio
+        if affordable > fit.lengthscale * (1 + 1e-9):
+            log.warning(
+                "lengthscale %.3g m instead of %.3g m: %d inducing points cannot cover the survey more finely",
+                affordable, fit.lengthscale, self.config.max_inducing_points,
+            )  # fmt: skip
+            rows = choose_samples(points, field, n)
+            fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
+        h = self._resolved(points, fit)
+        return self.calibrated(points, field, h) if calibrate else h
+
+    def calibrated(
+        self,
+        points: Points,
+        field: Vectors,
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,
+        model: LinearModel[Any] | None = None,
+    ) -> Hyperparameters:
+        """Chosen numbers with the noise and the spread that held-out samples ask for."""
+        return calibrated(self, points, field, hyperparameters, box, model)
+
+    def is_affordable(self, points: Points, field: Vectors) -> bool:
+        """Whether the inducing points allowed follow the field's typical length."""
+        length = typical_length(points, field)
+        if len(points) > MOST_SAMPLES or length == 0:
+            return False
+        wished = self.config.spacing_ratio * length
+        return self._grid(points, wished, None).spacing <= _AFFORDABLE_WIDENING * wished
+
+    def build(
+        self,
+        points: Points,
+        field: Vectors,
+        hyperparameters: Hyperparameters,
+        box: Box | None = None,  # noqa: ARG002
+    ) -> InducingModel:
+        """Lay inducing points over the surroundings of the points.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m
+        field : (n, 3) array, T
+            Checked only.
+        hyperparameters : Hyperparameters
+            A spacing that takes more inducing points than allowed, or needlessly many, is widened.
+        box : Box, optional
+            Not used.
+
+        Returns
+        -------
+        InducingModel
+
+        Raises
+        ------
+        SurveyError
+            Fewer than 4 samples, or NaN.
+        ValueError
+            The inducing points are too dense for their lengthscale.
+        """
+        check_samples(points, field)
+        h, config = hyperparameters, self.config
+        grid = self._grid(points, max(h.spacing, config.min_spacing_ratio * h.lengthscale), h.lengthscale)
+        if grid.spacing > 1.5 * h.lengthscale:
+            log.warning(
+                "inducing points %.3g m apart for a lengthscale of %.3g m: the field between them is lost",
+                grid.spacing, h.lengthscale,
+            )  # fmt: skip
+        return InducingModel.over(
+            points,
+            replace(h, spacing=grid.spacing),
+            GaussianGrid(grid, h.lengthscale, self.terms),
+            self._unit_kernel(h.lengthscale),
+            constant_sd=config.constant_sd,
+            jitter=config.jitter,
+            known_reach=config.known_ratio * h.lengthscale,
+        )
+
+    def _grid(self, points: Points, spacing: float, lengthscale: float | None) -> InducingGrid:
+        """Inducing points for a lengthscale, or for one in proportion to the spacing."""
+        config = self.config
+
+        def reach_at(h: float) -> float:
+            return config.reach_ratio * (h / config.spacing_ratio if lengthscale is None else lengthscale)
+
+        return lay_affordable_grid(points, spacing, reach_at, config.max_inducing_points)
+
+    def _resolved(self, points: Points, fit: LikelihoodFit) -> Hyperparameters:
+        """Numbers of a fit, with the spacing that the cap on nodes allows."""
+        grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, fit.lengthscale)
+        return Hyperparameters(fit.lengthscale, fit.signal_sd, fit.noise_sd, grid.spacing)
+
+    def _unit_kernel(self, lengthscale: float) -> GaussianKernel:
+        return self.kernel(lengthscale, 1.0)
+
+
+def _bounds(extent: float) -> tuple[float, float]:
+    """Lengthscales to search, m: beyond half the extent a field cannot be told from a gradient or two."""
+    return extent / 100, extent / 2
+
+
+def check_samples(points: Points, field: Vectors) -> None:
+    """Refuse too few samples, NaN and infinity."""
+    if len(points) < MIN_SAMPLES:
+        msg = f"expected at least {MIN_SAMPLES} samples to fit a field, got {len(points)}"
+        raise SurveyError(msg)
+    if not (np.isfinite(points).all() and np.isfinite(field).all()):
+        msg = "expected finite positions and field, got NaN or infinity"
+        raise SurveyError(msg)

@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The field while it is being measured: samples in one by one, predictions out at any time, over any distance."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
+from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
+from magmatch.field.config import MIN_SAMPLES, EstimatorConfig, FieldConfig
+from magmatch.field.fit import fit_posterior
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.live.live_cells import KEPT_PER_CELL
+from magmatch.field.live.live_record import LiveRecord
+from magmatch.field.live.live_tiles import LiveTiles
+from magmatch.field.map import FieldMap
+from magmatch.field.priors import PRIORS
+from magmatch.field.tiles.tiles import Tiling
+from magmatch.field.values import FieldValues
+from magmatch.threads import single_threaded
+from magmatch.typing import Mask, Points, Vectors
+
+log = logging.getLogger(__name__)
+
+# Samples that wait before cells take them in together: a call that fills this up takes about a millisecond longer.
+N_WAITING = 256
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """What is known about the field at n points, map frame.
+
+    Attributes
+    ----------
+    values : FieldValues
+        Posterior mean of field and derivatives.
+    covariance : (n, 3, 3) array, T^2
+        Of the noise-free field; where blocks blend, an upper bound.
+    is_known : (n,) bool array
+        Where there are samples near.
+    """
+
+    values: FieldValues
+    covariance: np.ndarray
+    is_known: Mask
+
+    @property
+    def field(self) -> Vectors:
+        """Mean of the field, T."""
+        return self.values.field
+
+    @property
+    def variance(self) -> Vectors:
+        """Variance of each component, T^2: (n, 3)."""
+        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+
+class FieldEstimator:
+    """Estimate of the magnetic field that grows with the samples; no region is declared.
+
+    `update` costs microseconds. `predict` first fits the blocks of cells that its points touch and that have changed:
+    at most eight around a point, however long the walk was. Each takes some ten milliseconds on a walk, a few hundred
+    where cells are visited all over a plane or a room. Memory follows the number of cells visited: at most 22 kB
+    each, whatever the time spent there.
+
+    Not safe to use from several threads at once.
+
+    Parameters
+    ----------
+    hyperparameters : Hyperparameters, optional
+        Of the spline prior. Chosen from the first samples by default: the `update` that completes them, and each
+        `predict` before, then takes a second or so, and the numbers stay until `choose_hyperparameters`.
+    config : EstimatorConfig, optional
+    clock : callable, optional
+        Seconds; for tests and replays.
+
+    Examples
+    --------
+    >>> estimator = FieldEstimator(Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 100.0))
+    >>> for x in np.linspace(0, 1, 50):
+    ...     estimator.update([x, 0.0, 0.0], [20e-6, 0.0, -45e-6])
+    >>> estimator.predict([[0.5, 0.0, 0.0]]).field.round(7)
+    array([[ 2.0e-05,  0.0e+00, -4.5e-05]])
+    """
+
+    def __init__(
+        self,
+        hyperparameters: Hyperparameters | None = None,
+        config: EstimatorConfig | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        _warm_up()
+        self.config = config or EstimatorConfig()
+        self._clock = clock
+        self._waiting, self._n_waiting = np.zeros((N_WAITING, 6)), 0
+        self._limits = np.r_[np.full(3, MAX_EXTENT), np.full(3, MAX_FIELD)]
+        self._start: np.ndarray | None = None
+        # Samples that came before the hyperparameters were settled, and for how many they were last chosen.
+        self._first: list[np.ndarray] | None = [] if hyperparameters is None else None
+        self._n_chosen = 0
+        self._tiles = None if hyperparameters is None else self._laid(hyperparameters)
+
+    def __len__(self) -> int:
+        n_first = sum(map(len, self._first or []))
+        n_taken = n_first if self._first is not None or self._tiles is None else self._tiles.n_samples
+        return n_taken + self._n_waiting
+
+    @property
+    def hyperparameters(self) -> Hyperparameters | None:
+        """Numbers of the prior; None until they were given or chosen."""
+        return None if self._tiles is None else self._tiles.hyperparameters
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of what was measured; up to 0.5 GB of fitted blocks come on top."""
+        return (0 if self._tiles is None else self._tiles.n_bytes) + sum(a.nbytes for a in self._first or [])
+
+    def update(self, position: Points, field: Vectors, orientation: np.ndarray | None = None) -> None:
+        """Take in one sample or several.
+
+        Parameters
+        ----------
+        position : (3,) or (n, 3) array, m, map frame
+        field : (3,) or (n, 3) array, T
+            In the map frame, or in the sensor's where orientations are given.
+        orientation : (4,) or (n, 4) array, optional
+            Quaternions xyzw that take sensor coordinates to map coordinates.
+
+        Raises
+        ------
+        SurveyError
+            NaN, or a position or field no sensor has; nothing of the call is taken in.
+        ValueError
+            The arrays do not fit together.
+        """
+        rows = _rows(position, field, orientation)
+        if self._start is None:
+            self._check(rows, rows[0, :3] if len(rows) else np.zeros(3))
+            self._start = rows[0, :3].copy() if len(rows) else None
+        else:
+            self._check(rows, self._start)
+        while len(rows):
+            taken = rows[: N_WAITING - self._n_waiting]
+            self._waiting[self._n_waiting : self._n_waiting + len(taken)] = taken
+            self._n_waiting += len(taken)
+            rows = rows[len(taken) :]
+            if self._n_waiting == N_WAITING:
+                self._take_in()
+
+    def predict(
+        self, points: Points, order: int = 0, max_age: float = 0.0, *, with_variance: bool = True
+    ) -> Prediction:
+        """Field at points, from all samples up to now.
+
+        Parameters
+        ----------
+        points : (n, 3) array, m, map frame
+        order : int
+            0: field; 1: and gradient; 2: and second derivatives.
+        max_age : float, s
+            Samples younger than this may be left out, so that a block is fitted again at most that often.
+        with_variance : bool
+            False leaves the variance NaN and saves its cost, which for hundreds of points a block is that of a fit.
+
+        Returns
+        -------
+        Prediction
+
+        Raises
+        ------
+        SurveyError
+            Fewer than 10 samples so far and no hyperparameters given, or none at all.
+        """
+        p = np.asarray(points, dtype=np.float64)
+        if p.ndim != 2 or p.shape[1] != 3:
+            msg = f"expected points of shape (n, 3), got {p.shape}"
+            raise ValueError(msg)
+        if order not in (0, 1, 2):
+            msg = f"expected order 0, 1 or 2, got {order}"
+            raise ValueError(msg)
+        return Prediction(*self._ready().predict(p, order, max_age, with_variance=with_variance))
+
+    def choose_hyperparameters(self) -> Hyperparameters:
+        """Choose the numbers of the prior again, from the samples that are kept (all, in cells visited briefly).
+
+        The spacing of the cells stays once sums have been formed over them.
+        """
+        tiles = self._ready()
+        samples = np.concatenate(self._first) if self._first else tiles.kept
+        chosen = _choose(samples)
+        if len(samples) == tiles.n_samples:
+            self._tiles = self._laid(chosen)
+            self._tiles.absorb(samples)
+        else:
+            tiles.change(replace(chosen, spacing=tiles.hyperparameters.spacing))
+        self._first = None
+        return self._ready().hyperparameters
+
+    def to_map(self) -> FieldMap:
+        """Build a field map from the samples that are kept, with the same hyperparameters.
+
+        In cells that hold more than 64 samples these are the first 64; the log says how many that leaves out.
+        """
+        tiles = self._ready()
+        samples, h = tiles.kept, tiles.hyperparameters
+        if len(samples) < len(self):
+            log.warning("the map is made from %d of %d samples: at most 64 a cell are kept", len(samples), len(self))
+        survey = Survey(samples[:, :3].copy(), samples[:, 3:].copy(), frame="map", name="live")
+        config = FieldConfig(
+            prior="spline", lengthscale=h.lengthscale, signal_sd=h.signal_sd, noise_sd=h.noise_sd, spacing=h.spacing
+        )
+        frame = RigidTransform.identity()
+        return FieldMap(survey, fit_posterior(survey, h, config), frame, config, frame)
+
+    def save(self, path: str | Path) -> None:
+        """Write all that was measured to one file, whole or not at all, to go on from later.
+
+        Parameters
+        ----------
+        path : path
+            An existing file is replaced.
+
+        Raises
+        ------
+        DataFormatError
+            The folder does not exist.
+        """
+        self._take_in()
+        first = np.concatenate([np.zeros((0, 6)), *self._first]) if self._first is not None else None
+        LiveRecord.of(self.config, self._n_chosen, self._start, first, self._tiles).write(path)
+
+    @classmethod
+    def load(cls, path: str | Path, clock: Callable[[], float] = time.monotonic) -> Self:
+        """Go on from what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+        clock : callable, optional
+
+        Returns
+        -------
+        FieldEstimator
+            Predicts what the saved one would have, bit for bit on the same machine.
+
+        Raises
+        ------
+        DataFormatError
+            Not a checkpoint, damaged, or of another version.
+        """
+        record = LiveRecord.read(path)
+        estimator = cls(None, record.config, clock)
+        estimator._start, estimator._n_chosen = record.start, record.n_chosen
+        estimator._first = None if record.first is None else [record.first]
+        if record.hyperparameters is not None:
+            estimator._tiles = record.restore_into(estimator._laid(record.hyperparameters))
+        return estimator
+
+    def _check(self, rows: np.ndarray, start: np.ndarray) -> None:
+        """Refuse what no magnetometer on a walk reports."""
+        offsets = rows - np.r_[start, 0.0, 0.0, 0.0]
+        if (np.abs(offsets) <= self._limits).all():
+            return
+        bad = int(np.argmin((np.abs(offsets) <= self._limits).all(axis=1)))
+        found = f"sample {bad}: position {rows[bad, :3]} m, field {rows[bad, 3:]} T"
+        if not np.isfinite(rows[bad]).all():
+            msg = f"{found}: expected finite numbers, got NaN or infinity; leave it out"
+        elif np.abs(rows[bad, 3:]).max() > MAX_FIELD:
+            msg = f"{found}: expected a field below {MAX_FIELD} T; is it in tesla?"
+        else:
+            msg = f"{found}: expected a position within {MAX_EXTENT / 1e3:.0f} km of the first; is it in metres?"
+        raise SurveyError(msg)
+
+    def _take_in(self) -> None:
+        """Hand the waiting samples on, and settle the hyperparameters once there are enough."""
+        if self._n_waiting:
+            taken, self._n_waiting = self._waiting[: self._n_waiting].copy(), 0
+            if self._tiles is not None:
+                self._tiles.absorb(taken)
+            if self._first is not None:
+                self._first.append(taken)
+        if self._first is not None and sum(map(len, self._first)) >= self.config.n_first:
+            self._choose_from_first()
+            self._first = None
+
+    def _ready(self) -> LiveTiles:
+        """Tiles that hold all samples; before the hyperparameters are settled, with ones that are chosen for now."""
+        self._take_in()
+        n = len(self)
+        if n == 0 or (self._tiles is None and n < MIN_SAMPLES):
+            msg = f"expected at least {MIN_SAMPLES} samples before the first prediction, got {n}"
+            raise SurveyError(msg)
+        if self._tiles is None or (self._first is not None and n >= 2 * self._n_chosen):
+            self._choose_from_first()
+        assert self._tiles is not None
+        return self._tiles
+
+    def _choose_from_first(self) -> None:
+        samples = np.concatenate(self._first or [])
+        self._tiles, self._n_chosen = self._laid(_choose(samples)), len(samples)
+        self._tiles.absorb(samples)
+
+    def _laid(self, h: Hyperparameters) -> LiveTiles:
+        return _lay_tiles(h, self.config.block, self._clock)
+
+
+def _lay_tiles(h: Hyperparameters, block: int, clock: Callable[[], float]) -> LiveTiles:
+    """Tiles without samples."""
+    tiling = replace(Tiling.suited_to(h.lengthscale, h.spacing, h.reach), core=block)
+    return LiveTiles(h, tiling, clock)
+
+
+@cache
+def _warm_up() -> None:
+    """Compile, or load what was compiled, before the first sample arrives."""
+    tiles = _lay_tiles(Hyperparameters(1.0, 1e-5, 1e-6, 0.5), 4, time.monotonic)
+    tiles.absorb(np.zeros((2 * KEPT_PER_CELL, 6)))
+    tiles.predict(np.zeros((1, 3)), 2, 0.0, with_variance=True)
+
+
+@single_threaded
+def _choose(samples: np.ndarray) -> Hyperparameters:
+    """Numbers that suit some samples."""
+    h = PRIORS["spline"].choose_hyperparameters(samples[:, :3].copy(), samples[:, 3:].copy())
+    log.info("hyperparameters from %d samples: %s", len(samples), h)
+    return h
+
+
+def _rows(position: Points, field: Vectors, orientation: np.ndarray | None) -> np.ndarray:
+    """Position and field in the map frame, one row a sample: (n, 6)."""
+    p, b = np.asarray(position, dtype=np.float64), np.asarray(field, dtype=np.float64)
+    if p.shape != b.shape or p.shape[-1:] != (3,) or p.ndim > 2:
+        msg = f"expected position and field both (3,) or both (n, 3), got {p.shape} and {b.shape}"
+        raise ValueError(msg)
+    if orientation is not None:
+        q = np.asarray(orientation, dtype=np.float64)
+        if q.shape != (*p.shape[:-1], 4):
+            msg = f"expected orientation {(*p.shape[:-1], 4)}, quaternions xyzw, got {q.shape}"
+            raise ValueError(msg)
+        norm = np.linalg.norm(q, axis=-1)
+        if not np.all(np.abs(norm - 1.0) < 1e-3):
+            msg = f"expected orientation as unit quaternions xyzw, got one of length {np.ravel(norm)[0]:.3g}"
+            raise SurveyError(msg)
+        b = Rotation.from_quat(q).apply(b)
+    rows = np.empty((p.size // 3, 6))
+    rows[:, :3], rows[:, 3:] = p, b
+    return rows

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Marginal likelihood of the spline prior's numbers, with the noise level profiled out and tempered for a path.
+
+With everything in units of the noise, ``A = sum Phi^T Phi + P0``, the likelihood of n measured values is greatest at
+``noise^2 = S / n``, ``S = sum |b|^2 - eta^T A^-1 eta``, where
+
+    log p = -1/2 [ n / kappa ln(S / n) + ln det A - ln det P0 ].
+
+Along a path errors are correlated (poses drift, steel moves the field at small scale); taken as independent they make
+the evidence follow them. kappa is how many samples count as one: the integral of the residuals' autocorrelation.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magmatch.field.cholesky.cells import HALF_STENCIL, CellGrid, lay_cells
+from magmatch.field.cholesky.factors import Factors
+from magmatch.field.cholesky.multifrontal import CholeskyFactor, factorise
+from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
+from magmatch.field.cholesky.reserve import RESERVE
+from magmatch.field.cholesky.stencil_matrix import StencilMatrix
+from magmatch.field.held_out import has_path_order
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.selection.noise_slopes import NoiseSlopes, noise_slopes
+from magmatch.field.spline.spline_model import (
+    SplineInformation,
+    SplineModel,
+    SplinePosterior,
+    constant_precision,
+    prior_scale,
+)
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+
+# Correlations below this end the sum: what follows is scatter of the estimate.
+SMALLEST_CORRELATION = 0.1
+# More than so many samples never count as one: what is correlated over longer stretches lives in few directions, and
+# the rest of what those samples say stands.
+MOST_SAMPLES_AS_ONE = 16.0
+# `SplineModel.contrast` beyond which rounding in single precision would be seen in the evidence.
+HIGHEST_CONTRAST = 1e6
+
+
+# Spacing, reach, lengthscale and stiffness: signal and noise only scale the prior.
+Shape = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What one factorisation tells about trial numbers.
+
+    Attributes
+    ----------
+    square : float, T^2
+        S, what the prior and the noise have to explain.
+    log_determinant : float
+        ``ln det A``.
+    weights : (m + 3,) array, T
+        Posterior mean.
+    """
+
+    square: float
+    log_determinant: float
+    weights: Scalars
+
+
+class EvidenceSearch:
+    """Evidence of trial hyperparameters for given samples, each computed once.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    order : (n,) int array
+        Place of each sample along its path; neighbours in it are one apart.
+    precision : numpy type
+        Of the factors: single is twice as fast and shifts the evidence by a tenth; where that would not do, double is
+        taken all the same.
+    """
+
+    def __init__(
+        self, points: Points, field: Vectors, order: Indices, precision: type[np.floating] = np.float64
+    ) -> None:
+        self.points, self.field, self.order, self.precision = points, field, order, precision
+        self.samples_as_one = 1.0
+        # By spacing and reach.
+        self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
+        self._data: dict[tuple[float, float], SplineInformation] = {}
+        self._fits: dict[Hyperparameters, Fit] = {}
+        # The last fit's: slopes are asked for at once or not at all.
+        self._last: tuple[Hyperparameters, CholeskyFactor] | None = None
+        self._shapes: dict[Shape, StencilMatrix] = {}
+        self._log_determinants: dict[Shape, float] = {}
+
+    @property
+    def n_independent(self) -> float:
+        """Measured values, fewer where several samples count as one."""
+        return self.field.size / self.samples_as_one
+
+    def operations(self, h: Hyperparameters) -> float:
+        """Floating-point operations of one factorisation."""
+        return self._model(h).elimination.n_operations
+
+    def log_evidence(self, h: Hyperparameters) -> float:
+        """Tempered log marginal likelihood with the noise profiled out; only ``signal_sd / noise_sd`` matters.
+
+        Minus infinity where the numbers cannot be used.
+        """
+        try:
+            return self.log_evidence_of_noise(h) + 0.5 * self._log_determinant(h)
+        except np.linalg.LinAlgError:
+            return -np.inf
+
+    def log_evidence_of_noise(self, h: Hyperparameters) -> float:
+        """The same up to a number that only depends on spacing, reach, lengthscale and stiffness."""
+        try:
+            fit = self._fit(h)
+        except np.linalg.LinAlgError:
+            return -np.inf
+        n = float(self.field.size)
+        log_prior = self._model(h).cells.n_nodes * np.log(prior_scale(h)) + 3 * np.log(constant_precision(h))
+        likelihood = self.n_independent * np.log(fit.square / n)
+        return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
+
+    def noise_sd(self, h: Hyperparameters) -> float:
+        """Noise level of the greatest likelihood, T."""
+        return float(np.sqrt(self._fit(h).square / self.field.size))
+
+    def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
+        """How evidence and noise level change with the noise, at numbers of finite evidence."""
+        shape, cells = self._shape(h), self._model(h).cells
+        if self._last is None or self._last[0] != h:
+            self._last = h, self._factor(h, self._observed(h))[1]
+
+        def times_prior(x: Scalars) -> Scalars:
+            product = prior_scale(h) * shape.times(x, cells)
+            product[-3:] = constant_precision(h) * x[-3:]
+            return product
+
+        fit = self._fit(h)
+        return noise_slopes(times_prior, self._last[1], fit.weights, fit.square, self.n_independent)
+
+    def residuals(self, h: Hyperparameters) -> Vectors:
+        """What the fitted mean leaves of the samples, (n, 3), T."""
+        factors = Factors(lambda _: self._factor(h, self._observed(h))[1])
+        posterior = SplinePosterior(h, self._model(h).cells, factors, self._fit(h).weights)
+        left: Vectors = self.field - posterior.evaluate(self.points).field
+        return left
+
+    def correlated_samples(self, h: Hyperparameters) -> float:
+        """How many samples count as one by what a fit leaves of them."""
+        return correlated_samples(self.residuals(h), self.order)
+
+    def crowded_samples(self, h: Hyperparameters) -> float:
+        """How many samples of a path lie in a quarter of a cell, and so share what the model cannot follow there."""
+        step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)[np.diff(self.order) == 1]
+        if len(step) == 0 or not has_path_order(self.points):
+            return 1.0
+        return float(np.clip(h.spacing / 4 / max(float(np.median(step)), 1e-300), 1.0, MOST_SAMPLES_AS_ONE))
+
+    def fit_without(self, rows: Mask, h: Hyperparameters) -> SplinePosterior:
+        """Posterior of all samples but some."""
+        model, data = self._model(h), self._observed(h)
+        rest = data - model.observe(self.points[rows], self.field[rows])
+        A, factor = self._factor(h, rest)
+        w, _, change = _solve(A, factor, rest.eta, model.cells)
+        return SplinePosterior(h, model.cells, Factors.of(factor), w + change)
+
+    def _model(self, h: Hyperparameters) -> SplineModel:
+        """Splines over all samples; those of one spacing and reach are laid once."""
+        key = (h.spacing, h.reach)
+        if key not in self._bases:
+            cells = lay_cells(self.points, *key)
+            self._bases[key] = cells, order_elimination(cells)
+        return SplineModel(h, *self._bases[key])
+
+    def _observed(self, h: Hyperparameters) -> SplineInformation:
+        """What the samples say about splines of one spacing and reach, said once."""
+        key = (h.spacing, h.reach)
+        if key not in self._data:
+            self._data[key] = self._model(h).observe(self.points, self.field)
+        return self._data[key]
+
+    def _fit(self, h: Hyperparameters) -> Fit:
+        if h not in self._fits:
+            data = self._observed(h)
+            A, factor = self._factor(h, data)
+            self._last = h, factor
+            w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
+            # As the first solution has it, which is off by the square of its error; and that.
+            square = data.square - float((data.eta + left) @ w) - float(left @ change)
+            # Rounding errors may not pass for a perfect fit.
+            square = max(square, 1e-12 * data.square, 1e-300)
+            self._fits[h] = Fit(square, factor.log_determinant, w + change)
+        return self._fits[h]
+
+    def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
+        """Posterior precision and its factor, in single precision where asked and possible."""
+        model = self._model(h)
+        stencil = RESERVE.take(HALF_STENCIL, model.cells.n_nodes).T
+        np.multiply(self._shape(h).stencil, prior_scale(h), out=stencil)
+        np.add(stencil, data.gram.stencil, out=stencil)
+        corner = data.gram.corner + np.eye(3) * constant_precision(h)
+        A = StencilMatrix(stencil, data.gram.border, corner)
+        is_risky = self.precision == np.float32 and model.contrast(data) > HIGHEST_CONTRAST
+        return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
+
+    def _shape(self, h: Hyperparameters) -> StencilMatrix:
+        """Prior precision where signal and noise are the same, of which theirs is a multiple."""
+        key = _shape_of(h)
+        if key not in self._shapes:
+            unit = replace(h, signal_sd=1.0, noise_sd=1.0, looseness=1.0)
+            self._shapes[key] = replace(self._model(h), hyperparameters=unit).prior_precision()
+            self._shapes[key].corner[:] = np.eye(3)
+        return self._shapes[key]
+
+    def _log_determinant(self, h: Hyperparameters) -> float:
+        """Of the prior's shape, factorised once."""
+        key = _shape_of(h)
+        if key not in self._log_determinants:
+            factor = factorise(self._model(h).elimination, self._shape(h), self.precision)
+            self._log_determinants[key] = factor.log_determinant
+        return self._log_determinants[key]
+
+
+def _shape_of(h: Hyperparameters) -> Shape:
+    return (h.spacing, h.reach, h.lengthscale, h.stiffness)
+
+
+def _solve(
+    A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid
+) -> tuple[Scalars, Scalars, Scalars]:
+    """Solution, what it leaves, and how that changes it: the difference of large numbers counts."""
+    w = factor.solve(rhs)
+    left = rhs - A.times(w, cells)
+    return w, left, factor.solve(left)
+
+
+def correlated_samples(residuals: Vectors, order: Indices) -> float:
+    """How many neighbouring samples of a path count as one independent measurement.
+
+    Parameters
+    ----------
+    residuals : (n, 3) array
+        Along the path.
+    order : (n,) int array
+        Place of each sample along it; samples left out leave gaps.
+
+    Returns
+    -------
+    float
+        ``1 + 2 sum of the autocorrelation`` up to where it fades, at most 16; 1 for white residuals.
+    """
+    mean: Scalars = (residuals**2).sum(axis=1)
+    if not mean.any():
+        return 1.0
+    total = 1.0
+    for lag in range(1, len(residuals) // 3):
+        together = order[lag:] - order[:-lag] == lag
+        if not together.any():
+            break
+        product = (residuals[lag:] * residuals[:-lag]).sum(axis=1)[together]
+        correlation = float(product.mean() / mean.mean())
+        if correlation < SMALLEST_CORRELATION:
+            break
+        total += 2 * correlation
+        if total > MOST_SAMPLES_AS_ONE:
+            break
+    return min(total, MOST_SAMPLES_AS_ONE)

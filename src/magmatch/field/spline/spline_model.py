@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The spline potential as a linear model: cells, information of samples, posterior."""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from magmatch.field.cholesky.cells import HALF_OFFSET, CellGrid, lay_cells
+from magmatch.field.cholesky.factors import Factors
+from magmatch.field.cholesky.multifrontal import CholeskyFactor, factorise
+from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
+from magmatch.field.cholesky.point_solves import joint_covariances, marginal_covariances, solve_operations
+from magmatch.field.cholesky.refined_solve import refined_solve
+from magmatch.field.cholesky.selected_inverse import selected_inverse
+from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_elements
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Axes
+from magmatch.field.spline.element_matrices import cell_weights, lone_cell_covariance, prior_element
+from magmatch.field.spline.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
+from magmatch.field.spline.spline_grid import evaluate_on_grid
+from magmatch.field.spline.spline_kernels import add_gram, evaluate_points, linear_rows, point_covariances
+from magmatch.field.values import FieldValues
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+
+# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
+CONSTANT_SD = 1e-4
+# Finer spacings than this share of the lengthscale change nothing but rounding errors.
+HIGHEST_RELATIVE_LENGTHSCALE = 12.0
+# A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
+LARGEST_SHARE_FOR_SOLVES = 0.1
+# `SplineModel.contrast` up to which two corrections of a factor in single precision will do: with more, a double one,
+# which covariances ask for as well, is as soon made.
+HIGHEST_CONTRAST = 3e3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SplineInformation:
+    """What samples say about the weights, in units of the noise: sums over samples, so they add and subtract.
+
+    Attributes
+    ----------
+    gram : StencilMatrix
+        ``sum W Phi^T Phi``.
+    eta : (m + 3,) array, T
+        ``sum W Phi^T b``.
+    square : float, T^2
+        ``sum W |b|^2``.
+    n_values : float
+        Number of measured components.
+    """
+
+    gram: StencilMatrix
+    eta: np.ndarray
+    square: float
+    n_values: float
+
+    def __add__(self, other: "SplineInformation") -> "SplineInformation":
+        """Information of both data sets."""
+        return SplineInformation(
+            self.gram + other.gram, self.eta + other.eta, self.square + other.square, self.n_values + other.n_values
+        )
+
+    def __sub__(self, other: "SplineInformation") -> "SplineInformation":
+        """Take off information that was counted twice."""
+        return SplineInformation(
+            self.gram - other.gram, self.eta - other.eta, self.square - other.square, self.n_values - other.n_values
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SplineModel:
+    """Splines over the cells near given points, with fixed hyperparameters.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    cells : CellGrid
+    elimination : Elimination
+    """
+
+    hyperparameters: Hyperparameters
+    cells: CellGrid
+    elimination: Elimination
+
+    @classmethod
+    def over(cls, points: Points, hyperparameters: Hyperparameters) -> "SplineModel":
+        """Lay splines over the surroundings of points."""
+        cells = lay_cells(points, hyperparameters.spacing, hyperparameters.reach)
+        return cls(hyperparameters, cells, order_elimination(cells))
+
+    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> SplineInformation:
+        """Information in samples; those outside the active cells inform the constant field alone."""
+        m = self.cells.n_nodes
+        weight = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
+        b = np.ascontiguousarray(field, dtype=np.float64)
+        cell, t = self.cells.locate(points)
+        gram, eta = StencilMatrix.zeros(m), np.zeros(m + 3)
+        order = np.argsort(cell, kind="stable")
+        order = order[np.searchsorted(cell[order], 0) :]
+        add_gram(
+            order, cell, t, b, weight, self.cells.cell_nodes, FIRST, HALF_OFFSET, gram.stencil, gram.border, eta[:m]
+        )
+        gram.corner[:] = weight.sum() * np.eye(3)
+        eta[m:] = weight @ b
+        return SplineInformation(gram, eta, float(weight @ (b**2).sum(axis=1)), float(b.size))
+
+    def prior_precision(self) -> StencilMatrix:
+        """Prior precision of the weights in units of the noise's, ``noise_sd^2 P0``."""
+        h = self.hyperparameters
+        stencil = sum_of_elements(self.cells, cell_precision(h), cell_weights(self.cells.distance))
+        return StencilMatrix(stencil, np.zeros((len(stencil), 3)), np.eye(3) * constant_precision(h))
+
+    def infer(self, information: SplineInformation) -> "SplinePosterior":
+        """Posterior of the weights given information, with its factor."""
+        factor = factorise(self.elimination, self.precision(information))
+        return SplinePosterior(self.hyperparameters, self.cells, Factors.of(factor), factor.solve(information.eta))
+
+    def infer_lightly(self, information: SplineInformation) -> "SplinePosterior":
+        """The same mean by a factor in single precision, in two thirds of the time; in double where that must be."""
+        if self.contrast(information) > HIGHEST_CONTRAST:
+            return self.infer(information)
+        A = self.precision(information)
+        try:
+            factor = factorise(self.elimination, A, np.float32)
+        except np.linalg.LinAlgError:
+            return self.infer(information)
+        weights = refined_solve(A, factor, information.eta, self.cells)
+        if weights is None:
+            return self.infer(information)
+        factors = Factors(partial(factorise, self.elimination, A), factor)
+        return SplinePosterior(self.hyperparameters, self.cells, factors, weights)
+
+    def contrast(self, information: SplineInformation) -> float:
+        """Measured values per cell over the prior's share: where it is large, single precision shows its rounding."""
+        return information.n_values / self.cells.n_cells / prior_scale(self.hyperparameters)
+
+    def precision(self, information: SplineInformation) -> StencilMatrix:
+        """Posterior precision times the noise variance."""
+        return information.gram + self.prior_precision()
+
+
+def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
+    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
+    relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
+    return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, h.reach)
+
+
+def prior_scale(h: Hyperparameters) -> float:
+    """Factor from the prior's shape to the prior, in units of the noise."""
+    return (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
+
+
+def constant_precision(h: Hyperparameters) -> float:
+    """Prior precision of the constant field in units of the noise's."""
+    return (h.noise_sd / CONSTANT_SD) ** 2
+
+
+def cell_precision(h: Hyperparameters) -> np.ndarray:
+    """Prior precision of one cell of weight 1 in units of the noise's: (64, 64)."""
+    element, covariance = prior_terms(h)
+    return np.asarray(element * (prior_scale(h) * covariance[0, 0]))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SplinePosterior:
+    """A fitted spline potential.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    cells : CellGrid
+    factors : Factors
+        Of the posterior precision times the noise variance; the mean does without.
+    weights : (m + 3,) array, T
+        Posterior mean.
+    """
+
+    hyperparameters: Hyperparameters
+    cells: CellGrid
+    factors: Factors
+    weights: np.ndarray
+    _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def factor(self) -> CholeskyFactor:
+        """Of the posterior precision times the noise variance, in double precision."""
+        return self.factors.full
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factors that were made."""
+        return self.factors.n_bytes
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
+        """Field and derivatives at points; outside the active cells the constant field alone."""
+        w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
+        derivatives = derivative_table(order)
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        out = np.zeros((len(cell), len(derivatives)))
+        evaluate_points(cell, t, self.cells.cell_nodes, w, derivatives, self.cells.spacing, out)
+        return _as_values(out, w[-3:], order)
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, one axis after the other."""
+        return evaluate_on_grid(self.cells, axes, self.weights, order)
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Posterior covariance of field (and gradient) at each point; the prior's outside the active cells.
+
+        There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
+        A few points are solved for; many take the selected inverse, which is computed once and kept.
+        """
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        derivatives, h = derivative_table(order), self.hyperparameters
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        unknowns, n_rows = self._unknowns(cell), len(derivatives)
+        e = self.factor.elimination
+        affordable = LARGEST_SHARE_FOR_SOLVES * 2 * e.n_operations
+        # Decided by the points alone, so that the same question gets the same bits whatever was asked before.
+        if solve_operations(e, unknowns, n_rows) < affordable:
+            out = marginal_covariances(self.factor, unknowns, self._rows(cell, t, derivatives))
+        else:
+            inverse, out = self._selected_inverse(), np.zeros((len(cell), n_rows, n_rows))
+            point_covariances(
+                np.argsort(cell, kind="stable"), cell, t, self.cells.cell_nodes, derivatives, self.cells.spacing,
+                HALF_OFFSET, inverse.stencil, inverse.border, inverse.corner, out,
+            )  # fmt: skip
+            out[cell < 0, :3, :3] = inverse.corner
+        out *= (h.inflation * h.noise_sd) ** 2
+        out[cell < 0] += prior_outside(h)[:n_rows, :n_rows]
+        return out if order == 0 else _expand(out)
+
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Posterior covariance of the field at all points together: (3 n, 3 n), row ``3 i + a``.
+
+        Points without splines share the constant with the others and nothing else.
+        """
+        h = self.hyperparameters
+        out = (h.inflation * h.noise_sd) ** 2 * self._joined(points, self.factors.full)
+        outside = np.repeat(~self.knows(points), 3)
+        out[outside, outside] += h.signal_sd**2
+        return out
+
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
+
+        To a thousandth.
+        """
+        return self._joined(points, self.factors.light)
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
+        """Posterior samples of the weights, (n_draws, m + 3); their spread is right to a thousandth."""
+        white = rng.standard_normal((len(self.weights), n_draws))
+        scale = self.hyperparameters.inflation * self.hyperparameters.noise_sd
+        return np.ascontiguousarray(self.weights + scale * self.factors.light.solve_half(white).T)
+
+    def knows(self, points: Points) -> Mask:
+        """Whether each point lies in an active cell."""
+        return np.asarray(self.cells.locate(np.asarray(points, dtype=np.float64))[0] >= 0)
+
+    def _joined(self, points: Points, factor: CholeskyFactor) -> np.ndarray:
+        """Joint covariance of the field in units of the noise, (3 n, 3 n)."""
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        return joint_covariances(factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
+
+    def _selected_inverse(self) -> StencilMatrix:
+        """Compute once, on first use: it costs about twice a factorisation."""
+        if not self._inverse:
+            self._inverse.append(selected_inverse(self.factor))
+        return self._inverse[0]
+
+    def _unknowns(self, cell: np.ndarray) -> np.ndarray:
+        """Unknowns of each point's cell (any cell's where it has none), then the constant: (n, 67)."""
+        constant = np.tile(self.cells.n_nodes + np.arange(3), (len(cell), 1))
+        return np.concatenate([self.cells.cell_nodes[np.maximum(cell, 0)], constant], axis=1)
+
+    def _rows(self, cell: np.ndarray, t: Points, derivatives: np.ndarray) -> np.ndarray:
+        """Rows of the linear model for `_unknowns`, (n, r, 67): the constant alone where there is no cell."""
+        rows = np.zeros((len(cell), len(derivatives), 67))
+        linear_rows(cell, t, derivatives, self.cells.spacing, rows)
+        rows[cell < 0, :, :64] = 0.0
+        return rows
+
+
+def prior_outside(h: Hyperparameters) -> np.ndarray:
+    """Prior covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
+    prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
+    per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
+    return np.asarray(h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing))
+
+
+def outside_covariance(h: Hyperparameters, constant: np.ndarray) -> np.ndarray:
+    """Covariance of field and gradient (row-major) where there is only a constant, of given covariance: (12, 12)."""
+    covariance = _expand(prior_outside(h)[None])[0]
+    covariance[:3, :3] += constant
+    return np.asarray(covariance)
+
+
+def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:
+    """Field values from the list of distinct derivatives."""
+    return FieldValues(
+        distinct[:, :3] + constant,
+        distinct[:, 3:9][:, GRADIENT_INDEX] if order >= 1 else None,
+        distinct[:, 9:][:, SECOND_INDEX] if order >= 2 else None,
+    )
+
+
+def _expand(covariance: np.ndarray) -> np.ndarray:
+    """From field and 6 distinct gradient entries to field and all 9, row-major."""
+    rows = np.concatenate([np.arange(3), 3 + GRADIENT_INDEX.ravel()])
+    return np.asarray(covariance[:, rows[:, None], rows])

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Answers of overlapping tiles put together by smooth shares that sum to one, whoever keeps the tiles."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from magmatch.field.spline.spline_model import SplinePosterior
+from magmatch.field.tiles.tiles import Index, TileKeys, Tiling
+from magmatch.field.values import FieldValues
+from magmatch.typing import Indices, Points, Vector3
+
+# Rounding leaves shares that sum to one but for this.
+SMALLEST_SHARE = 1e-12
+# A tile's number, the rows of points where it has a say, and its share there with derivatives.
+Share = tuple[int, Indices, list[np.ndarray]]
+
+
+class Blend:
+    """Sum of tiles' values times their shares, by the product rule; what is left of the shares is a constant field.
+
+    Parameters
+    ----------
+    n : int
+        Number of points.
+    order : int
+        Highest derivative.
+    constant : (3,) array, T
+    """
+
+    def __init__(self, n: int, order: int, constant: Vector3) -> None:
+        self.constant = constant
+        self.field = np.tile(constant, (n, 1))
+        self.gradient = np.zeros((n, 3, 3)) if order >= 1 else None
+        self.second = np.zeros((n, 3, 3, 3)) if order >= 2 else None
+
+    def add(self, rows: Indices, shares: list[np.ndarray], values: FieldValues) -> None:
+        """Add a tile's values at some rows; ``shares`` are its share, the share's gradient and Hessian there."""
+        w, B = shares[0], values.field - self.constant
+        self.field[rows] += w[:, None] * B
+        if self.gradient is None or values.gradient is None:
+            return
+        dw, G = shares[1], values.gradient
+        self.gradient[rows] += w[:, None, None] * G + B[:, :, None] * dw[:, None, :]
+        if self.second is None or values.second is None:
+            return
+        mixed = G[:, :, :, None] * dw[:, None, None, :]
+        self.second[rows] += (
+            w[:, None, None, None] * values.second
+            + mixed + mixed.transpose(0, 1, 3, 2)
+            + B[:, :, None, None] * shares[2][:, None]
+        )  # fmt: skip
+
+    def values(self) -> FieldValues:
+        """The sum."""
+        return FieldValues(self.field, self.gradient, self.second)
+
+
+def tile_shares(tiling: Tiling, tiles: list[Index], keys: TileKeys, points: Points, order: int) -> Iterator[Share]:
+    """Each tile with a say at some points."""
+    for number, rows in tiling.blended(points, keys):
+        along = [tiling.axis_weights(points[rows, a], tiles[number][a]) for a in range(3)]
+        yield number, rows, products(along, order)
+
+
+def blended_values(
+    points: Points, order: int, constant: Vector3, shares: list[Share], tile: Callable[[int], SplinePosterior]
+) -> FieldValues:
+    """Field and derivatives of the blend."""
+    total = Blend(len(points), order, constant)
+    for number, rows, share in shares:
+        total.add(rows, share, tile(number).evaluate(points[rows], order))
+    return total.values()
+
+
+def blended_covariance(
+    points: Points, order: int, outside: np.ndarray, shares: list[Share], tile: Callable[[int], SplinePosterior]
+) -> np.ndarray:
+    """Bound of the covariance of field (and gradient) at each point; ``outside`` where no tile is.
+
+    With ``e`` the error of a tile, that of the blend's gradient is ``sum w (grad e + e grad w / w)``; the bound
+    by convexity is the mean of the covariances of these terms, and finite since ``|grad w|^2 / w`` is.
+    """
+    out, left = np.zeros((len(points), *outside.shape)), np.ones(len(points))
+    for number, rows, share in shares:
+        w, covariance = share[0], tile(number).covariance(points[rows], order)
+        if order == 1:
+            covariance = _with_slope(covariance, share[1] / np.maximum(w, SMALLEST_SHARE)[:, None])
+        out[rows] += w[:, None, None] * covariance
+        left[rows] -= w
+    is_left = left > SMALLEST_SHARE
+    out[is_left] += left[is_left, None, None] * outside
+    return out
+
+
+def products(along: list[list[np.ndarray]], order: int) -> list[np.ndarray]:
+    """A product of one function per axis, its gradient (n, 3) and Hessian (n, 3, 3), from their derivatives."""
+    (x, y, z), zero = along, [0, 0, 0]
+    out = [x[0] * y[0] * z[0]]
+    if order >= 1:
+        out.append(np.stack([_mixed(along, [*zero[:a], 1, *zero[a + 1 :]]) for a in range(3)], axis=1))
+    if order >= 2:
+        hessian = np.empty((len(x[0]), 3, 3))
+        for a, b in np.ndindex(3, 3):
+            orders = [int(a == axis) + int(b == axis) for axis in range(3)]
+            hessian[:, a, b] = _mixed(along, orders)
+        out.append(hessian)
+    return out
+
+
+def _mixed(along: list[list[np.ndarray]], orders: list[int]) -> np.ndarray:
+    return np.asarray(along[0][orders[0]] * along[1][orders[1]] * along[2][orders[2]])
+
+
+def _with_slope(covariance: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Covariance (n, 12, 12) of (e, grad e + e slope) from that of (e, grad e)."""
+    transform = np.tile(np.eye(12), (len(covariance), 1, 1))
+    for a, b in np.ndindex(3, 3):
+        transform[:, 3 + 3 * a + b, a] = slope[:, b]
+    return np.asarray(transform @ covariance @ transform.transpose(0, 2, 1))

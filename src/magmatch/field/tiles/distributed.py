@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tiles fitted by worker processes through Dask: on this machine, or on a cluster that is running already.
+
+Each tile is a task that depends on its samples alone and runs one BLAS thread, so it gives the same bits wherever and
+however often it runs: a worker that dies in the middle costs time and nothing else. Few tasks are on their way at any
+time, so memory does not grow with the map.
+"""
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from itertools import islice
+from queue import Empty, Queue
+from types import TracebackType
+from typing import Any, Self
+
+from magmatch.errors import ConfigurationError, MissingExtraError, TaskError
+from magmatch.field.tiles.tile_fit import TileTask
+from magmatch.threads import on_one_core
+from magmatch.typing import Scalars
+
+log = logging.getLogger(__name__)
+
+# Results that may wait for an earlier one.
+MOST_WAITING = 100
+# Workers that one task may take down with it before it is given up.
+MOST_DEATHS = 5
+CONNECT_SECONDS = 10
+# How often to look after the workers, and how long to wait for one where there is none.
+LOOK_SECONDS, LONELY_SECONDS = 2, 120
+
+
+class DaskRunner:
+    """Runs the tasks of tiles on Dask workers; a context manager that ends those it started.
+
+    Parameters
+    ----------
+    jobs : int
+        Worker processes to start on this machine; ignored where a scheduler is named.
+    scheduler : str, optional
+        Address of a running scheduler, ``tcp://host:port``, whose workers have this version of magmatch installed.
+
+    Raises
+    ------
+    MissingExtraError
+        Dask is not installed.
+    ConfigurationError
+        No scheduler answers (when the first task comes).
+    TaskError
+        A task fails, or takes several workers down with it (while results are taken).
+
+    Examples
+    --------
+    ``with DaskRunner(jobs=4) as run: field_map = build_map(survey, run=run)``
+    """
+
+    def __init__(self, jobs: int = 2, scheduler: str | None = None) -> None:
+        self.jobs, self.scheduler = jobs, scheduler
+        self._open = ExitStack()
+        self._client: Any = None
+        try:
+            import distributed  # noqa: F401
+        except ImportError as error:
+            feature = "fitting tiles in several processes"
+            raise MissingExtraError(feature, "distributed") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def __call__(self, fit: Callable[[TileTask], Scalars], tasks: Iterable[TileTask]) -> Iterator[Scalars]:
+        """Apply a function to every task, results in the order of the tasks."""
+        client, source = self._connect(), enumerate(tasks)
+        running: dict[Any, tuple[int, TileTask]] = {}
+        done: dict[int, Scalars] = {}
+        finished: Queue[Any] = Queue()
+        n_given = 0
+        try:
+            while True:
+                # One task per worker thread: of a worker that dies, only the task it ran is to blame.
+                n_idle = max(1, sum(client.nthreads().values())) - len(running)
+                for number, task in islice(source, max(0, n_idle) if len(done) < MOST_WAITING else 0):
+                    future = client.submit(on_one_core, fit, task, pure=False)
+                    running[future] = number, task
+                    future.add_done_callback(finished.put)
+                while n_given in done:
+                    yield done.pop(n_given)
+                    n_given += 1
+                if not running:
+                    return
+                future = _next(finished, client)
+                number, task = running.pop(future)
+                done[number] = _result(task, future)
+        finally:
+            for future in running:
+                future.cancel()
+
+    @property
+    def client(self) -> Any:
+        """Dask client, connected once the first task has come."""
+        return self._connect()
+
+    def _connect(self) -> Any:
+        """Start workers, or find those of the scheduler, when the first task comes."""
+        if self._client is not None:
+            return self._client
+        import dask
+        from distributed import Client
+
+        settings = {
+            "distributed.scheduler.allowed-failures": MOST_DEATHS - 1,
+            # A worker that died comes back, however slowly a busy machine starts it.
+            "distributed.deploy.lost-worker-timeout": f"{LONELY_SECONDS}s",
+        }
+        self._open.enter_context(dask.config.set(settings))
+        place = self.scheduler or self._open.enter_context(self._local_cluster())
+        make_client: Any = Client
+        try:
+            self._client = self._open.enter_context(make_client(place, timeout=CONNECT_SECONDS, set_as_default=False))
+        except OSError as error:
+            msg = f"no Dask scheduler answers at {self.scheduler} within {CONNECT_SECONDS} s"
+            raise ConfigurationError(msg) from error
+        return self._client
+
+    def _local_cluster(self) -> Any:
+        """Worker processes on this machine, each with one thread."""
+        from distributed import LocalCluster
+
+        log.info("starting %d worker processes", self.jobs)
+        make_cluster: Any = LocalCluster
+        return make_cluster(
+            n_workers=self.jobs, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        )  # fmt: skip
+
+
+def _next(finished: "Queue[Any]", client: Any) -> Any:
+    """Wait for a task that is done, as long as there is a worker to do it."""
+    waited = 0
+    while True:
+        try:
+            return finished.get(timeout=LOOK_SECONDS)
+        except Empty:
+            waited = 0 if client.nthreads() else waited + LOOK_SECONDS
+            if waited >= LONELY_SECONDS:
+                msg = f"no worker has been there for {LONELY_SECONDS} s; start some, then run again"
+                raise TaskError(msg) from None
+
+
+def _result(task: TileTask, future: Any) -> Scalars:
+    """Weights of a tile, or what befell its task in one line."""
+    from distributed import CancelledError, KilledWorker
+
+    name = "tile " + ".".join(map(str, task.index))
+    try:
+        weights: Scalars = future.result()
+    except KilledWorker as error:
+        msg = f"{name} took down several workers one after the other (out of memory?) and was given up"
+        raise TaskError(msg) from error
+    except CancelledError as error:
+        msg = f"{name} was lost: the scheduler or all of its workers are gone"
+        raise TaskError(msg) from error
+    except Exception as error:
+        what = " ".join(str(error).split()) or type(error).__name__
+        msg = f"{name} failed on a worker: {what}"
+        raise TaskError(msg) from error
+    return weights

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One tile, from its samples to its weights: the task that large maps are made of, alike wherever it runs."""
+
+import hashlib
+from dataclasses import astuple, dataclass
+from functools import partial
+
+import numpy as np
+
+from magmatch.errors import MagmatchError
+from magmatch.field.cholesky.cells import CellGrid, lay_cells
+from magmatch.field.cholesky.factors import Factors
+from magmatch.field.cholesky.multifrontal import CholeskyFactor
+from magmatch.field.cholesky.nested_dissection import order_elimination
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
+from magmatch.field.tiles.tiles import Index, Tiling
+from magmatch.threads import single_threaded
+from magmatch.typing import Points, Scalars, Vectors
+
+# Changes with whatever lets the same samples and numbers give other weights: stored fits are then done again.
+LAYOUT = "magmatch.tile/2"
+# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd.
+REFIT_TOLERANCE = 1e-6
+# Samples at which a refitted field is compared with the stored one.
+N_CHECKED = 2000
+NOTHING = (np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+class FitError(MagmatchError, ValueError):
+    """Stored weights do not follow from the samples they came with."""
+
+    def __init__(self, index: Index, message: str) -> None:
+        super().__init__(
+            f"tile {'.'.join(map(str, index))}: {message} (made by another version of magmatch?); build the map again"
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Samples:
+    """Samples in the model's frame, as information: each counts ``weights`` times, and all of them ``sign`` times.
+
+    Attributes
+    ----------
+    points : (n, 3) array, m
+    field : (n, 3) array, T
+    weights : (n,) array
+        Factor on each sample's inverse noise variance.
+    sign : int
+        1, or -1 for samples that are taken off again.
+    """
+
+    points: Points
+    field: Vectors
+    weights: Scalars
+    sign: int = 1
+
+    def information(self, model: SplineModel) -> SplineInformation:
+        """What they say about a model's weights, before the sign."""
+        return model.observe(self.points, self.field, self.weights)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TileTask:
+    """All that a tile's fit depends on.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    tiling : Tiling or None
+        None: one tile holds the whole region.
+    index : three ints
+        Which tile.
+    around : (n, 3) array, m
+        Samples that shape the tile's cells.
+    parts : list of Samples
+        Samples that inform it; those outside its box are left out.
+    """
+
+    hyperparameters: Hyperparameters
+    tiling: Tiling | None
+    index: Index
+    around: Points
+    parts: list[Samples]
+
+    def fingerprint(self) -> str:
+        """SHA-256 of everything the weights follow from."""
+        sizes = None if self.tiling is None else astuple(self.tiling)
+        numbers = [(name, float(value)) for name, value in sorted(self.hyperparameters.as_dict().items())]
+        about = (LAYOUT, numbers, sizes, self.index)
+        digest = hashlib.sha256(repr(about).encode())
+        arrays = [self.around, *(a for p in self.parts for a in (p.points, p.field, p.weights, np.array(p.sign)))]
+        for array in arrays:
+            digest.update(f"{array.shape}".encode())
+            digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
+        return digest.hexdigest()
+
+    def cells(self) -> CellGrid:
+        """Cells of the tile: all that a map of the whole region would have in its box."""
+        box = None if self.tiling is None else self.tiling.box(self.index)
+        return lay_cells(self.around, self.hyperparameters.spacing, self.hyperparameters.reach, box)
+
+    def model(self) -> SplineModel:
+        """Splines over the tile's cells."""
+        cells = self.cells()
+        return SplineModel(self.hyperparameters, cells, order_elimination(cells))
+
+    def observe(self, model: SplineModel) -> SplineInformation:
+        """What the tile's samples say."""
+        signed = [(self._inside(part).information(model), part.sign) for part in self.parts]
+        total = signed[0][0] if signed[0][1] > 0 else model.observe(*NOTHING) - signed[0][0]
+        for information, sign in signed[1:]:
+            total = total + information if sign > 0 else total - information
+        return total
+
+    def infer(self) -> SplinePosterior:
+        """Fit the tile."""
+        model = self.model()
+        return model.infer_lightly(self.observe(model))
+
+    def recall(self, weights: Scalars) -> SplinePosterior:
+        """The posterior that has these weights, which an earlier fit gave; factorised only once that is needed.
+
+        Raises
+        ------
+        FitError
+            The weights do not belong to the samples: at once where their number shows it, else on factorising.
+        """
+        cells = self.cells()
+        if weights.shape != (cells.n_nodes + 3,):
+            raise FitError(self.index, f"{len(weights)} weights are stored, {cells.n_nodes + 3} are needed")
+        factors = Factors(partial(self._factorise_again, cells, weights))
+        return SplinePosterior(self.hyperparameters, cells, factors, weights)
+
+    def _factorise_again(self, cells: CellGrid, weights: Scalars, precision: type[np.floating]) -> CholeskyFactor:
+        """Factor of the fit, once it is seen to give the field that was stored."""
+        model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
+        fit = model.infer if precision == np.float64 else model.infer_lightly
+        fitted = fit(self.observe(model))
+        if not np.array_equal(fitted.weights, weights):
+            points = self.around[:: -(-len(self.around) // N_CHECKED)]
+            change = fitted.evaluate(points).field - fitted.evaluate(points, weights=weights).field
+            if not np.abs(change).max() <= REFIT_TOLERANCE * self.hyperparameters.noise_sd:
+                raise FitError(self.index, "fitting its samples again gives another field than was stored")
+        return fitted.factors.light
+
+    def _inside(self, part: Samples) -> Samples:
+        """Samples in the tile's box; those beyond only shape its cells."""
+        if self.tiling is None:
+            return part
+        rows = self.tiling.is_inside(part.points, self.index)
+        return Samples(part.points[rows], part.field[rows], part.weights[rows], part.sign)
+
+
+@single_threaded
+def fit_weights(task: TileTask) -> Scalars:
+    """Posterior mean of a tile's weights: the same bits wherever it runs."""
+    return task.infer().weights

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A survey cut into the tasks of its tiles, on demand: all at once would be several copies of the survey."""
+
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.tiles.tile_fit import Samples, TileTask
+from magmatch.field.tiles.tiles import Index, Tiling
+from magmatch.typing import Indices, Points
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TileTasks:
+    """What the fit of every tile depends on.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+    tiling : Tiling or None
+        None: one tile holds the whole region.
+    tiles : list of indices
+        In ascending order.
+    around : (n, 3) array, m
+        What the cells are laid around.
+    around_rows : list of int arrays
+        For each tile, which of these it sees.
+    parts : tuple of Samples
+        What informs the tiles.
+    rows : list of lists of int arrays
+        For each part and tile, which samples the tile sees.
+    """
+
+    hyperparameters: Hyperparameters
+    tiling: Tiling | None
+    tiles: list[Index]
+    around: Points
+    around_rows: list[Indices]
+    parts: tuple[Samples, ...]
+    rows: list[list[Indices]]
+
+    def task(self, number: int) -> TileTask:
+        """Task of one tile."""
+        parts = [
+            Samples(p.points[rows[number]], p.field[rows[number]], p.weights[rows[number]], p.sign)
+            for p, rows in zip(self.parts, self.rows, strict=True)
+        ]
+        around = self.around[self.around_rows[number]]
+        return TileTask(self.hyperparameters, self.tiling, self.tiles[number], around, parts)
+
+    def fingerprint(self, index: Index) -> str:
+        """What tells the inputs of a tile from all others; empty where there is no such tile."""
+        place = bisect_left(self.tiles, index)
+        return self.task(place).fingerprint() if index in self.tiles[place : place + 1] else ""
+
+    def sample_numbers(self, number: int) -> list[Indices]:
+        """Which samples, counted over all parts, a tile sees: one array per part."""
+        starts = np.cumsum([0, *(len(p.points) for p in self.parts[:-1])])
+        return [start + rows[number] for start, rows in zip(starts, self.rows, strict=True)]

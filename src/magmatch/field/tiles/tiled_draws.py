@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Posterior samples of a field of many tiles that agree where tiles overlap.
+
+A sample of ``N(P^-1 eta, P^-1)`` is ``P^-1 (eta + z)`` with ``z ~ N(0, P)``: the data and the prior, both disturbed
+by noise of their own size, are fitted again. Every sample of the survey and every cell of the lattice has its own
+noise, which all tiles share. So a draw varies from tile to tile no more than the mean does, each tile's draws have
+exactly its posterior covariance, and the blend is as wide as its tiles.
+
+Reference: Papandreou and Yuille 2010, Gaussian sampling by local perturbations (NeurIPS).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from magmatch.field.cholesky.cells import CellGrid
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.spline.element_matrices import cell_weights
+from magmatch.field.spline.spline_basis import FIRST
+from magmatch.field.spline.spline_kernels import add_right_hand_sides
+from magmatch.field.spline.spline_model import CONSTANT_SD, SplinePosterior, cell_precision
+from magmatch.field.tiles.tile_fit import TileTask
+from magmatch.field.tiles.tile_tasks import TileTasks
+from magmatch.threads import single_threaded
+from magmatch.typing import Indices, Matrix, Scalars
+
+# What noise belongs to.
+SAMPLE, CELL, CONSTANT, TILE = 1, 2, 3, 4
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TiledDraw:
+    """One posterior sample: one row of every tile's draws."""
+
+    draws: "TiledDraws"
+    number: int
+
+    def of_tile(self, number: int) -> Scalars:
+        """Weights of one tile."""
+        return np.asarray(self.draws.of_tile(number)[self.number])
+
+
+class TiledDraws:
+    """Draws of a posterior, computed tile by tile as points fall into them.
+
+    Parameters
+    ----------
+    tasks : TileTasks
+        What the tiles were fitted from.
+    factored : callable
+        Posterior of a tile by its number.
+    n_draws : int
+    seed : int
+        Decides all noise.
+    """
+
+    def __init__(self, tasks: TileTasks, factored: Callable[[int], SplinePosterior], n_draws: int, seed: int) -> None:
+        self.tasks, self.factored, self.n_draws, self.seed = tasks, factored, n_draws, seed
+        self._found: dict[int, Matrix] = {}
+
+    def draws(self) -> list[TiledDraw]:
+        """Each of them."""
+        return [TiledDraw(self, k) for k in range(self.n_draws)]
+
+    def of_tile(self, number: int) -> Matrix:
+        """Weights of a tile in every draw: (n_draws, m + 3)."""
+        if number not in self._found:
+            task, names = self.tasks.task(number), self.tasks.sample_numbers(number)
+            self._found[number] = draw_tile(task, names, self.factored(number), self.n_draws, self.seed)
+        return self._found[number]
+
+
+@single_threaded
+def draw_tile(
+    task: TileTask, sample_numbers: list[Indices], posterior: SplinePosterior, n_draws: int, seed: int
+) -> Matrix:
+    """Posterior samples of a tile's weights, from noise that other tiles share.
+
+    Parameters
+    ----------
+    task : TileTask
+    sample_numbers : list of int arrays
+        Names, one part after the other, of the samples in the task: what their noise is drawn by.
+    posterior : SplinePosterior
+        Of the task.
+    n_draws, seed : int
+
+    Returns
+    -------
+    (n_draws, m + 3) array, T
+    """
+    h, seeds = task.hyperparameters, range(seed, seed + n_draws)
+    if any(part.sign < 0 for part in task.parts):
+        # What was taken off leaves no noise to share: such tiles draw on their own.
+        white = np.stack([normals(s, _names(TILE, np.array([task.index])), len(posterior.weights))[0] for s in seeds])
+        deviation = posterior.factors.light.solve_half(white.T)
+    else:
+        deviation = posterior.factors.light.solve(_noise(task, sample_numbers, posterior.cells, seeds))
+    return np.ascontiguousarray(posterior.weights + h.inflation * h.noise_sd * deviation.T)
+
+
+def _noise(task: TileTask, sample_numbers: list[Indices], cells: CellGrid, seeds: range) -> np.ndarray:
+    """Draws from N(0, P), P the posterior precision in units of the noise: (m + 3, n_draws)."""
+    h, m = task.hyperparameters, cells.n_nodes
+    z = np.zeros((m + 3, len(seeds)))
+    root, spread = _root(h), np.sqrt(cell_weights(cells.distance))[:, None]
+    names, constant = _names(CELL, cells.cells + cells.first), _names(CONSTANT, np.zeros((1, 1), dtype=np.int64))
+    for k, seed in enumerate(seeds):
+        scatter_add((normals(seed, names, 64) @ root) * spread, cells.cell_nodes, z[:, k])
+        z[m:, k] += h.noise_sd / CONSTANT_SD * normals(seed, constant, 3)[0]
+    for part, number in zip(task.parts, sample_numbers, strict=True):
+        inside = slice(None) if task.tiling is None else task.tiling.is_inside(part.points, task.index)
+        names, (cell, t) = _names(SAMPLE, number[inside, None]), cells.locate(part.points[inside])
+        # sqrt(W) Phi^T e with white e has covariance Phi^T W Phi, as the samples' information does.
+        white = np.stack([normals(seed, names, 3) for seed in seeds], axis=2)
+        white *= np.sqrt(part.weights[inside])[:, None, None]
+        add_right_hand_sides(cell, t, white, cells.cell_nodes, FIRST, z[:m])
+        z[m:] += white.sum(axis=0)
+    return z
+
+
+@lru_cache(maxsize=8)
+def _root(h: Hyperparameters) -> np.ndarray:
+    """R with ``R^T R`` the prior precision of a cell: (64, 64)."""
+    values, vectors = np.linalg.eigh(cell_precision(h))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T)
+
+
+def _names(kind: int, labels: np.ndarray) -> np.ndarray:
+    """One 64-bit name per row of integers (n, k)."""
+    names = np.full(len(labels), kind, dtype=np.uint64)
+    for column in labels.T:
+        names = _mixed(names ^ np.ascontiguousarray(column).astype(np.int64).view(np.uint64))
+    return names
+
+
+def _mixed(x: np.ndarray) -> np.ndarray:
+    """Scramble the bits of 64-bit numbers (splitmix64 by Steele, Lea and Flood 2014)."""
+    x = x + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(x ^ (x >> np.uint64(31)))
+
+
+def normals(seed: int, names: np.ndarray, count: int) -> np.ndarray:
+    """Standard normal numbers that depend on seed and name alone: (n, count).
+
+    Parameters
+    ----------
+    seed : int
+    names : (n,) uint64 array
+    count : int
+
+    Returns
+    -------
+    (n, count) array
+    """
+    start = _mixed(names ^ _mixed(np.full(1, seed % 2**64, dtype=np.uint64)))
+    out = np.empty((len(names), count))
+    fill_normals(start, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def fill_normals(start: np.ndarray, out: np.ndarray) -> None:
+    """Fill each row by Box and Muller's transform of a splitmix64 stream from its start."""
+    for i in range(out.shape[0]):
+        state = start[i]
+        for j in range(0, out.shape[1], 2):
+            u = np.empty(2)
+            for k in range(2):
+                state += np.uint64(0x9E3779B97F4A7C15)
+                x = state
+                x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+                x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+                x = x ^ (x >> np.uint64(31))
+                u[k] = (np.float64(x >> np.uint64(11)) + 0.5) / 9007199254740992.0
+            radius = np.sqrt(-2.0 * np.log(u[0]))
+            out[i, j] = radius * np.cos(2 * np.pi * u[1])
+            if j + 1 < out.shape[1]:
+                out[i, j + 1] = radius * np.sin(2 * np.pi * u[1])
+
+
+@njit(cache=True, nogil=True)
+def scatter_add(values: np.ndarray, cell_nodes: np.ndarray, out: np.ndarray) -> None:
+    """Add one value per cell and node of it to the nodes."""
+    for n in range(cell_nodes.shape[0]):
+        for a in range(cell_nodes.shape[1]):
+            out[cell_nodes[n, a]] += values[n, a]

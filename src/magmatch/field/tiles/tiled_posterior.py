@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A fitted field of many tiles, blended: ``B = sum_k w_k B_k`` with smooth shares that sum to one.
+
+The derivatives are those of the blend, grad w included, so the blended gradient is the gradient of the blended field.
+Curl vanishes wherever one tile answers alone; where two blend it is ``sum grad w_k x B_k``, at most the largest
+slope of a share times the difference of the tiles' fields.
+
+Where a tile is missing (no sample near), its share goes to a constant field, the mean of the tiles', with the spread
+of the prior.
+
+Tiles share samples, so their errors are correlated in a way that nobody keeps. Whatever the correlation, the error of
+a weighted mean is at most the weighted mean of the errors (squares are convex), in the sense of matrices:
+``cov B <= sum w_k cov B_k``. That bound is what `covariance` gives.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Axes
+from magmatch.field.spline.spline_model import SplinePosterior, outside_covariance
+from magmatch.field.tiles.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
+from magmatch.field.tiles.recent import Recent
+from magmatch.field.tiles.tile_tasks import TileTasks
+from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
+from magmatch.field.tiles.tiles import Index, TileKeys, Tiling
+from magmatch.field.values import FieldValues
+from magmatch.threads import side_by_side
+from magmatch.typing import Mask, Points, Scalars, Vector3
+
+# Bytes of factors that are kept: so many, and one more tile's of at most 0.3 GB.
+FACTORED_BYTES = 8e8
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TiledPosterior:
+    """A fitted field of many tiles; fills `magmatch.field.linear_model.Posterior`.
+
+    Attributes
+    ----------
+    tasks : TileTasks
+        What each tile was fitted from.
+    tile_weights : list of (m + 3,) arrays, T
+        Posterior mean of each tile's weights.
+    factored_tiles : Recent
+        Tiles with their factors, as the fit left them or made again when they are needed.
+    """
+
+    tasks: TileTasks
+    tile_weights: list[Scalars]
+    factored_tiles: Recent = field(default_factory=lambda: Recent(FACTORED_BYTES), repr=False)
+    _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
+    _ready: Recent = field(default_factory=Recent, init=False, repr=False)
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Numbers that shape the prior."""
+        return self.tasks.hyperparameters
+
+    @property
+    def tiling(self) -> Tiling:
+        """Sizes of the tiles."""
+        assert self.tasks.tiling is not None
+        return self.tasks.tiling
+
+    @property
+    def tiles(self) -> list[Index]:
+        """All tiles, in ascending order."""
+        return self.tasks.tiles
+
+    @property
+    def weights(self) -> Scalars:
+        """Weights of all tiles, one after the other."""
+        return np.concatenate(self.tile_weights)
+
+    @property
+    def constant(self) -> Vector3:
+        """Constant field where no tile answers, T."""
+        return np.asarray(np.mean([w[-3:] for w in self.tile_weights], axis=0))
+
+    def evaluate(self, points: Points, order: int = 0, weights: Scalars | TiledDraw | None = None) -> FieldValues:
+        """Field and derivatives at points; the posterior mean unless weights or a draw are given."""
+        p = np.asarray(points, dtype=np.float64)
+        weights_of = self._weights_of(weights)
+        total = Blend(len(p), order, self.constant)
+        for number, rows, shares in self._shares(p, max(order, 0)):
+            tile = self.tile(number)
+            total.add(rows, shares, tile.evaluate(p[rows], order, weights_of(number)))
+        return total.values()
+
+    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, tile by tile, one axis after the other."""
+        shape = (len(axes[0]), len(axes[1]), len(axes[2]))
+        total, flat = Blend(int(np.prod(shape)), order, self.constant), np.arange(np.prod(shape)).reshape(shape)
+        ascending = all(np.all(np.diff(x) >= 0) for x in axes)
+        for number, index in enumerate(self.tiles):
+            parts = [
+                self.tiling.support(x, i) if ascending else slice(None) for x, i in zip(axes, index, strict=True)
+            ]
+            local = (axes[0][parts[0]], axes[1][parts[1]], axes[2][parts[2]])
+            rows = flat[parts[0], parts[1], parts[2]].ravel()
+            if len(rows) == 0:
+                continue
+            along = [self.tiling.axis_weights(x, i) for x, i in zip(local, index, strict=True)]
+            n = [len(x) for x in local]
+            spread = [np.repeat(np.arange(n[0]), n[1] * n[2]), np.tile(np.repeat(np.arange(n[1]), n[2]), n[0]),
+                      np.tile(np.arange(n[2]), n[0] * n[1])]  # fmt: skip
+            shares = products([[w[k] for w in one] for one, k in zip(along, spread, strict=True)], order)
+            total.add(rows, shares, self.tile(number).evaluate_on_grid(local, order))
+        return total.values()
+
+    def covariance(self, points: Points, order: int = 0) -> np.ndarray:
+        """Bound of the posterior covariance of field (and gradient) at each point; the prior's where no tile is."""
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        p = np.asarray(points, dtype=np.float64)
+        size = 3 if order == 0 else 12
+        shares = list(self._shares(p, order))
+        return blended_covariance(p, order, self._outside()[:size, :size], shares, self.factored)
+
+    def joint_covariance(self, points: Points) -> np.ndarray:
+        """Covariance of the field at all points together, (3 n, 3 n), row ``3 i + a``; `covariance` on its diagonal.
+
+        As if tiles erred independently of one another, each with the square root of its share.
+        """
+        p = np.asarray(points, dtype=np.float64)
+        out, left = self._joined(p, SplinePosterior.joint_covariance)
+        outside = np.flatnonzero(left > SMALLEST_SHARE)
+        share, own = np.sqrt(left[outside]), self._outside()[:3, :3] - self._spread()
+        out[outside[:, None], :, outside] += np.outer(share, share)[:, :, None, None] * self._spread()
+        out[outside, :, outside] += left[outside, None, None] * own
+        return out.reshape(3 * len(p), 3 * len(p))
+
+    def influence(self, points: Points) -> np.ndarray:
+        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
+
+        As if each tile bore on its neighbours with the square root of its share: exact inside of tiles.
+        """
+        p = np.asarray(points, dtype=np.float64)
+        return self._joined(p, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
+
+    def _joined(
+        self, points: Points, of_tile: Callable[[SplinePosterior, Points], np.ndarray]
+    ) -> tuple[np.ndarray, Scalars]:
+        """Joint matrix of all points, (n, 3, n, 3), each tile's with the square root of its share; share without."""
+        n, shares = len(points), list(self._shares(points, 0))
+        joints = side_by_side(lambda share: of_tile(self.factored(share[0]), points[share[1]]), shares)
+        out, left = np.zeros((n, 3, n, 3)), np.ones(n)
+        for (_, rows, weights), joint in zip(shares, joints, strict=True):
+            root = np.sqrt(weights[0])
+            shared = joint.reshape(len(rows), 3, len(rows), 3) * (root[:, None, None, None] * root[:, None])
+            out[rows[:, None], :, rows] += shared.transpose(0, 2, 1, 3)
+            left[rows] -= weights[0]
+        return out, left
+
+    def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
+        """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
+        return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
+
+    def knows(self, points: Points) -> Mask:
+        """Whether each point lies in an active cell."""
+        p = np.asarray(points, dtype=np.float64)
+        known = np.zeros(len(p), dtype=bool)
+        for number, rows in self.tiling.blended(p, self._tile_keys()):
+            known[rows] |= self.tile(number).knows(p[rows])
+        return known
+
+    def tile(self, number: int) -> SplinePosterior:
+        """Posterior of one tile, ready to be evaluated."""
+        return self._ready.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+
+    def factored(self, number: int) -> SplinePosterior:
+        """Posterior of one tile that may be asked for its factors; few are kept, since they are large."""
+        return self.factored_tiles.find(number, lambda: self.tasks.task(number).recall(self.tile_weights[number]))
+
+    def _shares(self, points: Points, order: int) -> Iterator[Share]:
+        """Each tile with a say at some points."""
+        return tile_shares(self.tiling, self.tiles, self._tile_keys(), points, order)
+
+    def _weights_of(self, weights: Scalars | TiledDraw | None) -> Callable[[int], Scalars | None]:
+        """Weights by the tile's number."""
+        if weights is None:
+            return lambda _: None
+        if isinstance(weights, TiledDraw):
+            return weights.of_tile
+        starts = np.cumsum([0, *(len(w) for w in self.tile_weights)])
+        return lambda number: np.asarray(weights[starts[number] : starts[number + 1]])
+
+    def _tile_keys(self) -> TileKeys:
+        if not self._keys:
+            self._keys.append(TileKeys(self.tiles))
+        return self._keys[0]
+
+    def _outside(self) -> np.ndarray:
+        """Covariance of field and gradient where no tile is: the prior's, and the spread of the constants."""
+        return outside_covariance(self.hyperparameters, self._spread())
+
+    def _spread(self) -> np.ndarray:
+        """Covariance of the tiles' constants about their mean: (3, 3)."""
+        return np.asarray(np.cov(np.array([w[-3:] for w in self.tile_weights]).T, bias=True))

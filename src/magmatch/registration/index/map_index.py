@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What registration needs of one base map, computed once for any number of targets and kept beside the map.
+
+An index is a cache: it names the map, the settings and the version it was made of and with, and whatever differs
+makes it stale. Nothing is lost by deleting it.
+"""
+
+import hashlib
+import json
+import logging
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magmatch._version import __version__
+from magmatch.errors import DataFormatError
+from magmatch.field.map import FieldMap
+from magmatch.field.storage.archive import fingerprint_archive
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.mapped_arrays import MappedArrays, open_mapped, write_mapped
+from magmatch.registration.prepared.drift import Drift
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.prepared_map import PreparedMap, prepare
+from magmatch.registration.prepared.raster import Raster
+from magmatch.registration.register_walk import WalkIndex, index_walks
+from magmatch.registration.search.kdtree import NeighbourTree
+from magmatch.registration.search.pair_search import PairTable
+
+log = logging.getLogger(__name__)
+
+SCHEMA = "magmatch.index/2"
+SUFFIX = ".index"
+# Arrays of `PreparedMap` and of `PairTable` that are stored as they are.
+PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
+TABLE_SCALARS = ("length", "sd_position", "sd_field", "field_norm", "gradient_rms")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MapIndex:
+    """A base map made ready for any number of targets.
+
+    Attributes
+    ----------
+    base : PreparedMap
+    walks : WalkIndex
+        What walks need besides.
+    """
+
+    base: PreparedMap
+    walks: WalkIndex
+
+    @property
+    def field_map(self) -> FieldMap:
+        """The map itself."""
+        return self.base.field_map
+
+    def save(self, path: str | Path, key: str) -> None:
+        """Write the index; see `open_index`.
+
+        Parameters
+        ----------
+        path : path
+            Where; an existing file is replaced.
+        key : str
+            Of `index_key`.
+        """
+        base, raster, table = self.base, self.base.raster, self.walks.table
+        known = np.flatnonzero(raster.sd >= 0)
+        arrays = {f"prepared.{name}": getattr(base, name) for name in PREPARED} | {
+            "raster.rows": known.astype(np.int32),
+            "raster.field": raster.field.reshape(-1, 3)[known],
+            "raster.sd": raster.sd.ravel()[known],
+            "table.positions": table.positions,
+            "table.field": table.field,
+            "table.first": table.first.astype(np.int32),
+            "table.second": table.second.astype(np.int32),
+            "tree.points": table.tree.points,
+            "tree.rows": table.tree.rows,
+            "tree.axes": table.tree.axes,
+            "tree.values": table.tree.values,
+        }
+        draws = base.draws()
+        if all(isinstance(weights, np.ndarray) for weights in draws):
+            arrays["draws"] = np.stack(draws)
+        attributes: dict[str, Any] = {
+            "key": key,
+            "lengthscale": base.lengthscale,
+            "noise_sd": base.noise_sd,
+            "raster": {
+                "origin": [float(x) for x in raster.origin],
+                "spacing": float(raster.spacing),
+                "shape": list(raster.sd.shape),
+            },
+            "volume": raster.volume,
+            "n_draws": len(draws),
+            "noise": asdict(self.walks.noise),
+            "table": {name: float(getattr(table, name)) for name in TABLE_SCALARS},
+        }
+        write_mapped(path, SCHEMA, attributes, arrays)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class IndexFile:
+    """An index as it lies on the disk, opened but hardly read.
+
+    Attributes
+    ----------
+    content : MappedArrays
+    """
+
+    content: MappedArrays
+
+    @property
+    def volume(self) -> float:
+        """Volume of the region that the map knows, m^3."""
+        return float(self.content.attributes["volume"])
+
+    def table(self) -> PairTable:
+        """Pairs of points, read as they are asked for."""
+        arrays, scalars = self.content.arrays, self.content.attributes["table"]
+        tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in ("points", "rows", "axes", "values")))
+        return PairTable(
+            positions=arrays["table.positions"],
+            field=arrays["table.field"],
+            first=arrays["table.first"],
+            second=arrays["table.second"],
+            tree=tree,
+            **scalars,
+        )
+
+    def load(self, field_map: FieldMap) -> MapIndex:
+        """Read all of it.
+
+        Parameters
+        ----------
+        field_map : FieldMap
+            The map that the index was made of.
+
+        Returns
+        -------
+        MapIndex
+
+        Raises
+        ------
+        DataFormatError
+            Damaged.
+        """
+        self.content.check()
+        arrays, about = self.content.arrays, self.content.attributes
+        survey = field_map.survey.transformed(field_map.T_map_model.inv())
+        base = PreparedMap(
+            field_map=field_map,
+            T_map_model=field_map.T_map_model,
+            posterior=field_map.posterior,
+            samples=survey.positions,
+            sample_field=survey.field,
+            raster=self._raster(),
+            lengthscale=about["lengthscale"],
+            noise_sd=about["noise_sd"],
+            drift=Drift.of(survey, field_map.posterior),
+            draws=cache(partial(_draws, arrays.get("draws"), field_map, about["n_draws"])),
+            **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
+        )
+        table = self.table()
+        return MapIndex(base, WalkIndex(base, table.length, PathNoise(**about["noise"]), table))
+
+    def _raster(self) -> Raster:
+        arrays, about = self.content.arrays, self.content.attributes["raster"]
+        return Raster.knowing(
+            np.array(about["origin"]), about["spacing"], tuple(about["shape"]),
+            arrays["raster.rows"], arrays["raster.field"], arrays["raster.sd"],
+        )  # fmt: skip
+
+
+def index_map(field_map: FieldMap, config: RegistrationConfig) -> MapIndex:
+    """Compute what any target will ask of a base map.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    config : RegistrationConfig
+
+    Returns
+    -------
+    MapIndex
+        Depends on the map and the settings alone.
+    """
+    base = prepare_base(field_map, config)
+    return MapIndex(base, index_base(base, config))
+
+
+def prepare_base(field_map: FieldMap, config: RegistrationConfig) -> PreparedMap:
+    """Evaluate a base map; whatever the seed of a registration, so that a kept index gives the same answer."""
+    return prepare(field_map, config.invariants.n_draws, _base_rng())
+
+
+def _base_rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def _draws(kept: np.ndarray | None, field_map: FieldMap, n_draws: int) -> list[Any]:
+    """Posterior samples as they were kept; of a map in tiles, drawn again where they are asked for."""
+    return list(field_map.posterior.draw_weights(n_draws, _base_rng()) if kept is None else np.array(kept))
+
+
+def index_base(base: PreparedMap, config: RegistrationConfig) -> WalkIndex:
+    """Compute what walks ask of a base map besides; whatever the seed."""
+    return index_walks(base, config.walks, np.random.default_rng(0))
+
+
+def index_path(map_path: str | Path) -> Path:
+    """Where the index of a saved map lies: beside it, ``.index`` added to its name."""
+    path = Path(map_path)
+    return path.with_name(path.name + SUFFIX)
+
+
+def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
+    """What an index must have been made of and with to be of use: SHA-256 of map, settings and version.
+
+    Parameters
+    ----------
+    map_path : path
+        A saved map.
+    config : RegistrationConfig
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    DataFormatError
+        Not a saved map.
+    """
+    made_with = {
+        "map": fingerprint_archive(map_path),
+        "n_draws": config.invariants.n_draws,
+        "pairs": config.walks.search.model_dump(mode="json"),
+        "version": __version__,
+    }
+    return hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()
+
+
+def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | None:
+    """Open the index beside a saved map.
+
+    Parameters
+    ----------
+    map_path : path
+    config : RegistrationConfig
+
+    Returns
+    -------
+    IndexFile or None
+        None where there is none, or it was made of another map, with other settings, by another version.
+
+    Raises
+    ------
+    DataFormatError
+        The map itself is none.
+    """
+    key = index_key(map_path, config)
+    try:
+        content = open_mapped(index_path(map_path), SCHEMA)
+    except DataFormatError as error:
+        log.debug("no index: %s", error)
+        return None
+    return IndexFile(content) if content.attributes.get("key") == key else None
+
+
+def make_index(map_path: str | Path, config: RegistrationConfig, field_map: FieldMap | None = None) -> MapIndex:
+    """Index a saved map and keep the index beside it, where the folder can be written.
+
+    Parameters
+    ----------
+    map_path : path
+    config : RegistrationConfig
+    field_map : FieldMap, optional
+        The map, where it was read already.
+
+    Returns
+    -------
+    MapIndex
+    """
+    key = index_key(map_path, config)
+    index = index_map(field_map or FieldMap.load(map_path), config)
+    try:
+        index.save(index_path(map_path), key)
+    except OSError as error:
+        log.warning("the index of %s cannot be kept: %s", map_path, error)
+    return index

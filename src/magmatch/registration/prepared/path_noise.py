@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What another walk's residuals against a map look like, learned from the map's own left-out stretches.
+
+Along a path the residuals of a right pose are anything but independent: the map's error, moved iron and drifting
+poses last for metres. Stretches of the base survey are left out, predicted from the rest of it, and the parameters of
+the residuals' covariance are the most likely ones; where the base never passes a place twice, they stay near a guess.
+"""
+
+import logging
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from magmatch.data.survey import Survey
+from magmatch.field.fit import fit_posterior
+from magmatch.field.held_out import folds_of
+from magmatch.field.map import FieldMap
+from magmatch.geometry import path_walked, skew
+from magmatch.registration.prepared.walk import bin_along_path
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
+
+log = logging.getLogger(__name__)
+
+# Of the base's path: length of a left-out stretch in field lengths; each set that is left out takes a refit.
+STRETCH_LENGTH = 5.0
+# Bins per stretch and its step in field lengths.
+STEP_LENGTH = 0.25
+MIN_BINS = 8
+MAX_STRETCHES = 80
+# Spread (natural log) of the guess that the data correct.
+PRIOR_LOG_SD = 0.7
+# Lengths and the map's factor are told apart from the rest by little: they stay nearer.
+PRIOR_LOG_SD_LENGTH = 0.35
+PRIOR_STRETCHES = 5
+# Farther from the guess nobody need look.
+MOST_PRIOR_SDS = 6.0
+N_DRAWS = 12
+# Guess of how well a hand-held or wheeled sensor knows its own orientation, rad.
+ATTITUDE_SD = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class PathNoise:
+    """Covariance of the residuals along a path, beside the map's own spread.
+
+    Attributes
+    ----------
+    misfit_sd, misfit_length : float, T and m
+        What lasts: ``sd^2 exp(-d / length)``.
+    nugget_sd : float, T
+        What each bin has for itself.
+    constant_sd : float, T
+        What is shared by the whole walk.
+    map_factor, map_length : float, and m
+        Factor on the map's own standard deviation, and distance over which its error is alike:
+        ``exp(-d^2 / 2 length^2)``.
+    attitude_sd : float, rad
+        Error of the orientations that turned the field into the survey's frame, correlated like the drift.
+    drift_sd, drift_length : float, m
+        Error of the positions along the path, seen through the field's gradient: ``sd^2 exp(-d / length)``.
+    spread : float
+        Natural logarithm by which the whole covariance differs from walk to walk (standard deviation).
+    n_stretches : int
+        Left-out stretches that it was learned from.
+    """
+
+    misfit_sd: float
+    misfit_length: float
+    nugget_sd: float
+    constant_sd: float
+    map_factor: float
+    map_length: float
+    attitude_sd: float
+    drift_sd: float
+    drift_length: float
+    spread: float = 0.5
+    n_stretches: int = 0
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the base showed it; else it is a guess."""
+        return self.n_stretches >= PRIOR_STRETCHES
+
+    @property
+    def total_sd(self) -> float:
+        """Standard deviation of one component between two walks through one place, drift left out, T."""
+        return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
+
+    def most_likely_factor(self, chi2: float, n_free: int) -> tuple[float, float]:
+        """Factor on the covariance that explains one walk best, given how walks differ.
+
+        Parameters
+        ----------
+        chi2 : float
+            Squared whitened residuals.
+        n_free : int
+            Their number less the fitted parameters.
+
+        Returns
+        -------
+        factor : float
+        log_likelihood : float, nats
+            ``-chi2 / 2 k - n/2 ln k - (ln k)^2 / 2 spread^2`` at its maximum over k.
+        """
+        log_factor = np.linspace(-4, 4, 161) * self.spread
+        found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor - 0.5 * (log_factor / self.spread) ** 2
+        best = int(np.argmax(found))
+        return float(np.exp(log_factor[best])), float(found[best])
+
+    def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
+        """Covariance of one component: all but the drift; (..., n, n), T^2.
+
+        Parameters
+        ----------
+        distance : (..., n, n) array, m
+            Between the bins.
+        map_sd : (..., n) array, T
+            The map's own spread at the bins.
+
+        Returns
+        -------
+        (..., n, n) array
+        """
+        C = self.misfit_sd**2 * np.exp(-distance / self.misfit_length) + self.constant_sd**2
+        map_sd = self.map_factor * map_sd
+        C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / self.map_length) ** 2)
+        C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
+        return np.asarray(C)
+
+    def full(self, distance: Matrix, map_sd: Scalars, gradient: Tensors, field: Vectors) -> Matrix:
+        """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2.
+
+        Parameters
+        ----------
+        distance, map_sd
+            As in `isotropic`.
+        gradient : (..., n, 3, 3) array, T/m
+            Of the map, at the bins.
+        field : (..., n, 3) array, T
+            At the bins, in the same axes.
+        """
+        n = distance.shape[-1]
+        turns = skew(field.reshape(-1, 3)).reshape(*field.shape, 3)
+        # Both a shift and a turn of the walker's frame move the field linearly: one matrix per bin.
+        moves = np.concatenate([self.drift_sd * gradient, self.attitude_sd * turns], axis=-1)
+        fades = np.exp(-distance / self.drift_length)
+        flat = moves.reshape(*moves.shape[:-3], 3 * n, 6)
+        C = flat @ np.swapaxes(flat, -1, -2) * np.repeat(np.repeat(fades, 3, axis=-2), 3, axis=-1)
+        return np.asarray(C + np.kron(self.isotropic(distance, map_sd), np.eye(3)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stretch:
+    """A left-out stretch as the rest of the survey predicts it, averaged in bins."""
+
+    positions: Points
+    residual: Vectors
+    map_sd: Scalars
+    gradient: Tensors
+    field: Vectors
+
+
+def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generator) -> PathNoise:
+    """Most likely covariance of residuals for a walk through a map.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    length : float, m
+        Its field length.
+    rng : numpy Generator
+        Draws that give the spread of the map without the stretches.
+
+    Returns
+    -------
+    PathNoise
+    """
+    h = field_map.hyperparameters
+    guess = PathNoise(
+        misfit_sd=h.noise_sd,
+        misfit_length=length,
+        nugget_sd=0.5 * h.noise_sd,
+        constant_sd=0.5 * h.noise_sd,
+        map_factor=1.0,
+        map_length=length,
+        attitude_sd=ATTITUDE_SD,
+        drift_sd=max(field_map.survey.pose_sd, 0.02 * length),
+        drift_length=4 * length,
+    )
+    stretches = predict_stretches(field_map, length, rng)
+    log.info("learning the residuals along a path from %d left-out stretches", len(stretches))
+    if not stretches:
+        return guess
+    return most_likely(guess, stretches)
+
+
+def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generator) -> list[Stretch]:
+    """Leave out some stretches of the survey's path at a time and predict them from the rest.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+    length : float, m
+        Its field length.
+    rng : numpy Generator
+
+    Returns
+    -------
+    list of Stretch
+        Those that the rest of the survey still knows.
+    """
+    samples = field_map.survey.transformed(field_map.T_map_model.inv())
+    number = (path_walked(samples.positions) / (STRETCH_LENGTH * length)).astype(np.int64)
+    found = []
+    for is_left_out in folds_of(number):
+        found += _predict(field_map, samples, is_left_out, number, length, rng)
+    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MAX_STRETCHES)).astype(np.int64))
+    return [found[k] for k in chosen]
+
+
+def _predict(
+    field_map: FieldMap, samples: Survey, is_left_out: Mask, number: Indices, length: float, rng: np.random.Generator
+) -> list[Stretch]:
+    """Left-out stretches as the rest of the survey predicts them."""
+    h = field_map.hyperparameters
+    rest = fit_posterior(samples.subset(~is_left_out), h, field_map.config)
+    x, b, number = samples.positions[is_left_out], samples.field[is_left_out], number[is_left_out]
+    values = rest.evaluate(x, order=1)
+    draws = [rest.evaluate(x, 0, w).field for w in rest.draw_weights(N_DRAWS, rng)]
+    sd = np.sqrt(np.mean([((d - values.field) ** 2).mean(axis=1) for d in draws], axis=0))
+    # What the rest hardly knows says little about residuals where a map does know the field.
+    is_known = rest.knows(x) & (sd < 0.5 * h.signal_sd)
+    found = []
+    for k in np.unique(number):
+        rows = np.flatnonzero((number == k) & is_known)
+        if len(rows) < MIN_BINS or values.gradient is None:
+            continue
+        bins = bin_along_path(np.ascontiguousarray(x[rows]), STEP_LENGTH * length)
+        if bins[-1] + 1 >= MIN_BINS:
+            found.append(Stretch(*(_bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b))))
+    return found
+
+
+def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
+    """Parameters that explain the stretches' residuals best, held loosely near a guess.
+
+    Parameters
+    ----------
+    guess : PathNoise
+    stretches : list of Stretch
+
+    Returns
+    -------
+    PathNoise
+    """
+    # Here, since it takes longer to import than a room to register, and only an index asks for it.
+    from scipy.optimize import minimize
+
+    names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches")]
+    center = np.log([getattr(guess, name) for name in names])
+    is_loose = [name.endswith("_sd") for name in names]
+    prior_log_sd = np.where(is_loose, PRIOR_LOG_SD, PRIOR_LOG_SD_LENGTH)
+    stacks = _stack_alike(stretches)
+
+    def whiten(noise: PathNoise) -> tuple[Scalars, Scalars]:
+        """Chi^2 and half log-determinant of each stretch."""
+        chi2, half_log_det = [], []
+        for distance, sd, gradient, field, residual in stacks:
+            L = np.linalg.cholesky(noise.full(distance, sd, gradient, field))
+            z = np.linalg.solve(L, residual.reshape(len(L), -1, 1))
+            chi2.append((z**2).sum(axis=(1, 2)))
+            half_log_det.append(np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1))
+        return np.concatenate(chi2), np.concatenate(half_log_det)
+
+    def cost(offset: np.ndarray) -> float:
+        chi2, half_log_det = whiten(PathNoise(*np.exp(center + offset).tolist()))
+        return float(0.5 * ((offset / prior_log_sd) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
+
+    bounds = [(-MOST_PRIOR_SDS * sd, MOST_PRIOR_SDS * sd) for sd in prior_log_sd]
+    found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B", bounds=bounds)
+    noise = PathNoise(*np.exp(center + found.x).tolist())
+    # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
+    chi2, _ = whiten(noise)
+    n_values = np.concatenate([np.full(len(stack[0]), 3 * stack[0].shape[1]) for stack in stacks])
+    excess = max(float(np.mean(np.log(chi2 / n_values) ** 2 - 2 / n_values)), 0.0)
+    # As many stretches' worth of the guess as of a handful of them.
+    spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(chi2) * excess) / (PRIOR_STRETCHES + len(chi2))
+    return replace(noise, spread=float(np.sqrt(spread2)), n_stretches=len(chi2))
+
+
+def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:
+    """Stretches of equally many bins side by side: distance, map sd, gradient, field, residual."""
+    found = []
+    for n in sorted({len(s.positions) for s in stretches}):
+        alike = [s for s in stretches if len(s.positions) == n]
+        parts = [(cdist(s.positions, s.positions), s.map_sd, s.gradient, s.field, s.residual) for s in alike]
+        found.append(tuple(np.stack(column) for column in zip(*parts, strict=True)))
+    return found
+
+
+def _bin_means(values: np.ndarray, bins: np.ndarray) -> np.ndarray:
+    sums = np.zeros((int(bins[-1]) + 1, *values.shape[1:]))
+    np.add.at(sums, bins, values)
+    return np.asarray(sums / np.bincount(bins).reshape(-1, *[1] * (values.ndim - 1)))

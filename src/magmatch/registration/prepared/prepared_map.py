@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a search needs of one map, computed once and in the map's own model frame.
+
+Working in the model frame makes the answer follow every rigid motion of a survey: the model frame moves with it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.features.invariants import rotation_invariants, traceless_symmetric
+from magmatch.field.map import FieldMap
+from magmatch.field.values import FieldFunction, FieldValues, gradient_norm, gradient_of
+from magmatch.registration.prepared.cubes import thin
+from magmatch.registration.prepared.drift import Drift
+from magmatch.registration.prepared.raster import Raster, rasterize
+from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
+
+# Median of a chi-square variable with three degrees of freedom: robust variance from squared norms.
+MEDIAN_CHI2_3 = 2.366
+# Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
+MEDIAN_GRADIENT2 = 8.69
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PreparedMap:
+    """A field map made ready for matching; all arrays are in its model frame.
+
+    Attributes
+    ----------
+    field_map : FieldMap
+    T_map_model : RigidTransform
+    posterior : FieldFunction
+        The map's field.
+    samples : (n, 3) array, m
+    sample_field : (n, 3) array, T
+        Measured vectors.
+    points : (k, 3) array, m
+        Thinned sample positions that carry frames and invariants.
+    point_field : (k, 3) array, T
+    point_gradient : (k, 3, 3) array, T/m
+        Posterior mean, made symmetric and traceless.
+    gradient_sd : (k,) array, T/m
+        Spread of the gradient's norm under the posterior.
+    invariants, invariant_sd : (k, 6) arrays
+        See `magmatch.features.invariants`.
+    raster : Raster
+    lengthscale : float, m
+        Distance over which the field changes by as much as it varies (see `field_length`): the scale of all steps,
+        cells and tolerances. The prior's own lengthscale says how smooth the field is, not how far it reaches.
+    noise_sd : float, T
+    drift : Drift
+        How its samples' positions may be off.
+    draws : callable
+        Gives posterior samples of the map, for `posterior.evaluate`; the same ones whenever it is called.
+    """
+
+    field_map: FieldMap
+    T_map_model: RigidTransform
+    posterior: FieldFunction
+    samples: Points
+    sample_field: Vectors
+    points: Points
+    point_field: Vectors
+    point_gradient: Tensors
+    gradient_sd: Scalars
+    invariants: Matrix
+    invariant_sd: Matrix
+    raster: Raster
+    lengthscale: float
+    noise_sd: float
+    drift: Drift
+    draws: Callable[[], Sequence[Any]]
+
+
+def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:
+    """Evaluate all that a search will ask of a map.
+
+    Parameters
+    ----------
+    field_map : FieldMap
+        A fitted map.
+    n_draws : int
+        Posterior samples that give the spread of derived quantities.
+    rng : numpy Generator
+        Source of randomness of the draws.
+
+    Returns
+    -------
+    PreparedMap
+    """
+    survey = field_map.survey.transformed(field_map.T_map_model.inv())
+    posterior = field_map.posterior
+    some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
+    lengthscale = field_length(posterior.evaluate(some, order=1))
+    points = survey.positions[thin(survey.positions, lengthscale / 8, limit=4000)]
+    mean = posterior.evaluate(points, order=1)
+    weights = list(posterior.draw_weights(n_draws, rng))
+    draws = [posterior.evaluate(points, 1, w) for w in weights]
+    gradient = _lawful_gradient(mean)
+    invariants = rotation_invariants(mean.field, gradient)
+    spread = [rotation_invariants(d.field, _lawful_gradient(d)) - invariants for d in draws]
+    gradient_spread = [gradient_norm(_lawful_gradient(d) - gradient) for d in draws]
+    return PreparedMap(
+        field_map=field_map,
+        T_map_model=field_map.T_map_model,
+        posterior=posterior,
+        samples=survey.positions,
+        sample_field=survey.field,
+        points=points,
+        point_field=mean.field,
+        point_gradient=gradient,
+        gradient_sd=np.sqrt(np.mean(np.square(gradient_spread), axis=0)),
+        invariants=invariants,
+        invariant_sd=np.sqrt(np.mean(np.square(spread), axis=0)),
+        raster=rasterize(field_map, lengthscale / 4, weights),
+        lengthscale=lengthscale,
+        noise_sd=field_map.hyperparameters.noise_sd,
+        drift=Drift.of(survey, posterior),
+        draws=lambda: weights,
+    )
+
+
+def field_length(values: FieldValues) -> float:
+    """Distance over which a field changes by as much as it varies: its spread over its gradient.
+
+    Parameters
+    ----------
+    values : FieldValues
+        Field and gradient at points all over the map.
+
+    Returns
+    -------
+    float, m
+        Medians, so that one magnet does not decide. Equals the lengthscale of a squared-exponential field.
+    """
+    deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
+    g2 = gradient_norm(_lawful_gradient(values)) ** 2
+    return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))
+
+
+def _lawful_gradient(values: FieldValues) -> Tensors:
+    return traceless_symmetric(gradient_of(values))

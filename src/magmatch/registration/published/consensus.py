@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Vector MSAC: the rigid transform that most correspondences agree on, by their points and by their field vectors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.geometry import rotation_matrix
+from magmatch.registration.search.invariant_search import distinct_poses
+from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Vectors
+
+# Hypothesis-correspondence pairs scored at once: bounds memory.
+_PAIRS_AT_ONCE = 1_000_000
+# Refits of one hypothesis to its inliers; the set settles within a few.
+_MAX_REFITS = 20
+# Transforms nearer than this (and one inlier distance) are one candidate, rad.
+_SAME_ROTATION = 0.1
+
+
+class ConsensusConfig(BaseModel):
+    """How hypotheses are drawn and judged."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Distance at which a correspondence stops counting, spacings of X*. Experiment: one spacing, what two grids that
+    # do not fall together leave, halves the error of two spacings, which let neighbours' keypoints in.
+    inlier_distance: float = Field(default=1.0, gt=0)
+    # What a right angle between aligned vectors costs, inlier distances; 0 is the classical MSAC (experiment).
+    vector_weight: float = Field(default=10.0, ge=0)
+    # Correspondences per hypothesis (published: 3 points); 2 suffice where vectors fix the rotation about their line.
+    sample_size: int = Field(default=3, ge=2, le=6)
+    # Samples drawn, and most hypotheses that are scored among those whose distances agree.
+    n_samples: int = Field(default=100_000, ge=1)
+    n_hypotheses: int = Field(default=2000, ge=1)
+    # Best hypotheses that are refitted to their inliers, and distinct transforms handed on.
+    n_refits: int = Field(default=20, ge=1)
+    n_candidates: int = Field(default=5, ge=1)
+    # Fewest inliers of a transform worth reporting.
+    min_inliers: int = Field(default=6, ge=3)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Consensus:
+    """A transform and the correspondences that support it.
+
+    Attributes
+    ----------
+    T_base_target : RigidTransform
+    cost : float
+        Mean truncated cost over all correspondences, 0 (all agree) to 1 (none does).
+    is_inlier : (c,) bool array
+    """
+
+    T_base_target: RigidTransform
+    cost: float
+    is_inlier: Mask
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Pairs:
+    """Correspondences in units of the inlier distance; directions are unit vectors."""
+
+    base: Points
+    target: Points
+    base_direction: Vectors
+    target_direction: Vectors
+    vector_weight: float
+
+
+def vector_msac(
+    base_points: Points,
+    target_points: Points,
+    base_field: Vectors,
+    target_field: Vectors,
+    inlier_distance: float,
+    config: ConsensusConfig,
+    rng: np.random.Generator,
+) -> list[Consensus]:
+    """Find the transforms that align many correspondences, their points and their vectors.
+
+    Parameters
+    ----------
+    base_points, target_points : (c, 3) arrays, m
+        Row i of one corresponds to row i of the other, each in its own frame.
+    base_field, target_field : (c, 3) arrays, T
+        Field vectors there.
+    inlier_distance : float, m
+        Where the cost is truncated.
+    config : ConsensusConfig
+    rng : numpy Generator
+        Draws the samples.
+
+    Returns
+    -------
+    list of Consensus
+        Distinct transforms, cheapest first; empty where none has enough inliers.
+
+    Notes
+    -----
+    ``cost = mean_i min(d_i^2 + (w c_i)^2, 1)``: d_i is the distance of the points in inlier distances, c_i the norm
+    of the cross product of the unit vectors after rotation (1 where they are opposed), w the weight of vectors.
+    """
+    pairs = _Pairs(
+        base_points / inlier_distance,
+        target_points / inlier_distance,
+        _unit(base_field),
+        _unit(target_field),
+        config.vector_weight,
+    )
+    if len(pairs.base) < max(config.sample_size, config.min_inliers):
+        return []
+    samples = consistent_samples(pairs, config, rng)
+    R, t = fit_rigid(pairs, samples, np.ones(samples.shape))
+    center = target_points.mean(axis=0) / inlier_distance
+    best = _distinct(R, t, _mean_costs(pairs, R, t), center, config.n_refits)
+    settled = [_settle(pairs, R[h], t[h], inlier_distance) for h in best]
+    supported = [c for c in settled if c.is_inlier.sum() >= config.min_inliers]
+    if not supported:
+        return []
+    R = np.stack([rotation_matrix(c.T_base_target) for c in supported])
+    t = np.stack([c.T_base_target.translation for c in supported]) / inlier_distance
+    costs = np.array([c.cost for c in supported])
+    return [supported[k] for k in _distinct(R, t, costs, center, config.n_candidates)]
+
+
+def consistent_samples(pairs: _Pairs, config: ConsensusConfig, rng: np.random.Generator) -> np.ndarray:
+    """Draw small sets of correspondences between whose members distances agree in both maps.
+
+    A rigid transform keeps distances, so what this drops could not have had all its members as inliers; nor could a
+    sample whose points nearly coincide have fixed a rotation.
+
+    Returns
+    -------
+    (h, sample_size) int array
+    """
+    n, size = len(pairs.base), config.sample_size
+    drawn = rng.integers(0, n, (config.n_samples, size))
+    is_good = np.ones(len(drawn), dtype=bool)
+    for i in range(size):
+        for j in range(i):
+            one, other = drawn[:, i], drawn[:, j]
+            in_base = np.linalg.norm(pairs.base[one] - pairs.base[other], axis=1)
+            in_target = np.linalg.norm(pairs.target[one] - pairs.target[other], axis=1)
+            # In inlier distances: both ends may be off by one.
+            is_good &= (np.abs(in_base - in_target) < 2) & (np.minimum(in_base, in_target) > 1)
+    return drawn[is_good][: config.n_hypotheses]
+
+
+def fit_rigid(pairs: _Pairs, samples: np.ndarray, weights: np.ndarray) -> tuple[Tensors, Vectors]:
+    """Least-squares rigid transforms of points and directions together.
+
+    Parameters
+    ----------
+    pairs : _Pairs
+    samples : (h, m) int array
+        Correspondences that each transform is fitted to.
+    weights : (h, m) array
+        Not negative.
+
+    Returns
+    -------
+    rotations : (h, 3, 3) array
+    translations : (h, 3) array
+        In the unit of the points.
+
+    Notes
+    -----
+    Minimises ``sum_i w_i (|R y_i + t - x_i|^2 + w^2 |R v_i - u_i|^2)`` by the singular value decomposition of
+    ``sum_i w_i ((x_i - x)(y_i - y)^T + w^2 u_i v_i^T)`` (Kabsch; Wahba for the directions), x and y the weighted
+    means.
+    """
+    x, y = pairs.base[samples], pairs.target[samples]
+    total = weights.sum(axis=1, keepdims=True)
+    x_mean = np.einsum("hm,hmi->hi", weights, x) / total
+    y_mean = np.einsum("hm,hmi->hi", weights, y) / total
+    M = np.einsum("hm,hmi,hmj->hij", weights, x - x_mean[:, None], y - y_mean[:, None])
+    u, v = pairs.base_direction[samples], pairs.target_direction[samples]
+    M += pairs.vector_weight**2 * np.einsum("hm,hmi,hmj->hij", weights, u, v)
+    U, _, Vt = np.linalg.svd(M)
+    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    R = U @ Vt
+    return R, x_mean - np.einsum("hij,hj->hi", R, y_mean)
+
+
+def squared_costs(pairs: _Pairs, R: Tensors, t: Vectors) -> np.ndarray:
+    """Cost of each correspondence under each transform before truncation: (h, c), in squared inlier distances."""
+    d2 = ((pairs.target @ np.swapaxes(R, 1, 2) + t[:, None] - pairs.base) ** 2).sum(axis=2)
+    cosine = np.einsum("hci,ci->hc", pairs.target_direction @ np.swapaxes(R, 1, 2), pairs.base_direction)
+    # |u x v|^2 = 1 - cos^2; opposed vectors, whose cross product vanishes too, cost as much as a right angle.
+    sine2 = 1 - np.clip(cosine, 0, 1) ** 2
+    costs: np.ndarray = d2 + pairs.vector_weight**2 * sine2
+    return costs
+
+
+def _mean_costs(pairs: _Pairs, R: Tensors, t: Vectors) -> Scalars:
+    step = max(_PAIRS_AT_ONCE // len(pairs.base), 1)
+    parts = [
+        np.minimum(squared_costs(pairs, R[k : k + step], t[k : k + step]), 1).mean(axis=1)
+        for k in range(0, len(R), step)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _settle(pairs: _Pairs, R: np.ndarray, t: np.ndarray, inlier_distance: float) -> Consensus:
+    """Fit to the inliers until they stay the same."""
+    costs = squared_costs(pairs, R[None], t[None])[0]
+    is_inlier = costs < 1
+    for _ in range(_MAX_REFITS):
+        rows = np.flatnonzero(is_inlier)[None]
+        if rows.shape[1] < 3:
+            break
+        fitted, shift = fit_rigid(pairs, rows, np.ones(rows.shape))
+        R, t = fitted[0], shift[0]
+        costs = squared_costs(pairs, fitted, shift)[0]
+        was, is_inlier = is_inlier, costs < 1
+        if np.array_equal(was, is_inlier):
+            break
+    T = RigidTransform.from_components(t * inlier_distance, Rotation.from_matrix(R))
+    return Consensus(T, float(np.minimum(costs, 1).mean()), is_inlier)
+
+
+def _distinct(R: Tensors, t: Vectors, costs: Scalars, center: Vector3, limit: int) -> Indices:
+    """Rows of the cheapest transforms, without those that nearly repeat a cheaper one."""
+    return distinct_poses(R, R @ center + t, -costs, _SAME_ROTATION, 1.0, limit)
+
+
+def _unit(vectors: Vectors) -> Vectors:
+    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
+    return unit

@@ -1,0 +1,342 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses beside what has changed: iron that was moved between two surveys is estimated with the pose.
+
+What a moved source changes is itself a field without sources in the surveyed region, strong where the source stood
+and stands, and falling off from there: a few charges on a layer around the samples say it. Each charge has a prior
+variance of its own, the most likely one, which is nearly zero for most (sparse Bayesian learning, Tipping 2001).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
+from magmatch.field.values import gradient_of
+from magmatch.geometry import transform_points
+from magmatch.registration.prepared.drift import Drift
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.refine.refinement import (
+    MAX_SHIFT,
+    MAX_TURN,
+    MIN_SAMPLES,
+    Direction,
+    Lookup,
+    RefinedPose,
+    perturbation,
+    residual_jacobian,
+)
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
+
+# Steps end when one moves the estimate by less than this many of its standard deviations.
+CLOSE = 0.1
+# Least prior variance of a charge, as a share of what all start with.
+FAINTEST = 1e-10
+# Charges whose prior variance has fallen below this share of the strongest one's are left out from then on.
+FADED = 1e-5
+# The charges that are left were chosen by the same data: what the pose's covariance must grow by for that (measured).
+CHOSEN = 16.0
+# Updates of the strengths of a field that the base has nothing to do with, and how little its constant is known, T.
+N_UNRELATED = 20
+CONSTANT_SD = 1e-4
+# Updates of the charges' strengths per step of the pose.
+N_STRENGTHS = 4
+
+
+class ChangeConfig(BaseModel):
+    """When and how a pose is looked for beside moved sources."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    is_enabled: bool = True
+    # Misfit of the best pose's cells above which something may have moved, and which a change must bring them under;
+    # right poses without changes stay below it.
+    max_misfit: float = Field(default=2.0, ge=0)
+    # Largest variance of what a change leaves, in units of what is stated: where more is left, it explains nothing.
+    max_noise: float = Field(default=1.1, ge=1)
+    # Poses that are tried, the least evidence of the cells that agree for one to be (nats; other places reach 31),
+    # and in how many rounds each must come to rest on the cells that agree with it: one that wanders is wrong.
+    n_candidates: int = Field(default=2, ge=1)
+    min_agreement: float = 35.0
+    n_rounds: int = Field(default=6, ge=1)
+    # Samples compared, and most charges that stand for the change: with half as many of both, fields of the target's
+    # own are described so badly that wrong poses win.
+    n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
+    n_charges: int = Field(default=400, ge=8)
+    # Distance of the charges from the samples, in field lengths.
+    distance: float = Field(default=0.6, gt=0)
+    # Most steps of the pose in a round.
+    n_steps: int = Field(default=10, ge=1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ChangedPose:
+    """A pose with the change of the field that was estimated beside it.
+
+    Attributes
+    ----------
+    pose : RefinedPose
+    log_ratio : float, nats
+        How much likelier the samples are as the base's field and this change than as a sparse field of their own.
+    noise : float
+        Variance of what both leave, in units of what noise and the base's spread state; at least 1.
+    shell : SourceShell
+    weights : (m,) array
+        Charges that stand for what changed.
+    """
+
+    pose: RefinedPose
+    log_ratio: float
+    noise: float
+    shell: SourceShell
+    weights: np.ndarray
+
+    def change_at(self, points: Points) -> Vectors:
+        """What the target's field has more than the base's, target's model frame."""
+        return self.shell.evaluate(points, self.weights, 0, np.zeros(3)).field
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Samples:
+    """The target's samples that are compared, and what charges of unit weight do there.
+
+    Attributes
+    ----------
+    rows : (n,) int array
+        Of the target's samples.
+    positions : (n, 3) array, m; field : (n, 3) array, T; map_sd : (n,) array, T
+        Target's model frame; the base's spread there.
+    shell : SourceShell
+    charges : (3 n, m) array, T
+    weight : (3 n,) array, 1/T^2
+        One over the variance that noise and the base's spread state.
+    """
+
+    rows: Indices
+    positions: Points
+    field: Vectors
+    map_sd: Scalars
+    shell: SourceShell
+    charges: Matrix
+    weight: Scalars
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Estimate:
+    """What one linear step says of pose and sensor (steps, then charges).
+
+    Attributes
+    ----------
+    charges : (m,) int array
+        Those that are left; the others have faded.
+    values : (k + m,) array
+    covariance : (k + m, k + m) array
+    strengths : (m,) array
+        Prior variance of each charge, the more likely ones after this step.
+    noise : float
+        Variance of the residuals that are left, in units of what is stated; at least 1.
+    """
+
+    charges: Indices
+    values: np.ndarray
+    covariance: Matrix
+    strengths: Scalars
+    noise: float
+
+
+def refine_beside_changes(
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    agrees: Mask,
+    prior: PosePrior,
+    config: ChangeConfig,
+    rng: np.random.Generator,
+) -> ChangedPose | None:
+    """Refine a pose together with a sparse field of moved sources, by Gauss-Newton.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    pose : RefinedPose
+        Start; its sensor parameters are estimated anew under the same prior.
+    agrees : (n,) bool array
+        The target's samples to use.
+    prior : PosePrior
+    config : ChangeConfig
+    rng : numpy Generator
+        Picks the samples where there are more than needed.
+
+    Returns
+    -------
+    ChangedPose or None
+        None where too few samples are left.
+    """
+    samples = _choose_samples(base, target, pose.T_base_target, agrees, config, rng)
+    if samples is None:
+        return None
+    lengthscale = min(base.lengthscale, target.lengthscale)
+    longest = np.repeat([MAX_TURN, MAX_SHIFT * lengthscale], 3)
+    gram = samples.charges.T @ (samples.weight[:, None] * samples.charges)
+    pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
+    k = 6 + len(pose.sensor_sd)
+    lookup = _look_up(base, samples, pose)
+    estimate = _solve(lookup, samples, gram, pose, prior)
+    for _ in range(config.n_steps):
+        xi = estimate.values[:k] / max(1.0, float(np.abs(estimate.values[:6] / longest).max()))
+        pose = replace(
+            pose,
+            T_base_target=pose.T_base_target * perturbation(xi[:6], pose.center),
+            sensor=pose.sensor.stepped(xi[6:], 4 * pose.sensor_sd),
+        )
+        is_close = float(xi @ np.linalg.solve(estimate.covariance[:k, :k], xi)) < CLOSE**2
+        lookup = _look_up(base, samples, pose)
+        estimate = _solve(lookup, samples, gram, pose, prior, estimate)
+        if is_close:
+            break
+    direction = _direction(lookup, samples, gram, pose, estimate, target.drift)
+    known = prior.rows(pose.T_base_target, pose.center)[0]
+    refined = replace(pose, prior_information=known, directions=(direction,))
+    weights = np.zeros(len(gram))
+    weights[estimate.charges] = estimate.values[k:]
+    return ChangedPose(refined, _log_ratio(lookup, samples, gram, estimate), estimate.noise, samples.shell, weights)
+
+
+def _choose_samples(
+    base: PreparedMap,
+    target: PreparedMap,
+    T_base_target: RigidTransform,
+    agrees: Mask,
+    config: ChangeConfig,
+    rng: np.random.Generator,
+) -> _Samples | None:
+    _, map_sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
+    rows = np.sort(rng.permutation(np.flatnonzero(agrees & is_known))[: config.n_samples])
+    if len(rows) < MIN_SAMPLES:
+        return None
+    y, map_sd = target.samples[rows], map_sd[rows]
+    weight = np.repeat(1 / (target.noise_sd**2 + map_sd**2), 3)
+    distance = config.distance * min(base.lengthscale, target.lengthscale)
+    shell = lay_shell(y, distance, distance / 2, config.n_charges)
+    # From component-major rows to a row per sample and component.
+    charges = np.moveaxis(shell.design(y).reshape(3, len(y), -1), 0, 1).reshape(3 * len(y), -1)
+    return _Samples(rows, y, target.sample_field[rows], map_sd, shell, np.ascontiguousarray(charges), weight)
+
+
+def _look_up(base: PreparedMap, samples: _Samples, pose: RefinedPose) -> Lookup:
+    T = pose.T_base_target
+    seen = base.posterior.evaluate(transform_points(samples.positions, T), order=1).rotated(T.inv())
+    corrected = pose.sensor.correct(samples.field)
+    residual = corrected - seen.field
+    return Lookup(samples.rows, samples.positions, seen.field, residual, gradient_of(seen), corrected, samples.map_sd)
+
+
+def _solve(
+    lookup: Lookup,
+    samples: _Samples,
+    gram: Matrix,
+    pose: RefinedPose,
+    prior: PosePrior,
+    last: _Estimate | None = None,
+) -> _Estimate:
+    """Step of pose and sensor with the charges, whose strengths become more likely as they are solved for."""
+    k, r = 6 + len(pose.sensor_sd), lookup.residual.ravel()
+    start = max(float(np.median((lookup.residual**2).sum(axis=1))) / MEDIAN_CHI2_3, 1 / samples.weight.max())
+    left, strengths, noise = np.arange(len(gram)), np.full(len(gram), start), 4.0
+    if last:
+        lasting = last.strengths > FADED * last.strengths.max(initial=0.0)
+        left, strengths, noise = last.charges[lasting], last.strengths[lasting], last.noise
+    charges, J = samples.charges[:, left], residual_jacobian(lookup, pose.center, pose.sensor).reshape(len(r), k)
+    WJ, Wr = samples.weight[:, None] * J, samples.weight * r
+    cross = -WJ.T @ charges
+    A = np.block([[WJ.T @ J, cross], [cross.T, gram[np.ix_(left, left)]]])
+    v = np.concatenate([-J.T @ Wr, charges.T @ Wr])
+    known, slope, _ = prior.rows(pose.T_base_target, pose.center)
+    before, pull = block_diag(known, np.diag(pose.sensor_sd**-2)), np.zeros_like(v)
+    pull[:6], pull[6:k] = -slope, -pose.sensor.parameters / pose.sensor_sd**2
+    for _ in range(N_STRENGTHS):
+        z, C, strengths, noise = _update(A, v, pull, before, strengths, noise, float(r @ Wr), len(r))
+    return _Estimate(left, z, C, strengths, noise)
+
+
+def _update(
+    A: Matrix,
+    v: np.ndarray,
+    pull: np.ndarray,
+    before: Matrix,
+    strengths: Scalars,
+    noise: float,
+    power: float,
+    n_rows: int,
+) -> tuple[np.ndarray, Matrix, Scalars, float]:
+    """Solve for all unknowns, then take the strengths and the noise that are more likely with what was found."""
+    k = len(before)
+    C = np.linalg.inv(A / noise + block_diag(before, np.diag(1 / strengths)))
+    z = C @ (v / noise + pull)
+    weights2, spread = z[k:] ** 2, np.diag(C)[k:]
+    # How far the data, not the prior, determine a charge.
+    determined = np.clip(1 - spread / strengths, 1e-6, 1.0)
+    residual2 = power - 2 * float(z @ v) + float(z @ A @ z)
+    noise = max(1.0, residual2 / max(n_rows - k - float(determined.sum()), 1.0))
+    # Between the slow, certain update of expectation maximisation and MacKay's fixed point.
+    more_likely = np.sqrt(weights2 / determined * (weights2 + spread))
+    return z, C, np.maximum(more_likely, FAINTEST * more_likely.max(initial=0.0)), noise
+
+
+def _log_likelihood(
+    A: Matrix, v: np.ndarray, before: Matrix, strengths: Scalars, noise: float, power: float, n_rows: int
+) -> float:
+    """Log density of the data, all unknowns integrated out, less what the stated noise alone contributes."""
+    P = A / noise + block_diag(before, np.diag(1 / strengths))
+    fit = float(v @ np.linalg.solve(P, v)) / noise**2
+    log_det = np.linalg.slogdet(P)[1] + float(np.log(strengths).sum()) - np.linalg.slogdet(before)[1]
+    return -0.5 * float(power / noise - fit + n_rows * np.log(noise) + log_det)
+
+
+def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate) -> float:
+    """Log of 'the base and a sparse change explain the samples' over 'a sparse field of their own does'."""
+    left, r = estimate.charges, lookup.residual.ravel()
+    Wr = samples.weight * r
+    charges = samples.charges[:, left]
+    nothing = np.zeros((0, 0))
+    explained = _log_likelihood(
+        gram[np.ix_(left, left)], charges.T @ Wr, nothing, estimate.strengths, estimate.noise, float(r @ Wr), len(r)
+    )
+    b, constant = samples.field.ravel(), np.tile(np.eye(3), (len(samples.field), 1))
+    Wb, Wc = samples.weight * b, samples.weight[:, None] * constant
+    cross = Wc.T @ samples.charges
+    A = np.block([[Wc.T @ constant, cross], [cross.T, gram]])
+    v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
+    before, noise, power = np.eye(3) / CONSTANT_SD**2, 4.0, float(b @ Wb)
+    strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))
+    for _ in range(N_UNRELATED):
+        lasting = np.concatenate([[True] * 3, strengths > FADED * strengths.max()])
+        A, v, strengths = A[np.ix_(lasting, lasting)], v[lasting], strengths[lasting[3:]]
+        _, _, strengths, noise = _update(A, v, np.zeros_like(v), before, strengths, noise, power, len(b))
+    return explained - _log_likelihood(A, v, before, strengths, noise, power, len(b))
+
+
+def _direction(
+    lookup: Lookup, samples: _Samples, gram: Matrix, pose: RefinedPose, estimate: _Estimate, drift: Drift
+) -> Direction:
+    """What the samples say of pose and sensor when the charges are free to answer every change of them."""
+    n, k, left = len(lookup.positions), 6 + len(pose.sensor_sd), estimate.charges
+    charges = samples.charges[:, left]
+    J = residual_jacobian(lookup, pose.center, pose.sensor).reshape(3 * n, k)
+    weight = samples.weight / estimate.noise
+    stiff = gram[np.ix_(left, left)] / estimate.noise + np.diag(1 / estimate.strengths)
+    free = J - charges @ np.linalg.solve(stiff, charges.T @ (weight[:, None] * J))
+    rest = lookup.residual.ravel() - charges @ estimate.values[k:]
+    WJ = weight[:, None] * free
+    information = WJ.T @ J / CHOSEN
+    return Direction(
+        information=information,
+        curvature=information,
+        scores=(WJ * rest[:, None]).reshape(n, 3, k).sum(axis=1) / np.sqrt(CHOSEN),
+        positions=lookup.positions,
+        residual2=(rest**2).reshape(n, 3).sum(axis=1) * samples.weight[::3],
+        drift=drift.score_covariance(WJ.reshape(n, 3, k), lookup.gradient, samples.rows),
+    )

@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Dense refinement of one pose against the field itself, symmetric in the two maps.
+
+Residuals are taken in target axes, ``r = b - R^T B_base(T y)`` at the target's samples y and
+``r = B_target(T^-1 x) - R^T b`` at the base's samples x. With the pose perturbed about a centre c of the target,
+``T Exp(xi)``, both have the same Jacobian, ``-[b]x theta + G ([y - c]x theta - rho)``, G the gradient of the map
+that is looked up, in target axes. Bias and scale of the target's magnetometer are further columns (`sensors.py`);
+residuals are taken half-way between the two gains: in the base's own, a smaller target would always fit better, and
+base and target could not be swapped.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import block_diag
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.field.values import gradient_of
+from magmatch.geometry import rotate_vectors, skew, transform_points
+from magmatch.registration.prepared.cubes import sum_by_cube
+from magmatch.registration.prepared.drift import Drift, field_variance
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
+
+# Fewer samples than this in one direction say too little to be used.
+MIN_SAMPLES = 20
+# Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
+STUDENT_DOF = 4.0
+# Longest step: rad, and in lengthscales.
+MAX_TURN, MAX_SHIFT = 0.1, 0.3
+
+
+class RefinementConfig(BaseModel):
+    """Settings of the dense refinement."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Off in preset 'paper': the published method ends with consensus.
+    is_enabled: bool = True
+    # Samples per survey. A room's 3,000 all tell: with 1,200 of them errors grow by a fifth, at 15 % overlap by half.
+    n_samples: int = Field(default=4000, ge=MIN_SAMPLES)
+    # Most Newton steps; they end when one moves the estimate by less than this many of its standard deviations.
+    n_steps: int = Field(default=20, ge=1)
+    tolerance: float = Field(default=1e-3, gt=0)
+    # The same while candidates are only ranked: wrong ones wander, and an evidence is known well before its pose is.
+    n_ranking_samples: int = Field(default=600, ge=MIN_SAMPLES)
+    n_ranking_steps: int = Field(default=8, ge=1)
+    ranking_tolerance: float = Field(default=0.1, gt=0)
+    # Best candidates to refine and compare, and more of them while none has this much evidence, nats.
+    n_candidates: int = Field(default=4, ge=1)
+    n_more_candidates: int = Field(default=4, ge=0)
+    clear_log_evidence: float = 50.0
+    # What may differ between the two magnetometers.
+    sensor: SensorConfig = Field(default_factory=SensorConfig)
+
+    def for_ranking(self) -> "RefinementConfig":
+        """These settings while candidates are only ranked."""
+        return self.model_copy(
+            update={
+                "n_samples": min(self.n_samples, self.n_ranking_samples),
+                "n_steps": self.n_ranking_steps,
+                "tolerance": self.ranking_tolerance,
+            }
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Direction:
+    """One direction of comparison at the optimum: a map looked up at the other survey's samples.
+
+    Attributes
+    ----------
+    information : (6 + k, 6 + k) array
+        Weighted ``J^T J`` of the pose and the k sensor parameters.
+    curvature : (6 + k, 6 + k) array
+        Of the log-likelihood, which a large residual bends less than its weight says: what the scatter of an estimate
+        follows from.
+    scores : (n, 6 + k) array
+        Each sample's weighted gradient.
+    positions : (n, 3) array, m
+        Where the samples lie, target's model frame.
+    residual2 : (n,) array
+        Squared norm of each residual over its expected variance.
+    drift : (6 + k, 6 + k) array
+        Covariance of the gradients' sum through the drift of the samples' own poses.
+    """
+
+    information: Matrix
+    curvature: Matrix
+    scores: Matrix
+    positions: Points
+    residual2: Scalars
+    drift: Matrix
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RefinedPose:
+    """A pose at the optimum of the field residual, in model frames.
+
+    Attributes
+    ----------
+    T_base_target : RigidTransform
+        Model frame to model frame.
+    center : (3,) array, m
+        Point of the target about which the perturbation is taken, target's model frame.
+    sensor : SensorModel
+        Bias and gain of the target's magnetometer against the base's, target's model axes.
+    sensor_sd : (k,) array
+        Prior standard deviations that the sensor's parameters were given.
+    prior_information : (6, 6) array
+        What was known of the pose beforehand, about the centre.
+    directions : tuple of Direction
+        What each direction of comparison says; empty where the maps hardly overlap.
+    """
+
+    T_base_target: RigidTransform
+    center: Vector3
+    sensor: SensorModel
+    sensor_sd: np.ndarray
+    prior_information: Matrix
+    directions: tuple[Direction, ...]
+
+    @property
+    def known_before(self) -> Matrix:
+        """Information on pose and sensor together that does not come from the samples: (6 + k, 6 + k)."""
+        known: Matrix = block_diag(self.prior_information, np.diag(self.sensor_sd**-2))
+        return known
+
+
+def refine(
+    base: PreparedMap,
+    target: PreparedMap,
+    start: "RigidTransform | RefinedPose",
+    prior: PosePrior,
+    config: RefinementConfig,
+    rng: np.random.Generator,
+    level: int = 0,
+) -> RefinedPose:
+    """Minimise the field residual of both directions, of Student-t likelihood, by Newton's steps.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    start : RigidTransform or RefinedPose
+        ``T_base_target``, model frame to model frame; a refined pose goes on with its own sensor model and level.
+    prior : PosePrior
+    config : RefinementConfig
+    rng : numpy Generator
+        Picks the samples where there are more than needed.
+    level : int
+        How far the two magnetometers may differ, see `magmatch.registration.refine.sensors.prior_sd`.
+
+    Returns
+    -------
+    RefinedPose
+    """
+    rows = some_rows(base, target, config, rng)
+    center = target.samples.mean(axis=0)
+    if isinstance(start, RefinedPose):
+        T, sensor, sd = start.T_base_target, start.sensor, start.sensor_sd
+    else:
+        T, sensor = start, identical_sensors(config.sensor, level)
+        sd = prior_sd(config.sensor, level, sensor.n_parameters)
+    lengthscale = min(base.lengthscale, target.lengthscale)
+    for _ in range(config.n_steps):
+        directions = compare(base, target, T, center, sensor, rows)
+        if not directions:
+            break
+        v = -np.sum([d.scores.sum(axis=0) for d in directions], axis=0)
+        # What the likelihood bends by: with the weights alone in its place, steps fall short by a third.
+        A = np.sum([d.curvature for d in directions], axis=0)
+        # Neighbouring residuals are not independent; unscaled they would override any prior.
+        excess = overdispersion(directions, 2 * lengthscale)
+        A, v = A / excess, v / excess
+        known, slope, _ = prior.rows(T, center)
+        A[:6, :6] += known
+        v[:6] -= slope
+        A[6:, 6:] += np.diag(sd**-2)
+        v[6:] -= sensor.parameters / sd**2
+        xi = _step(A, v, sd, lengthscale)
+        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
+        if float(xi @ A @ xi) < config.tolerance**2:
+            break
+    known = prior.rows(T, center)[0]
+    return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows))
+
+
+def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
+    """Small motion about a centre: turn by ``xi[:3]`` (rad) about it, then shift by ``xi[3:]`` (m)."""
+    rotation = Rotation.from_rotvec(xi[:3])
+    return RigidTransform.from_components(center + xi[3:] - rotation.apply(center), rotation)
+
+
+def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
+    """Perturbation about the centre that takes one pose to the other."""
+    moved = before.T_base_target.inv() * after.T_base_target
+    return np.concatenate([moved.rotation.as_rotvec(), moved.apply(before.center) - before.center])
+
+
+def information_of(directions: tuple[Direction, ...]) -> Matrix:
+    """Information of both directions together: (6 + k, 6 + k)."""
+    A: Matrix = np.sum([d.information for d in directions], axis=0)
+    return A
+
+
+def overdispersion(directions: tuple[Direction, ...], side: float) -> float:
+    """By how much cell-wise sums of the gradient scatter more than independent samples would (at least 1)."""
+    A = information_of(directions)
+    clusters = np.concatenate([sum_by_cube(d.scores, d.positions, side) for d in directions])
+    meat = clusters.T @ clusters
+    ratio = np.trace(np.linalg.lstsq(A, meat, rcond=1e-10)[0]) / len(A)
+    return max(1.0, float(ratio))
+
+
+def compare(
+    base: PreparedMap,
+    target: PreparedMap,
+    T_base_target: RigidTransform,
+    center: Vector3,
+    sensor: SensorModel,
+    rows: tuple[Indices, Indices],
+) -> tuple[Direction, ...]:
+    """Residuals, weights and Jacobians of both directions at a pose.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    T_base_target : RigidTransform
+        Model frame to model frame.
+    center : (3,) array, m
+        Centre of the perturbation, target's model frame.
+    sensor : SensorModel
+    rows : pair of int arrays
+        Samples of the target and of the base to use.
+
+    Returns
+    -------
+    tuple of Direction
+        Directions with at least `MIN_SAMPLES` samples inside the other map.
+    """
+    forward, backward = look_up(base, target, T_base_target, sensor, rows)
+    sides = (forward, target), (backward, base)
+    return tuple(
+        _direction(side, of.noise_sd, of.drift, center, sensor) for side, of in sides if len(side.sd) >= MIN_SAMPLES
+    )
+
+
+def look_up(
+    base: PreparedMap,
+    target: PreparedMap,
+    T_base_target: RigidTransform,
+    sensor: SensorModel,
+    rows: tuple[Indices, Indices],
+) -> "tuple[Lookup, Lookup]":
+    """The base's map at the target's samples, and the target's map at the base's samples."""
+    T_target_base = T_base_target.inv()
+    position_variance = base.drift.sd**2 + target.drift.sd**2
+    y, b = target.samples[rows[0]], target.sample_field[rows[0]]
+    _, sd, _, is_known = base.raster.lookup(transform_points(y, T_base_target))
+    y, corrected = y[is_known], sensor.correct(b[is_known])
+    seen = base.posterior.evaluate(transform_points(y, T_base_target), order=1).rotated(T_target_base)
+    G = gradient_of(seen)
+    sd = np.sqrt(sd[is_known] ** 2 + field_variance(G, position_variance))
+    forward = Lookup(rows[0][is_known], y, seen.field, sensor.half_way(corrected - seen.field), G, corrected, sd)
+
+    z = transform_points(base.samples[rows[1]], T_target_base)
+    b = rotate_vectors(base.sample_field[rows[1]], T_target_base)
+    _, sd, _, is_known = target.raster.lookup(z)
+    z, b = z[is_known], b[is_known]
+    seen = target.posterior.evaluate(z, order=1)
+    corrected, G = sensor.correct(seen.field), gradient_of(seen)
+    sd = np.sqrt(sd[is_known] ** 2 + field_variance(G, position_variance))
+    return forward, Lookup(rows[1][is_known], z, b, sensor.half_way(corrected - b), G, corrected, sd)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Lookup:
+    """One survey's samples against the other's map, all in target axes."""
+
+    rows: Indices  # of the survey's samples
+    positions: Points
+    base_side: Vectors  # turns with the pose
+    residual: Vectors
+    gradient: Tensors  # of the map that was looked up
+    target_side: Vectors  # corrected by the sensor model
+    sd: Scalars  # of the map that was looked up, and of positions that are off
+
+
+def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> np.ndarray:
+    """Change of the residuals with pose and sensor: (n, 3, 6 + k), see the module's equation."""
+    lever, G = skew(lookup.positions - center), lookup.gradient
+    return np.concatenate(
+        [G @ lever - skew(lookup.base_side), -G, sensor.jacobian((lookup.target_side + lookup.base_side) / 2)], axis=2
+    )
+
+
+def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
+    """Weight of each residual, and by how much its part of the likelihood bends less than that.
+
+    Parameters
+    ----------
+    residual2 : (n,) array, T^2
+        Squared norms.
+    map_sd : (n,) array, T
+        Of the map that was looked up.
+    noise_sd : float, T
+        Of the samples.
+
+    Returns
+    -------
+    weight : (n,) array, 1/T^2
+    bend : (n,) array
+        The weight falls as its residual grows, in one direction of three: between 1/3 and 1.
+    """
+    # What the residuals themselves show beyond the map's own spread, never less than a share of the noise.
+    map_variance = map_sd**2
+    excess = max(float(np.median(residual2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
+    variance = excess + map_variance
+    chi2 = residual2 / variance
+    weight = (STUDENT_DOF + 3) / (STUDENT_DOF + chi2) / variance
+    return weight, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
+
+
+def _direction(lookup: Lookup, noise_sd: float, drift: Drift, center: Vector3, sensor: SensorModel) -> Direction:
+    J = residual_jacobian(lookup, center, sensor)
+    r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
+    weight, bend = student_weights(r2, lookup.sd, noise_sd)
+    rows = J.reshape(-1, J.shape[2])
+    weighted = rows * np.repeat(weight, 3)[:, None]
+    return Direction(
+        information=weighted.T @ rows,
+        curvature=(weighted * np.repeat(bend, 3)[:, None]).T @ rows,
+        scores=(weighted * lookup.residual.reshape(-1, 1)).reshape(J.shape).sum(axis=1),
+        positions=lookup.positions,
+        residual2=r2 / (noise_sd**2 + lookup.sd**2),
+        drift=drift.score_covariance(weighted.reshape(J.shape), lookup.gradient, lookup.rows),
+    )
+
+
+def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -> np.ndarray:
+    """Bounded Newton step; of minimum norm, so a direction that the data do not fix stays where it was."""
+    scale = np.concatenate([np.full(3, MAX_TURN), np.full(3, MAX_SHIFT * lengthscale), sensor_sd])
+    xi: np.ndarray = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
+    return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))
+
+
+def some_rows(
+    base: PreparedMap, target: PreparedMap, config: RefinementConfig, rng: np.random.Generator
+) -> tuple[Indices, Indices]:
+    """Samples of the target and of the base that are compared."""
+    some = (np.sort(rng.permutation(len(m.samples))[: config.n_samples]) for m in (target, base))
+    of_target, of_base = (rows.astype(np.int64) for rows in some)
+    return of_target, of_base

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Global search without a guess: every point carries a frame, so one pair of points gives a whole pose."""
+
+import logging
+
+import numpy as np
+from numba import njit
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.features.invariants import point_frames
+from magmatch.field.values import gradient_norm
+from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.search.annealing import anneal_poses
+from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.scoring import score_poses, weigh_samples
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
+
+log = logging.getLogger(__name__)
+
+
+class InvariantSearchConfig(BaseModel):
+    """Counts and scales of the search; the defaults found every pair of the development set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Target points that vote, drawn in proportion to how well their gradient is known.
+    n_anchors: int = Field(default=400, ge=10)
+    # Base points with the most similar invariants that each anchor is tried on.
+    n_neighbours: int = Field(default=30, ge=1)
+    # Samples that every pose is judged by at first, and how many of the best poses go on to all of them.
+    n_first_samples: int = Field(default=40, ge=10)
+    n_second: int = Field(default=2000, ge=1)
+    # Samples that judge a pose: half near its anchor, half anywhere.
+    n_score_samples: int = Field(default=160, ge=20)
+    # Samples that judge the few poses left.
+    n_fine_samples: int = Field(default=600, ge=20)
+    # Poses that are refined coarsely, and distinct ones that are refined further.
+    n_coarse: int = Field(default=600, ge=1)
+    n_fine: int = Field(default=40, ge=1)
+    # Distinct poses handed on.
+    n_candidates: int = Field(default=8, ge=1)
+    # Share of samples that may match nothing (moved furniture, a passing lift).
+    outlier_share: float = Field(default=0.3, gt=0, lt=1)
+    # Inaccuracy of a pose from one pair of points: rad, and in lengthscales.
+    sd_rotation: float = Field(default=0.1, gt=0)
+    sd_translation: float = Field(default=0.2, gt=0)
+    # Floor of the invariants' whitening, as a share of their spread over both maps.
+    whitening_floor: float = Field(default=0.1, gt=0)
+    # Posterior samples that give the spread of invariants and field, and what maps do not know of an accepted pose.
+    n_draws: int = Field(default=8, ge=2)
+
+
+# Granted inaccuracy per annealing step, as a share of the configured one.
+COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
+FINE_SCHEDULE = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
+
+
+def invariant_search(
+    base: PreparedMap,
+    target: PreparedMap,
+    prior: PosePrior,
+    config: InvariantSearchConfig,
+    rng: np.random.Generator,
+) -> SearchResult:
+    """Find the poses under which the base's field explains the target's samples best.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    prior : PosePrior
+    config : InvariantSearchConfig
+    rng : numpy Generator
+        Draws anchors and the samples that judge poses.
+
+    Returns
+    -------
+    SearchResult
+        Distinct poses in model frames (``T_basemodel_targetmodel``), best first.
+    """
+    anchors = choose_anchors(target, config.n_anchors, rng)
+    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
+    log.info("scoring %d hypotheses", neighbours.size)
+    anchor_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
+    R = align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
+    pb, pt = base.points[neighbours.ravel()], target.points[anchors]
+    evidence = weigh_samples(base, target)
+    rows = judging_samples(pt, target, config.n_score_samples, rng)
+    lengthscale = min(base.lengthscale, target.lengthscale)
+    sd = np.array([config.sd_rotation, config.sd_translation * lengthscale])
+    center, slack = target.samples.mean(axis=0), (config.sd_rotation, config.sd_translation * lengthscale)
+    R, pb, anchor_rows = prior.narrow((R, pb, anchor_rows), pt, center, slack, rng)
+    if not len(R):
+        return SearchResult()
+    # Most hypotheses are wrong, and a few samples say so.
+    few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
+    scores = score_poses(R, pb, anchor_rows, pt, few, evidence, base, sd[0], sd[1], config.outlier_share)
+    best = np.argsort(-scores, kind="stable")[: config.n_second]
+    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
+    scores = score_poses(R, pb, anchor_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
+    # A pose that fits a strong corner of the base comes in hundreds of copies, which would leave no room for others.
+    moved = _carry(center, R, pb, pt[anchor_rows])
+    best = distinct_poses(R, moved, scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
+    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
+
+    log.info("refining the best hypotheses")
+    schedule = np.outer(COARSE_SCHEDULE, sd)
+    R, pb, scores = anneal_poses(
+        R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.3
+    )
+    keep = distinct_poses(R, _carry(center, R, pb, pt[anchor_rows]), scores, 0.07, 0.6 * lengthscale, config.n_fine)
+    R, pb, anchor_rows = R[keep], pb[keep], anchor_rows[keep]
+    common = rng.permutation(len(target.samples))[: config.n_fine_samples]
+    rows = np.tile(common, (len(pt), 1))
+    schedule = np.outer(FINE_SCHEDULE, sd)
+    R, pb, scores = anneal_poses(
+        R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.05
+    )
+    moved = _carry(center, R, pb, pt[anchor_rows])
+    scores[~prior.admits(R, moved, center, slack)] = -np.inf
+    keep = distinct_poses(R, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
+    keep = keep[np.isfinite(scores[keep])]
+    candidates = tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep)
+    return SearchResult(
+        candidates,
+        n_keypoints=len(base.points) + len(target.points),
+        n_correspondences=int(neighbours.size),
+    )
+
+
+def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator) -> Indices:
+    """Draw target points whose gradient is strong against its uncertainty.
+
+    Returns
+    -------
+    (a,) int array
+        Rows of ``target.points``.
+    """
+    g = gradient_norm(target.point_gradient)
+    distinct = g / np.sqrt(target.gradient_sd**2 + (0.3 * np.median(g)) ** 2 + np.finfo(float).tiny)
+    share = np.minimum(distinct, 3 * np.median(distinct)) + 1e-12
+    n = min(n_anchors, len(g))
+    return rng.choice(len(g), n, replace=False, p=share / share.sum()).astype(np.int64)
+
+
+def similar_points(
+    base: PreparedMap, target: PreparedMap, anchors: Indices, n_neighbours: int, whitening_floor: float
+) -> Indices:
+    """Base points whose invariants are nearest to those of each anchor, whitened by their uncertainty.
+
+    Returns
+    -------
+    (a, k) int array
+        Rows of ``base.points``.
+    """
+    both = np.concatenate([base.invariants, target.invariants])
+    spread = 1.48 * np.median(np.abs(both - np.median(both, axis=0)), axis=0)
+    scale = np.sqrt(
+        np.median(base.invariant_sd, axis=0) ** 2
+        + np.median(target.invariant_sd, axis=0) ** 2
+        + (whitening_floor * spread) ** 2
+        + np.finfo(float).tiny
+    )
+    k = min(n_neighbours, len(base.points))
+    _, rows = cKDTree(base.invariants / scale).query(target.invariants[anchors] / scale, k=k)
+    return np.asarray(rows, dtype=np.int64).reshape(len(anchors), k)
+
+
+def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Which samples judge each anchor's poses: half within two lengthscales, the rest anywhere.
+
+    Returns
+    -------
+    (a, n_samples) int array
+        Rows of ``target.samples``.
+    """
+    n = len(target.samples)
+    rows = rng.integers(0, n, (len(anchors), n_samples))
+    _near_first(anchors, target.samples, rng.permutation(n), (2 * target.lengthscale) ** 2, n_samples // 2, rows)
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
+    """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
+    n = len(shuffled)
+    for a in range(len(anchors)):
+        found, start = 0, a * n // len(anchors)
+        for q in range(n):
+            row = shuffled[(start + q) % n]
+            d2 = 0.0
+            for c in range(3):
+                d2 += (samples[row, c] - anchors[a, c]) ** 2
+            if d2 < distance2:
+                rows[a, found] = row
+                found += 1
+                if found == n_near:
+                    break
+
+
+def distinct_poses(
+    rotations: Tensors, centers: Points, scores: Scalars, angle: float, distance: float, limit: int
+) -> Indices:
+    """Best poses that differ from every better one by an angle (rad) or by the place of the centre (m).
+
+    Returns
+    -------
+    (k,) int array
+        Rows, best first.
+    """
+    order = np.argsort(-scores, kind="stable")
+    kept = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, limit)
+    return np.asarray(order[kept], dtype=np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _first_distinct(R, centers, trace, distance2, limit):  # type: ignore[no-untyped-def]
+    """Rows in order that no kept row before them resembles: trace of the relative rotation, squared distance."""
+    kept = np.zeros(min(limit, len(R)), dtype=np.int64)
+    n = 0
+    for row in range(len(R)):
+        is_new = True
+        for k in range(n):
+            d2 = ((centers[kept[k]] - centers[row]) ** 2).sum()
+            if d2 < distance2 and (R[kept[k]] * R[row]).sum() > trace:
+                is_new = False
+                break
+        if is_new:
+            kept[n] = row
+            n += 1
+            if n == len(kept):
+                break
+    return kept[:n]
+
+
+def align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:
+    """Rotations that turn the frames of target points onto those of base points: (n, 3, 3)."""
+    base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
+    target_frames = point_frames(target.point_field, target.point_gradient)[target_rows]
+    R: Tensors = base_frames @ np.swapaxes(target_frames, 1, 2)
+    return R
+
+
+def _carry(p_target: Matrix, R: Tensors, anchors_base: Points, anchors_target: Points) -> Points:
+    """Where each pose puts one target point."""
+    moved: Points = anchors_base + np.einsum("nij,nj->ni", R, p_target - anchors_target)
+    return moved
+
+
+def _pose(R: Matrix, moved_center: Matrix, center: Matrix) -> RigidTransform:
+    return RigidTransform.from_components(moved_center - R @ center, Rotation.from_matrix(R))

@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Global search for a short walk: a line has no gradient across itself, so hypotheses come from pairs of points."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
+from magmatch.registration.prepared.cubes import thin
+from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.search.annealing import anneal_poses
+from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.invariant_search import distinct_poses
+from magmatch.registration.search.kdtree import NeighbourTree
+from magmatch.registration.search.scoring import Evidence, score_poses
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
+
+log = logging.getLogger(__name__)
+
+# Granted inaccuracy per annealing step, as a share of that of a pose from one pair.
+SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
+
+
+class PairSearchConfig(BaseModel):
+    """Counts and scales of the search; lengths in the base's field length."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Distance of the base points that make pairs, and shortest and longest pair.
+    point_distance: float = Field(default=0.25, gt=0)
+    min_distance: float = Field(default=0.8, gt=0)
+    max_distance: float = Field(default=6.2, gt=0)
+    # Most pairs in the table; more points than that need are thinned further.
+    max_pairs: int = Field(default=600_000, ge=1000)
+    # Pairs of the target that vote, and base pairs with the most similar invariants that each is tried on.
+    n_pairs: int = Field(default=60, ge=1)
+    n_neighbours: int = Field(default=8, ge=1)
+    # Bins that judge a pose.
+    n_score_bins: int = Field(default=60, ge=10)
+    # Poses that are refined coarsely, of these at most so many in one place, and distinct ones handed on.
+    n_coarse: int = Field(default=120, ge=1)
+    n_per_place: int = Field(default=6, ge=1)
+    n_candidates: int = Field(default=10, ge=1)
+    # Share of bins that may match nothing.
+    outlier_share: float = Field(default=0.3, gt=0, lt=1)
+    # Where another walk passes a base point, per axis.
+    sd_position: float = Field(default=0.12, gt=0)
+    # Inaccuracy of a pose from one pair: rad, and in field lengths.
+    sd_rotation: float = Field(default=0.07, gt=0)
+    sd_translation: float = Field(default=0.2, gt=0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PairTable:
+    """All pairs of base points that a walk can be compared with, indexed by their invariants; base model frame.
+
+    Attributes
+    ----------
+    positions : (k, 3) array, m
+    field : (k, 3) array, T
+    first, second : (p,) int arrays
+        Rows of the points that make each pair.
+    tree : cKDTree
+        Of the whitened invariants.
+    length : float, m
+        The base's field length.
+    sd_position, sd_field : float, m and T
+        Uncertainty of a point and of its field when another walk passes; whitening and alignment use it.
+    field_norm, gradient_rms : float, T and T/m
+        Typical strength of the field, and rms of one component of its gradient.
+    """
+
+    positions: Points
+    field: Vectors
+    first: Indices
+    second: Indices
+    tree: NeighbourTree
+    length: float
+    sd_position: float
+    sd_field: float
+    field_norm: float
+    gradient_rms: float
+
+
+def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: PairSearchConfig) -> PairTable:
+    """List the base's pairs of points; one table serves any number of walks.
+
+    Parameters
+    ----------
+    base : PreparedMap
+    length : float, m
+        Its field length.
+    noise_sd : float, T
+        Of one field component between two walks through one place.
+    config : PairSearchConfig
+
+    Returns
+    -------
+    PairTable
+    """
+    is_known = base.raster.lookup(base.points)[3]
+    x, b, G = base.points[is_known], base.point_field[is_known], base.point_gradient[is_known]
+    rows, pairs = _pairs(x, config, length)
+    sd_position = config.sd_position * length
+    gradient_rms = float(np.sqrt(np.mean(G**2))) if len(G) else 0.0
+    sd_field = float(np.hypot(noise_sd, np.sqrt(3) * gradient_rms * sd_position))
+    field_norm = float(np.median(np.linalg.norm(b, axis=1))) if len(b) else 0.0
+    x, b = x[rows], b[rows]
+    i, j = pairs[:, 0], pairs[:, 1]
+    invariants = whiten_pairs(pair_invariants(x[i], x[j], b[i], b[j]), sd_position, sd_field, field_norm)
+    return PairTable(
+        x, b, i, j, NeighbourTree.of(invariants), length, sd_position, sd_field, field_norm, gradient_rms
+    )
+
+
+def pair_search(
+    base: PreparedMap,
+    table: PairTable,
+    walk: Walk,
+    prior: PosePrior,
+    config: PairSearchConfig,
+    rng: np.random.Generator,
+) -> SearchResult:
+    """Find the poses under which the base's field explains a walk best.
+
+    Parameters
+    ----------
+    base : PreparedMap
+    table : PairTable
+        Of the base.
+    walk : Walk
+    prior : PosePrior
+    config : PairSearchConfig
+    rng : numpy Generator
+        Draws the walk's pairs.
+
+    Returns
+    -------
+    SearchResult
+        Distinct poses (``T_basemodel_walk``), best first.
+    """
+    i, j = choose_pairs(walk, table, config, rng)
+    if not len(i) or not len(table.first):
+        return SearchResult()
+    center, pt = walk.positions.mean(axis=0), (walk.positions[i] + walk.positions[j]) / 2
+    sd = np.array([config.sd_rotation, config.sd_translation * table.length])
+    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    similar, _ = similar_pairs(table, walk, i, j, n_neighbours)
+    found = hypotheses(table, walk, i, j, similar)
+    R, pb, pair_rows = prior.narrow(found, pt, center, (sd[0], sd[1]), rng)
+    if not len(R):
+        return SearchResult()
+    evidence = _evidence(base, table, walk)
+    some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
+    rows = np.tile(some, (len(pt), 1))
+    log.info("scoring %d hypotheses", len(R))
+    scores = score_poses(R, pb, pair_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
+    best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.length, config)
+    R, pb, pair_rows = R[best], pb[best], pair_rows[best]
+    R, pb, scores = anneal_poses(
+        R, pb, pair_rows, pt, rows, evidence, base, np.outer(SCHEDULE, sd), config.outlier_share, damping=0.3
+    )
+    moved = _carry(center, R, pb, pt[pair_rows])
+    scores[~prior.admits(R, moved, center, (sd[0], sd[1]))] = -np.inf
+    keep = distinct_poses(R, moved, scores, 0.1, 0.3 * table.length, config.n_candidates)
+    keep = keep[np.isfinite(scores[keep])]
+    return SearchResult(
+        tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k])) for k in keep),
+        n_keypoints=len(table.positions) + len(walk),
+        n_correspondences=len(found[0]),
+    )
+
+
+def choose_pairs(
+    walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator
+) -> tuple[Indices, Indices]:
+    """Draw pairs of bins, long ones with differing fields first.
+
+    Returns
+    -------
+    two (n,) int arrays
+        Rows of the walk; empty where it is shorter than any pair of the table.
+    """
+    i, j = np.triu_indices(len(walk), 1)
+    d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
+    longest = config.max_distance * table.length - table.sd_position
+    usable = np.flatnonzero((d > config.min_distance * table.length) & (d < longest))
+    i, j, d = i[usable], j[usable], d[usable]
+    change = np.linalg.norm(walk.field[i] - walk.field[j], axis=1)
+    share = d * (table.sd_field + change)
+    n = min(config.n_pairs, len(usable))
+    chosen = rng.choice(len(usable), n, replace=False, p=share / share.sum()) if n else np.zeros(0, dtype=np.int64)
+    return i[chosen].astype(np.int64), j[chosen].astype(np.int64)
+
+
+def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int) -> tuple[Indices, Matrix]:
+    """Base pairs whose invariants are nearest to those of each of the walk's pairs.
+
+    Returns
+    -------
+    rows : (n, k) int array
+        Rows of the table.
+    distance2 : (n, k) array
+        Squared distances in standard deviations.
+    """
+    invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
+    k = min(n_neighbours, len(table.first))
+    return table.tree.query(whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm), k)
+
+
+def hypotheses(
+    table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices
+) -> tuple[Tensors, Points, Indices]:
+    """Poses that put each of the walk's pairs onto base pairs.
+
+    Parameters
+    ----------
+    table : PairTable
+    walk : Walk
+    i, j : (n,) int arrays
+        The walk's pairs.
+    similar : (n, k) int array
+        Base pairs of each, rows of the table.
+
+    Returns
+    -------
+    rotations : (n k, 3, 3) array
+    anchors_base : (n k, 3) array, m
+        Where each pose puts the middle of its pair.
+    pair_rows : (n k,) int array
+        Which pair each pose comes from.
+    """
+    a, b = table.first[similar.ravel()], table.second[similar.ravel()]
+    rows = np.repeat(np.arange(len(i)), similar.shape[1])
+    i, j = i[rows], j[rows]
+    u = walk.positions[j] - walk.positions[i]
+    R = align_pairs(
+        (table.positions[b] - table.positions[a], table.field[a], table.field[b]),
+        (u, walk.field[i], walk.field[j]),
+        np.linalg.norm(u, axis=1),
+        table.sd_position,
+        table.sd_field,
+    )
+    return R, (table.positions[a] + table.positions[b]) / 2, rows
+
+
+def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices, Indices]:
+    """Thinned points, and the pairs of them in both orders, as many as fit the table."""
+    spacing = config.point_distance * length
+    while True:
+        rows = thin(x, spacing, limit=5000) if len(x) else np.zeros(0, dtype=np.int64)
+        tree = cKDTree(x[rows]) if len(rows) else None
+        n = tree.count_neighbors(tree, config.max_distance * length) if tree else 0
+        if n <= config.max_pairs:
+            break
+        spacing *= 1.2
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    if tree:
+        pairs = tree.query_pairs(config.max_distance * length, output_type="ndarray").astype(np.int64)
+        d = np.linalg.norm(x[rows][pairs[:, 0]] - x[rows][pairs[:, 1]], axis=1)
+        pairs = pairs[d > config.min_distance * length]
+    return rows, np.concatenate([pairs, pairs[:, ::-1]])
+
+
+def _evidence(base: PreparedMap, table: PairTable, walk: Walk) -> Evidence:
+    """Bins of the walk as the score sees them; 'unrelated' expects each bin to miss by the field's own spread.
+
+    Counting every bin alike makes agreement with the walk's mean field evidence too: on a short walk that is much
+    of what there is.
+    """
+    deviation = walk.field - np.median(walk.field, axis=0)
+    base_deviation = table.field - np.median(table.field, axis=0)
+    variance = max(float(np.mean(deviation**2)), float(np.mean(base_deviation**2)))
+    return Evidence(
+        positions=walk.positions,
+        field=walk.field,
+        deviation2=np.full(len(walk), 3 * variance),
+        deviation_variance=variance,
+        noise_variance=max(base.noise_sd, 1e-12) ** 2,
+        field_rms=float(np.sqrt((walk.field**2).sum(axis=1).mean() * 2 / 3)),
+        gradient_rms=np.sqrt(3) * table.gradient_rms,
+    )
+
+
+def _best_by_place(centers: Points, scores: Scalars, length: float, config: PairSearchConfig) -> Indices:
+    """Best hypotheses, not more than a few in one place, so that one corridor does not fill the list."""
+    places = np.floor(centers / length).astype(np.int64)
+    order = np.argsort(-scores, kind="stable")
+    counts: dict[tuple[int, ...], int] = {}
+    kept: list[int] = []
+    for row in order:
+        place = tuple(places[row].tolist())
+        counts[place] = counts.get(place, 0) + 1
+        if counts[place] <= config.n_per_place:
+            kept.append(int(row))
+        if len(kept) >= config.n_coarse:
+            break
+    return np.asarray(kept, dtype=np.int64)
+
+
+def _carry(p_walk: np.ndarray, R: Tensors, anchors_base: Points, anchors_walk: Points) -> Points:
+    """Where each pose puts one point of the walk."""
+    moved: Points = anchors_base + np.einsum("nij,nj->ni", R, p_walk - anchors_walk)
+    return moved
+
+
+def _pose(R: np.ndarray, moved_center: np.ndarray, center: np.ndarray) -> RigidTransform:
+    return RigidTransform.from_components(moved_center - R @ center, Rotation.from_matrix(R))

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How well a pose explains the target's samples by the base's field, against 'an unrelated field'.
+
+Each sample contributes ``log(eps + (1 - eps) exp(L))`` with
+``L = b^2 / 2 V0 - r^2 / 2 V + 3/2 ln(V0 / V)``: r is the residual against the base field, V its expected variance,
+b the sample's deviation from the target's median field and V0 that deviation's variance. Samples that the base does
+not cover say nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.prepared.raster import find_cell, interpolate_field
+from magmatch.threads import side_by_side, slices
+from magmatch.typing import Points, Scalars, Tensors, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Evidence:
+    """The target's samples as a search sees them, with what 'unrelated' means for each.
+
+    Attributes
+    ----------
+    positions : (n, 3) array, m; field : (n, 3) array, T
+        Target's model frame.
+    deviation2 : (n,) array, T^2
+        Squared deviation from the target's median field, capped so that one magnet does not decide.
+    deviation_variance : float, T^2
+        V0, per component.
+    noise_variance : float, T^2
+        Both surveys' noise, per component.
+    field_rms, gradient_rms : float
+        Per component, T and T/m: how a pose error turns into a field error.
+    """
+
+    positions: Points
+    field: Vectors
+    deviation2: Scalars
+    deviation_variance: float
+    noise_variance: float
+    field_rms: float
+    gradient_rms: float
+
+
+def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> Evidence:
+    """Gather the target's samples and the scales by which a pose is judged.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    cap : float
+        Largest squared deviation that counts, in units of V0.
+
+    Returns
+    -------
+    Evidence
+    """
+    deviation2 = ((target.sample_field - np.median(target.sample_field, axis=0)) ** 2).sum(axis=1)
+    noise_variance = base.noise_sd**2 + target.noise_sd**2
+    deviation_variance = max(float(np.median(deviation2)) / MEDIAN_CHI2_3, noise_variance)
+    g = np.sqrt((target.point_gradient**2).sum(axis=(1, 2)))
+    return Evidence(
+        positions=target.samples,
+        field=target.sample_field,
+        deviation2=np.minimum(deviation2, cap * deviation_variance),
+        deviation_variance=deviation_variance,
+        noise_variance=noise_variance,
+        # A turn by dth about a random axis moves B by |B| dth sqrt(2/3) in norm.
+        field_rms=float(np.sqrt((target.sample_field**2).sum(axis=1).mean() * 2 / 3)),
+        gradient_rms=float(1.3 * np.median(g) / np.sqrt(3)),
+    )
+
+
+def score_poses(
+    rotations: Tensors,
+    anchors_base: Points,
+    anchor_rows: np.ndarray,
+    anchors_target: Points,
+    sample_rows: np.ndarray,
+    evidence: Evidence,
+    base: PreparedMap,
+    sd_rotation: float,
+    sd_translation: float,
+    outlier_share: float,
+) -> Scalars:
+    """Score many poses; a pose turns about its anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
+
+    Parameters
+    ----------
+    rotations : (h, 3, 3) array
+    anchors_base : (h, 3) array, m
+        Where each pose puts its anchor, base model frame.
+    anchor_rows : (h,) int array
+        Which anchor each pose belongs to.
+    anchors_target : (a, 3) array, m
+    sample_rows : (a, s) int array
+        Which samples judge the poses of each anchor.
+    evidence : Evidence
+    base : PreparedMap
+    sd_rotation, sd_translation : float, rad and m
+        How inaccurate the poses still are; widens the expected residual.
+    outlier_share : float
+        eps, share of samples that may match nothing.
+
+    Returns
+    -------
+    (h,) array
+        Log-likelihood ratios summed over the samples.
+    """
+    out, raster = np.zeros(len(rotations)), base.raster
+    scale = np.array([
+        evidence.noise_variance, evidence.deviation_variance, outlier_share,
+        sd_rotation, sd_translation, evidence.field_rms, evidence.gradient_rms,
+    ])  # fmt: skip
+
+    def score(some: slice) -> None:
+        _score(
+            rotations[some], anchors_base[some], anchor_rows[some], anchors_target, sample_rows,
+            evidence.positions, evidence.field, evidence.deviation2,
+            raster.values, raster.origin, raster.spacing, scale, out[some],
+        )  # fmt: skip
+
+    side_by_side(score, slices(len(rotations)))
+    return out
+
+
+@njit(cache=True, nogil=True)
+def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
+    """'Mostly explained by the base' over 'unrelated field' for one sample."""
+    s = V0 / V
+    return outlier_share + (1 - outlier_share) * s * np.sqrt(s) * np.exp(0.5 * (b2 / V0 - r2 / V))
+
+
+@njit(cache=True, nogil=True)
+def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0):  # type: ignore[no-untyped-def]
+    """Residual variance of a sample at squared distance d2 from the anchor of an inaccurate pose."""
+    turn2 = sd_rotation * sd_rotation
+    V = noise + sd * sd + field_rms**2 * turn2 + gradient_rms**2 * (sd_translation**2 + turn2 * d2)
+    return min(V, V0)
+
+
+@njit(cache=True, nogil=True)
+def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
+    noise, V0, eps, sd_rotation, sd_translation, field_rms, gradient_rms = scale
+    for h in range(len(R)):
+        a, T = anchor[h], R[h]
+        total, product = 0.0, 1.0
+        for q in range(rows.shape[1]):
+            n = rows[a, q]
+            y0, y1, y2 = x[n, 0] - pt[a, 0], x[n, 1] - pt[a, 1], x[n, 2] - pt[a, 2]
+            i, j, k, u, v, w = find_cell(
+                values,
+                origin,
+                spacing,
+                pb[h, 0] + T[0, 0] * y0 + T[0, 1] * y1 + T[0, 2] * y2,
+                pb[h, 1] + T[1, 0] * y0 + T[1, 1] * y1 + T[1, 2] * y2,
+                pb[h, 2] + T[2, 0] * y0 + T[2, 1] * y1 + T[2, 2] * y2,
+            )
+            if i < 0:
+                continue
+            bx, by, bz, sd = interpolate_field(values, i, j, k, u, v, w)
+            ex = T[0, 0] * b[n, 0] + T[0, 1] * b[n, 1] + T[0, 2] * b[n, 2] - bx
+            ey = T[1, 0] * b[n, 0] + T[1, 1] * b[n, 1] + T[1, 2] * b[n, 2] - by
+            ez = T[2, 0] * b[n, 0] + T[2, 1] * b[n, 1] + T[2, 2] * b[n, 2] - bz
+            d2 = y0 * y0 + y1 * y1 + y2 * y2
+            V = expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0)
+            product *= mixture_ratio(ex * ex + ey * ey + ez * ez, V, b2[n], V0, eps)
+            if product > 1e100 or product < 1e-100:  # one logarithm for many samples
+                total += np.log(product)
+                product = 1.0
+        out[h] = total + np.log(product)

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where residuals show that something moved: poses that explain the cells which still agree."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
+from magmatch.registration.refine.refinement import RefinedPose, step_between
+from magmatch.registration.weigh.evidence import (
+    UNCHANGED_SHARES,
+    Change,
+    PoseEvidence,
+    agreeing_cells,
+    compare_cells,
+    weigh_pose,
+)
+from magmatch.registration.weigh.null_model import UnrelatedField
+from magmatch.typing import Indices
+
+log = logging.getLogger(__name__)
+
+# Shares of the cells that are tried beside a change, whatever agrees without one.
+WIDER_SHARES = (0.7, 0.85)
+
+
+def poses_beside_changes(
+    base: PreparedMap,
+    target: PreparedMap,
+    starts: list[RigidTransform],
+    best: PoseEvidence,
+    model: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    config: ChangeConfig,
+    seed: int,
+) -> list[PoseEvidence]:
+    """Find poses beside changed fields, where the residuals of one that takes all for unchanged ask for it.
+
+    A dense refinement of all cells follows the sources that moved; the search's own poses, which a share of the
+    samples may contradict, are nearer to where the rest agrees.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    starts : list of RigidTransform
+        Poses of the search, model frame to model frame.
+    best : PoseEvidence
+        The best refined one.
+    model : RefinedPose
+        The best one for sensors that are alike.
+    unrelated : UnrelatedField
+    prior : PosePrior
+    config : ChangeConfig
+    seed : int
+
+    Returns
+    -------
+    list of PoseEvidence
+        Best first; none where residuals show no change, or no change explains them.
+    """
+    if not config.is_enabled or not config.max_misfit < best.misfit < np.inf:
+        return []
+    agreements = [
+        (_agreement(base, target, replace(model, T_base_target=T), unrelated)[1], T)
+        for T in [*starts, model.T_base_target]
+    ]
+    agreements.sort(key=lambda pair: -pair[0])
+    log.info("something may have moved; looking for poses beside changes")
+    found = [
+        _best_followed(base, target, replace(model, T_base_target=T), unrelated, prior, config, seed)
+        for agreement, T in agreements[: config.n_candidates]
+        if agreement > config.min_agreement
+    ]
+    beside = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
+    return beside if beside and beside[0].log_evidence > 0 else []
+
+
+def _agreement(
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    unrelated: UnrelatedField,
+    shares: Sequence[float] = UNCHANGED_SHARES,
+) -> tuple[Indices, float, float, int]:
+    """Cells that agree, their evidence, what choosing them costs, and how many there are to choose from."""
+    field = pose.sensor.correct(target.sample_field)
+    seen = compare_cells(base, target, pose.T_base_target, field, unrelated)
+    return (*agreeing_cells(seen, unrelated, shares), len(seen.rows))
+
+
+def _best_followed(
+    base: PreparedMap,
+    target: PreparedMap,
+    start: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    config: ChangeConfig,
+    seed: int,
+) -> PoseEvidence | None:
+    """The most likely of what a pose leads to, by the cells that agree as they are and by larger shares.
+
+    Of what changed a little, the estimated change makes up: more cells can tell than agree without it.
+    """
+    best = _follow(base, target, start, unrelated, prior, config, seed, UNCHANGED_SHARES)
+    for share in WIDER_SHARES:
+        if best is not None and best.unchanged > share - 0.05:
+            continue
+        pose = start if best is None else best.pose
+        wider = _follow(base, target, pose, unrelated, prior, config, seed, (share,))
+        if wider is not None and (best is None or wider.log_evidence > best.log_evidence):
+            best = wider
+    return best
+
+
+def _follow(
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    config: ChangeConfig,
+    seed: int,
+    shares: Sequence[float],
+) -> PoseEvidence | None:
+    """Refine a pose on the cells that agree, then on those that agree with what was found, until it stays."""
+    for _ in range(config.n_rounds):
+        rows, _, price, n_cells = _agreement(base, target, pose, unrelated, shares)
+        agrees, rng = unrelated.cells.holds(rows), np.random.default_rng(seed)
+        found = refine_beside_changes(base, target, pose, agrees, prior, config, rng)
+        if found is None:
+            return None
+        change = Change(found.change_at(target.samples), rows, len(rows) / n_cells, found.log_ratio - price)
+        weighed = weigh_pose(base, target, found.pose, unrelated, prior, change)
+        if weighed.covariance is None:
+            return None
+        step, pose = step_between(pose, found.pose), found.pose
+        if float(step @ np.linalg.solve(weighed.covariance, step)) > len(step):
+            continue
+        # Where no cells agree better than others, the change answers whatever the pose is.
+        explains = weighed.misfit < config.max_misfit and found.noise < config.max_noise
+        return weighed if len(rows) < n_cells and explains else None
+    return None

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a pose is judged by: cells of the target that agree or disagree with the base's field."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import gammaln
+
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.refine.refinement import RefinedPose
+from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
+from magmatch.registration.weigh.null_model import UnrelatedField, average_cells, fit_unrelated_field
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Scalars, Vectors
+
+# Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
+CORRELATED_NOISE_SHARE = 0.1
+# Tried shares of cells that have not changed.
+UNCHANGED_SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.28)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PoseEvidence:
+    """Statistics of one refined pose.
+
+    Attributes
+    ----------
+    pose : RefinedPose
+    covariance : (6, 6) array or None
+        About the pose's centre, target's model axes: as far as the fields' comparison leaves the pose free.
+    overlap : float
+        Share of the target's samples where the base knows the field.
+    n_informative, n_good, n_bad : int
+        Cells in the overlap whose field stands out from the target's mean field, and of these the ones that
+        agree and disagree with the base.
+    log_evidence : float, nats
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the odds of this pose after
+        paying for the search over all poses.
+    unexplained : float
+        Share of the field's variance that the base leaves unexplained, at its most likely value.
+    residual : float
+        Robust normalised rms residual over the overlap.
+    misfit : float
+        Normalised rms of the cells' mean residuals: about 1 when noise and the base's spread explain them.
+    unchanged : float
+        Share of the cells in the overlap that all but `overlap` are counted in; the others are taken as changed.
+    is_beside_change : bool
+        Whether a change of the field was estimated with the pose; cells and residual are then what it leaves.
+    """
+
+    pose: RefinedPose
+    covariance: Matrix | None
+    overlap: float
+    n_informative: int
+    n_good: int
+    n_bad: int
+    log_evidence: float
+    unexplained: float
+    residual: float
+    misfit: float
+    unchanged: float = 1.0
+    is_beside_change: bool = False
+
+    @property
+    def whole_covariance(self) -> Covariance6 | None:
+        """What the comparison leaves free, and how far the surveys' own drift may have taken the pose along."""
+        return None if self.covariance is None else self.covariance + drift_covariance(self.pose)
+
+    @property
+    def good_share(self) -> float:
+        """Share of the informative cells that agree."""
+        return self.n_good / self.n_informative if self.n_informative else 0.0
+
+
+def unrelated_field(base: PreparedMap, target: PreparedMap) -> UnrelatedField:
+    """Null hypothesis of a pair: what the target's cells look like on their own."""
+    cells = average_cells(target.samples, min(base.lengthscale, target.lengthscale))
+    noise_variance = base.noise_sd**2 + target.noise_sd**2
+    noise = noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE)
+    return fit_unrelated_field(cells, cells.mean(target.sample_field), noise, target.lengthscale)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Change:
+    """What has changed between two surveys, under one pose.
+
+    Attributes
+    ----------
+    field : (n, 3) array, T
+        What the target's samples have more than the base, target's model frame.
+    rows : (r,) int array
+        Cells that are counted; in the others too much has changed.
+    unchanged : float
+        These as a share of the overlap's cells.
+    log_ratio : float, nats
+        Log of 'the base explains these cells beside this change' over 'a field of their own', with the price of
+        choosing them paid.
+    """
+
+    field: Vectors
+    rows: Indices
+    unchanged: float
+    log_ratio: float
+
+
+def weigh_pose(
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    unrelated: UnrelatedField,
+    prior: PosePrior,
+    change: Change | None = None,
+) -> PoseEvidence:
+    """Count the cells for and against a pose.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    pose : RefinedPose
+    unrelated : UnrelatedField
+        Null hypothesis of this pair.
+    prior : PosePrior
+    change : Change, optional
+        What has changed between the surveys.
+
+    Returns
+    -------
+    PoseEvidence
+    """
+    field = pose.sensor.correct(target.sample_field)
+    if change is not None:
+        field = field - change.field
+    seen = compare_cells(base, target, pose.T_base_target, field, unrelated)
+    joint = joint_covariance(pose, 2 * min(base.lengthscale, target.lengthscale))
+    covariance = None if joint is None else joint[:6, :6]
+    overlap = float(seen.is_known.mean())
+    if not len(seen.rows):
+        return PoseEvidence(pose, covariance, overlap, 0, 0, 0, -np.inf, 1.0, np.inf, np.inf)
+
+    rows = seen.rows if change is None else change.rows
+    log_ratio, unexplained = unrelated.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
+    if change is not None:
+        log_ratio = change.log_ratio
+    r2, variance = (seen.residual[rows] ** 2).sum(axis=1), unrelated.noise[rows] + seen.map_variance[rows]
+    # A sensor that must differ implausibly speaks against the pose.
+    log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
+    n2 = ((unrelated.field[rows] - unrelated.field.mean(axis=0)) ** 2).sum(axis=1)
+    # What noise and map state, or what the residuals show: both together would count one error twice.
+    V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
+    is_informative = n2 > 9 * V
+    sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else unrelated.cells.holds(rows))]
+    return PoseEvidence(
+        pose,
+        covariance,
+        overlap,
+        int(is_informative.sum()),
+        int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
+        int((is_informative & (r2 > np.maximum(24 * V, 0.25 * n2))).sum()),
+        log_ratio + _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center)),
+        unexplained,
+        float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
+        float(np.sqrt(np.mean(r2 / variance) / 3)),
+        1.0 if change is None else change.unchanged,
+        change is not None,
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CellComparison:
+    """The base's field at the target's samples, and averaged over its cells.
+
+    Attributes
+    ----------
+    is_known : (n,) bool array
+        Samples where the base knows the field.
+    sample_chi2 : (n,) array
+        Squared residual of each sample over its expected variance.
+    rows : (r,) int array
+        Cells that lie in the overlap.
+    residual : (c, 3) array, T
+        Mean of each cell.
+    map_variance : (c,) array, T^2
+        Of the base.
+    """
+
+    is_known: Mask
+    sample_chi2: Scalars
+    rows: Indices
+    residual: Vectors
+    map_variance: Scalars
+
+
+def compare_cells(
+    base: PreparedMap,
+    target: PreparedMap,
+    T_base_target: RigidTransform,
+    field: Vectors,
+    unrelated: UnrelatedField,
+) -> CellComparison:
+    """Residuals of the target's cells under a pose.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    T_base_target : RigidTransform
+        Model frame to model frame.
+    field : (n, 3) array, T
+        The target's samples, corrected, target's model frame.
+    unrelated : UnrelatedField
+        Holds the cells.
+
+    Returns
+    -------
+    CellComparison
+    """
+    cells = unrelated.cells
+    expected, sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
+    residual = rotate_vectors(field, T_base_target) - expected
+    rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > 0.99)
+    sample_chi2 = (residual**2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd**2)
+    return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), cells.mean(sd[:, None] ** 2)[:, 0])
+
+
+def agreeing_cells(
+    seen: CellComparison, unrelated: UnrelatedField, shares: Sequence[float] = UNCHANGED_SHARES
+) -> tuple[Indices, float, float]:
+    """Cells that the base explains, where something has changed in the others.
+
+    Parameters
+    ----------
+    seen : CellComparison
+    unrelated : UnrelatedField
+    shares : sequence of float
+        That may be taken.
+
+    Returns
+    -------
+    rows : (r,) int array
+        The share of the cells, those of smallest residuals, that speaks most clearly for the pose.
+    log_ratio : float, nats
+        Of these cells, less the price.
+    price : float, nats
+        What it costs to say which cells they are.
+    """
+    chi2 = (seen.residual**2).sum(axis=1) / (unrelated.noise + seen.map_variance)
+    ordered, n = seen.rows[np.argsort(chi2[seen.rows], kind="stable")], len(seen.rows)
+    best: tuple[Indices, float, float] = (seen.rows, -np.inf, 0.0)
+    for share in shares if n else ():
+        rows = np.sort(ordered[: max(1, round(share * n))])
+        price = float(gammaln(n + 1) - gammaln(len(rows) + 1) - gammaln(n - len(rows) + 1))
+        log_ratio, _ = unrelated.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
+        if log_ratio - price > best[1]:
+            best = rows, log_ratio - price, price
+    return best
+
+
+def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:
+    """Log of the share of all poses (as the prior allows them) and sensors that the estimate's spread fills."""
+    if joint is None:
+        return -np.inf
+    scale = np.concatenate([np.ones(6), sensor_sd])
+    _, log_det = np.linalg.slogdet(joint / np.outer(scale, scale))
+    return float(0.5 * log_det + 3 * np.log(2 * np.pi) + log_prior)

@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Refine and weigh poses of a walk by generalised least squares, with residuals correlated along the path.
+
+Residuals are taken in the walk's axes, ``r = b - R^T B_base(T y)``, and the pose is perturbed about the walk's
+centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gradient in the walk's axes.
+"""
+
+from dataclasses import dataclass, fields
+from itertools import product
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.field.values import gradient_of
+from magmatch.geometry import rotation_matrix, skew
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.walk import Walk
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
+
+# Longest step: rad, and in field lengths.
+MAX_TURN, MAX_SHIFT = 0.15, 0.3
+# Spread of a pose that the data leave free, rad and in field lengths: what the search hands over is nearer.
+FREE_TURN, FREE_SHIFT = 0.5, 1.5
+# Unrelated field: tried lengthscales (in field lengths) and strengths (in the walk's own standard deviation).
+NULL_LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
+NULL_STRENGTHS = (0.5, 1.0, 2.0, 4.0)
+# Every so many-th bin decides which unrelated field is the most likely.
+NULL_BINS = 60
+
+
+class LineConfig(BaseModel):
+    """Settings of the generalised least squares."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Steps with like components, then steps that know how drifting poses couple them.
+    n_coarse_steps: int = Field(default=5, ge=0)
+    n_fine_steps: int = Field(default=2, ge=1)
+    # Poses that take the fine steps.
+    n_fine: int = Field(default=4, ge=1)
+    # Fewest bins, and their share, that a pose must put inside the base map.
+    min_bins: int = Field(default=8, ge=7)
+    min_coverage: float = Field(default=0.3, gt=0, le=1)
+    # What each field length of path outside the base map costs, nats: at the map's border there are many ways out,
+    # and wrong poses like to hang there by the few bins that fit.
+    price_outside: float = Field(default=3.0, ge=0)
+    # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
+    # (something moved): their standard deviation grows, at a price each, nats, and up to a share of the path.
+    piece_bins: int = Field(default=5, ge=1)
+    max_power: float = Field(default=3.0, gt=1)
+    price_piece: float = Field(default=3.0, ge=0)
+    max_strained_share: float = Field(default=0.3, ge=0, le=1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LineEvidence:
+    """One pose of a walk at the optimum.
+
+    Attributes
+    ----------
+    T_base_walk : RigidTransform
+        Base model frame from the walk's frame.
+    center : (3,) array, m
+        Point of the walk about which the covariance is stated, walk's frame.
+    covariance : (6, 6) array
+        Of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes.
+    coverage : float
+        Share of the bins inside the base map.
+    log_evidence : float, nats
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, less the price of the path
+        outside the map.
+    residual : float
+        Normalised rms residual (1 when the covariance explains everything).
+    is_covered : (n,) bool array
+        Bins inside the base map.
+    log_unrelated : float, nats
+        Log density of the whole walk as an unrelated field, as this base's residuals would have it.
+    """
+
+    T_base_walk: RigidTransform
+    center: Vector3
+    covariance: Covariance6
+    coverage: float
+    log_evidence: float
+    residual: float
+    is_covered: Mask
+    log_unrelated: float
+
+    @property
+    def log_density(self) -> float:
+        """Log density of the walk's field under this pose, comparable between bases (same bins), nats."""
+        return self.log_evidence + self.log_unrelated
+
+
+def weigh_walk(
+    base: PreparedMap,
+    walk: Walk,
+    starts: list[RigidTransform],
+    noise: PathNoise,
+    length: float,
+    prior: PosePrior,
+    config: LineConfig,
+) -> list[LineEvidence]:
+    """Refine poses of a walk and order them by their evidence.
+
+    Parameters
+    ----------
+    base : PreparedMap
+    walk : Walk
+    starts : list of RigidTransform
+        Base model frame from the walk's frame.
+    noise : PathNoise
+    length : float, m
+        The base's field length.
+    prior : PosePrior
+    config : LineConfig
+
+    Returns
+    -------
+    list of LineEvidence
+        Best first; poses that leave the base map are dropped.
+    """
+    if not starts or len(walk) < config.min_bins:
+        return []
+    distance = cdist(walk.positions, walk.positions)
+    squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0))
+    null = UnrelatedWalk.most_likely(walk, distance, noise, length)
+    R = np.stack([rotation_matrix(T) for T in starts])
+    p = np.stack([T.apply(squares.center) for T in starts])
+    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False), config)
+    if not len(coarse.chi2):
+        return []
+    gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null, config)])
+    order = np.argsort(-gain, kind="stable")
+    coarse = coarse.rows(order)
+    best = coarse.rows(np.arange(min(config.n_fine, len(order))))
+    settled = squares.run(best.rotations, best.centers, _strained(best, config), 2, is_full=False)
+    fine = squares.run(
+        settled.rotations, settled.centers, _strained(settled, config), config.n_fine_steps, is_full=True
+    )
+    weighed = _weigh(_covered(fine, config), squares, null, config)
+    weighed += _weigh(coarse.rows(np.arange(config.n_fine, len(order))), squares, null, config)
+    return sorted(weighed, key=lambda e: -e.log_evidence)
+
+
+def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
+    """Poses that put enough of the walk inside the base map."""
+    n_known = fits.known.sum(axis=1)
+    enough = max(config.min_bins, config.min_coverage * fits.known.shape[1])
+    return fits.rows(np.flatnonzero(n_known >= enough))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class UnrelatedWalk:
+    """The walk's field as a smooth random field of its own, the most likely one: what a pose has to beat."""
+
+    field: Vectors
+    covariance: Matrix
+
+    @classmethod
+    def most_likely(cls, walk: Walk, distance: Matrix, noise: PathNoise, length: float) -> "UnrelatedWalk":
+        """Choose lengthscale and strength by the likelihood of the walk's field."""
+        n = len(walk)
+        some = np.unique(np.linspace(0, n - 1, min(n, NULL_BINS)).astype(np.int64))
+        d2 = distance[np.ix_(some, some)] ** 2
+        spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
+        constant = float((walk.field**2).sum(axis=1).mean()) / 3
+        best, chosen = -np.inf, (length, spread2, noise.nugget_sd**2)
+        for factor, strength in product(NULL_LENGTHSCALES, NULL_STRENGTHS):
+            numbers = factor * length, strength**2 * spread2, noise.nugget_sd**2
+            found = _log_likelihood(walk.field[some], _unrelated_covariance(d2, *numbers, constant))
+            if found > best:
+                best, chosen = found, numbers
+        return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant))
+
+    def log_likelihood(self, rows: Mask) -> float:
+        """Log density of some bins' field (the factor of 2 pi left out)."""
+        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Fits:
+    """Several poses at once, each where its least squares stands."""
+
+    rotations: Tensors  # (h, 3, 3), base from walk
+    centers: Points  # (h, 3), m, where each pose puts the walk's centre, base model frame
+    known: Matrix  # (h, n) bool
+    strain: Matrix  # (h, n), what each bin's standard deviation is multiplied with
+    normalised: Matrix  # (h, n), squared residual of each bin over its expected value
+    information: Matrix  # (h, 6, 6)
+    chi2: Scalars
+    half_log_det: Scalars
+
+    def rows(self, chosen: Indices) -> "_Fits":
+        return _Fits(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _LeastSquares:
+    """Gauss-Newton of many poses at once; bins outside the base map are kept but say nothing."""
+
+    base: PreparedMap
+    walk: Walk
+    distance: Matrix
+    noise: PathNoise
+    length: float
+    prior: PosePrior
+    center: Vector3
+
+    def run(self, R: Tensors, p: Points, strain: Matrix, n_steps: int, *, is_full: bool) -> _Fits:
+        """Take steps; the last evaluation only states chi^2 and information."""
+        scale = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
+        for _ in range(n_steps):
+            fits, v = self._evaluate(R, p, strain, is_full=is_full)
+            xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
+            xi /= np.maximum(1.0, np.abs(xi / scale).max(axis=1))[:, None]
+            p = p + np.einsum("hij,hj->hi", R, xi[:, 3:])
+            R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+        return self._evaluate(R, p, strain, is_full=is_full)[0]
+
+    def _evaluate(self, R: Tensors, p: Points, strain: Matrix, *, is_full: bool) -> tuple[_Fits, Matrix]:
+        """Where the poses stand, and the gradient of half their chi^2."""
+        n_poses, n = len(R), len(self.walk)
+        y = self.walk.positions - self.center
+        points = (p[:, None] + np.einsum("hij,nj->hni", R, y)).reshape(-1, 3)
+        _, sd, _, is_known = self.base.raster.lookup(points)
+        values = self.base.posterior.evaluate(points, order=1)
+        known, sd = is_known.reshape(n_poses, n), sd.reshape(n_poses, n)
+        expected = values.field.reshape(n_poses, n, 3) @ R
+        G = np.swapaxes(R, 1, 2)[:, None] @ gradient_of(values).reshape(n_poses, n, 3, 3) @ R[:, None]
+        J = np.concatenate([G @ skew(y) - skew(self.walk.field), -G], axis=3)
+        rows = np.concatenate([(self.walk.field - expected)[..., None], J], axis=3) * known[..., None, None]
+        # Where something moved since, residuals of a whole piece are larger by a common factor.
+        rows = rows / strain[..., None, None]
+        G = G * known[..., None, None]
+        C = (self._full_covariance if is_full else self._alike_covariance)(G, sd, known)
+        white, half_log_det, variance = _whiten(C, rows)
+        half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
+        normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / variance
+        z, JW = white[:, :, 0], white[:, :, 1:]
+        free = np.repeat([FREE_TURN, FREE_SHIFT * self.length], 3)
+        information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
+        v = np.einsum("hki,hk->hi", JW, z)
+        if not self.prior.is_flat:
+            for k in range(n_poses):
+                known_before, slope, _ = self.prior.rows(self.pose(R[k], p[k]), self.center)
+                information[k] += known_before
+                v[k] += slope
+        return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
+
+    def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
+        """Transform that turns by R and puts the walk's centre somewhere."""
+        return RigidTransform.from_components(moved_center - R @ self.center, Rotation.from_matrix(R))
+
+    def _alike_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
+        """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""
+        moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
+        moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
+        C = self.noise.isotropic(self.distance, sd)
+        return _isolate(C + moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length), known)
+
+    def _full_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
+        """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
+        field = np.broadcast_to(self.walk.field, (*known.shape, 3))
+        return _isolate(self.noise.full(self.distance, sd, G, field), np.repeat(known, 3, axis=1))
+
+
+def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
+    """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
+    found = []
+    log_unrelated = null.log_likelihood(np.ones(len(squares.walk), dtype=bool))
+    price_per_bin = config.price_outside * squares.walk.bin_length / squares.length
+    for k in range(len(fits.chi2)):
+        known = fits.known[k]
+        inflation, log_likelihood = squares.noise.most_likely_factor(fits.chi2[k], 3 * int(known.sum()) - 6)
+        # A walk that fits better than a guess expects may still share its frame's errors.
+        least = 0.0 if squares.noise.is_learned else 1.0
+        covariance = max(inflation, least) * np.linalg.inv(fits.information[k])
+        _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
+        T = squares.pose(fits.rotations[k], fits.centers[k])
+        found.append(
+            LineEvidence(
+                T_base_walk=T,
+                center=squares.center,
+                covariance=(covariance + covariance.T) / 2,
+                coverage=float(known.mean()),
+                log_evidence=float(
+                    log_likelihood
+                    - fits.half_log_det[k]
+                    - null.log_likelihood(known)
+                    + 0.5 * log_det
+                    + squares.prior.log_density(T, squares.center)
+                    - price_per_bin * (~known).sum()
+                    - config.price_piece / config.piece_bins * (fits.strain[k] > 1).sum()
+                ),
+                residual=float(np.sqrt(fits.chi2[k] / (3 * known.sum() - 6))),
+                is_covered=known,
+                log_unrelated=log_unrelated,
+            )
+        )
+    return found
+
+
+def _isolate(C: Matrix, known: Matrix) -> Matrix:
+    """Cut unknown bins off: unit variance, no covariance, so that they add nothing to any sum or determinant."""
+    C = C * (known[:, :, None] & known[:, None, :])
+    n = C.shape[-1]
+    C[:, np.arange(n), np.arange(n)] += ~known
+    return C
+
+
+def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
+    """Whiten rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
+
+    Returns the whitened rows (h, 3 n, k), half the log-determinants (h,), and the expected square of each bin (h, n).
+    """
+    h, n, _, k = rows.shape
+    n_alike = 3 * n // C.shape[1]
+    flat = rows.reshape(h, C.shape[1], n_alike * k)
+    L = np.linalg.cholesky(C)
+    white = np.stack([solve_triangular(a, b, lower=True, check_finite=False) for a, b in zip(L, flat, strict=True)])
+    half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
+    return white.reshape(h, 3 * n, k), half_log_det, variance
+
+
+def _strained(fits: _Fits, config: LineConfig) -> Matrix:
+    """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
+    window = np.ones(config.piece_bins)
+    counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
+    power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
+    is_strained = (power > config.max_power) & fits.known
+    # A pose that disagrees nearly everywhere is wrong rather than disturbed.
+    is_disturbed = is_strained.sum(axis=1) <= config.max_strained_share * fits.known.sum(axis=1)
+    return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
+
+
+def _unrelated_covariance(d2: Matrix, length: float, variance: float, nugget: float, constant: float) -> Matrix:
+    # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
+    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant + nugget * np.eye(len(d2))
+    return K
+
+
+def _log_likelihood(values: Vectors, K: Matrix) -> float:
+    L = _cholesky(K)
+    z = _solve(L, values)
+    return float(-0.5 * (z**2).sum() - 3 * np.log(np.diag(L)).sum())
+
+
+def _cholesky(C: Matrix) -> Matrix:
+    return np.asarray(cholesky(C, lower=True, check_finite=False, overwrite_a=True))
+
+
+def _solve(L: Matrix, rows: Matrix | Scalars) -> Matrix:
+    return np.asarray(solve_triangular(L, rows, lower=True, check_finite=False))

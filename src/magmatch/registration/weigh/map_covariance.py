@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far a pose may be off because of what two maps do not know between their samples.
+
+Such an error is alike all along a path beside another, so that a pose follows it and leaves no residual that would
+show it (`covariance.py` lives on residuals). Draws from the maps' posteriors show it: each moves the pose by one
+linear step.
+"""
+
+import numpy as np
+
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.refine.refinement import (
+    Lookup,
+    RefinedPose,
+    RefinementConfig,
+    information_of,
+    look_up,
+    residual_jacobian,
+    some_rows,
+    student_weights,
+)
+from magmatch.typing import Covariance6, Matrix, Points, Vectors
+
+
+def map_covariance(
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, config: RefinementConfig, seed: int
+) -> Covariance6:
+    """Covariance of a pose through the maps' own uncertainty alone.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    pose : RefinedPose
+        With a direction of comparison at least.
+    config : RefinementConfig
+    seed : int
+
+    Returns
+    -------
+    (6, 6) array
+        Of the perturbation about the pose's centre; rotation first (rad, m), target's model axes.
+    """
+    T, rng = pose.T_base_target, np.random.default_rng(seed)
+    forward, backward = look_up(base, target, T, pose.sensor, some_rows(base, target, config, rng))
+    information = information_of(pose.directions) + pose.known_before
+    # The base's field enters the residual with a minus, the target's with a plus.
+    of_base = [-rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T))]
+    of_target = _errors(target, backward.positions)
+    # The maps' errors have nothing to do with one another: their squares are added, rather than one draw of each.
+    total: Covariance6 = np.zeros((6, 6))
+    for lookup, noise_sd, errors in ((forward, target.noise_sd, of_base), (backward, base.noise_sd, of_target)):
+        moves = np.linalg.solve(information, _scores(lookup, noise_sd, pose, errors).T)[:6]
+        total = total + moves @ moves.T / len(errors)
+    return total
+
+
+def _errors(of: PreparedMap, points: Points) -> list[Vectors]:
+    """How a map's field may differ from its mean at points: draws."""
+    posterior = of.field_map.posterior
+    mean = posterior.evaluate(points).field
+    return [posterior.evaluate(points, 0, weights).field - mean for weights in of.draws()]
+
+
+def _scores(lookup: Lookup, noise_sd: float, pose: RefinedPose, errors: list[Vectors]) -> Matrix:
+    """Gradient of the likelihood that each draw adds: (draws, 6 + k)."""
+    residual2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
+    weight, _ = student_weights(residual2, lookup.sd, noise_sd)
+    JW = residual_jacobian(lookup, pose.center, pose.sensor) * weight[:, None, None]
+    return np.stack([np.einsum("nij,ni->j", JW, error) for error in errors])

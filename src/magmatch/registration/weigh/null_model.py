@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a target's field would look like if the base had nothing to do with it: a smooth random field of its own.
+
+Cell means of the target's samples are explained by a rational-quadratic field around a free constant, its
+lengthscale and strength the most likely ones for this very survey. That gives the null hypothesis its best chance,
+and counts a smooth field, whose cells are not independent, for what it is worth.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+
+from magmatch.registration.prepared.cubes import cube_keys
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
+
+# More cells than this add cost, not certainty.
+MAX_CELLS = 150
+# Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
+LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
+STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
+# Rough part of a field that follows no smooth one (jitter of poses), in the cells' standard deviation.
+ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
+# How calm or wild the cells of an overlap may be against all of the survey, as a share of the field's variance.
+LOCAL_STRENGTHS = np.geomspace(1e-3, 10.0, 17)
+# Share of modes that may disagree although the pose is right (moved objects).
+OUTLIER_SHARE = 0.1
+# Variance of what the base may leave unexplained, as a share of the field's.
+UNEXPLAINED = tuple(float(s) for s in np.geomspace(1e-4, 1.0, 17))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CellMeans:
+    """Samples averaged over cubic cells of the target.
+
+    Attributes
+    ----------
+    cell : (n,) int array
+        Which cell each sample belongs to; negative where its cell is left out.
+    counts : (c,) array
+    centers : (c, 3) array, m
+    """
+
+    cell: np.ndarray
+    counts: Scalars
+    centers: Points
+
+    def mean(self, values: Matrix) -> Matrix:
+        """Average rows over the cells: (c, k)."""
+        kept = self.cell >= 0
+        return np.stack(
+            [
+                np.bincount(self.cell[kept], column[kept], len(self.counts)) / np.maximum(self.counts, 1)
+                for column in np.atleast_2d(values.T)
+            ],
+            axis=1,
+        )
+
+    def holds(self, rows: Indices) -> Mask:
+        """Whether each sample lies in one of these cells: (n,)."""
+        is_one = np.zeros(len(self.counts) + 1, dtype=np.bool_)
+        is_one[rows] = True
+        # Samples of cells that are left out, -1, look at the last entry.
+        inside: Mask = is_one[self.cell]
+        return inside
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class UnrelatedField:
+    """Covariance of the cells' field under the null hypothesis.
+
+    Attributes
+    ----------
+    cells : CellMeans
+    field : (c, 3) array, T
+        Mean field of each cell.
+    covariance : (c, c) array, T^2
+        Of one component between cells, noise left out.
+    noise : (c,) array, T^2
+        Variance of one component of each cell's mean.
+    roughness : float, T^2
+        Further variance that follows no smooth field.
+    """
+
+    cells: CellMeans
+    field: Vectors
+    covariance: Matrix
+    noise: Scalars
+    roughness: float
+
+    def log_ratio(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
+        """Log of 'the base explains these cells' over 'unrelated field'.
+
+        The cells' field and residual are taken apart into the independent modes of the unrelated field, smooth ones
+        first. A mode counts by how far its residual stays below what the unrelated field would have there, and
+        never less than an outlier does; modes too faint to rise above the residuals count nothing.
+
+        Parameters
+        ----------
+        residual : (r, 3) array, T
+            What the base leaves of the cells in ``rows``.
+        extra : (r,) array, T^2
+            Further variance of each cell (the base map's spread).
+        rows : (r,) int array
+
+        Returns
+        -------
+        log_ratio : float, nats
+        unexplained : float
+            Variance of the residuals that explains them best, as a share of the cells' field's.
+        """
+        # Cells in units of their own uncertainty: where the base map is unsure, little is asked of it.
+        W = 1 / np.sqrt(self.noise[rows] + extra)
+        covariance = self.covariance[np.ix_(rows, rows)] + self.roughness * np.eye(len(rows))
+        power, modes = np.linalg.eigh(W[:, None] * covariance * W)
+        constant = np.average(self.field[rows], axis=0, weights=W**2)
+        b2 = ((modes.T @ (W[:, None] * (self.field[rows] - constant))) ** 2).sum(axis=1)
+        # A search finds calm corners of a survey; an unrelated field would be as calm there.
+        k = np.maximum(power, 0.0) * _strength_here(power, b2) + 1.0
+        r2 = ((modes.T @ (W[:, None] * residual)) ** 2).sum(axis=1)
+        variance = float(self.field.var(axis=0).mean() * (W**2).mean())
+        found = []
+        for share in UNEXPLAINED:
+            v = np.minimum(k, 1.0 + share * variance)
+            L = np.minimum(b2, 9 * k) / (2 * k) - r2 / (2 * v) + 1.5 * np.log(k / v)
+            L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
+            # A mode that the residuals' level drowns is no evidence for or against.
+            found.append(float(L[v < 0.8 * k].sum()))
+        best = int(np.argmax(found))
+        return found[best], UNEXPLAINED[best]
+
+
+def _strength_here(power: Scalars, b2: Scalars) -> float:
+    """Share of the field's variance that the modes of the cells at hand show most likely."""
+    k = np.maximum(power, 0.0) * LOCAL_STRENGTHS[:, None] + 1.0
+    log_likelihood = -(b2 / (2 * k) + 1.5 * np.log(k)).sum(axis=1)
+    return float(LOCAL_STRENGTHS[int(np.argmax(log_likelihood))])
+
+
+def average_cells(positions: Points, side: float) -> CellMeans:
+    """Cut samples into cubic cells; where there are too many, an even choice of them.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m
+    side : float, m
+
+    Returns
+    -------
+    CellMeans
+    """
+    _, cell, counts = np.unique(cube_keys(positions, side), return_inverse=True, return_counts=True)
+    chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_CELLS)).astype(np.int64))
+    renamed = np.full(len(counts), -1)
+    renamed[chosen] = np.arange(len(chosen))
+    means = CellMeans(renamed[cell], counts[chosen].astype(np.float64), np.zeros((0, 3)))
+    return CellMeans(means.cell, means.counts, means.mean(positions))
+
+
+def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> UnrelatedField:
+    """Most likely smooth random field for the target's cells.
+
+    Parameters
+    ----------
+    cells : CellMeans
+    field : (c, 3) array, T
+        Mean field of each cell.
+    noise : (c,) array, T^2
+        Variance of one component of each mean.
+    lengthscale : float, m
+        Of the target's map.
+
+    Returns
+    -------
+    UnrelatedField
+    """
+    distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
+    variance = max(float(field.var(axis=0).mean()), float(noise.min()))
+    best, covariance = -np.inf, np.zeros_like(distance2)
+    rough = 0.0
+    for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS):
+        # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
+        K = strength**2 * variance / (1 + distance2 / (2 * (factor * lengthscale) ** 2))
+        log_likelihood = _with_free_constant(field, K, noise + roughness**2 * variance)
+        if log_likelihood > best:
+            best, covariance, rough = log_likelihood, K, roughness**2 * variance
+    return UnrelatedField(cells, field, covariance, noise, rough)
+
+
+def _with_free_constant(values: Vectors, K: Matrix, noise: Scalars) -> float:
+    L = cholesky(K + np.diag(noise + 1e-9 * np.trace(K) / len(K)), lower=True, check_finite=False)
+    z = solve_triangular(L, values, lower=True, check_finite=False)
+    one = solve_triangular(L, np.ones(len(values)), lower=True, check_finite=False)
+    z -= np.outer(one, one @ z / (one @ one))
+    return float(-0.5 * (z**2).sum() - 3 * np.log(np.diag(L)).sum())

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The survey CSV: what is unambiguous is read, units and frames are settled once, saving loses nothing."""
+
+import logging
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.formats.csv import read_points, read_survey_csv
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.survey import Survey
+from magmatch.data.tables.table import CHUNK_ROWS, read_table
+from magmatch.data.trajectory import Trajectory
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.errors import DataFormatError
+
+NUMBERS = np.column_stack([np.arange(12), np.arange(12) ** 2, np.arange(12) % 3, np.full((12, 3), 2e-5)]).astype(
+    float
+)
+LINES = [",".join(map(repr, row)) for row in NUMBERS.tolist()]
+PLAIN = "\n".join(["x,y,z,bx,by,bz", *LINES, ""])
+REVERSED = "\n".join(["bz,by,bx,z,y,x", *(",".join(line.split(",")[::-1]) for line in LINES)])
+
+SAME_CONTENT = {
+    "plain": PLAIN,
+    "CR LF": PLAIN.replace("\n", "\r\n"),
+    "old Mac line ends": PLAIN.replace("\n", "\r"),
+    "no newline at the end": PLAIN.rstrip("\n"),
+    "byte order mark": "\ufeff" + PLAIN,
+    "UTF-16": PLAIN.encode("utf-16"),
+    "columns in another order": REVERSED,
+    "capitals": PLAIN.replace("x,y,z,bx,by,bz", "X,Y,Z,Bx,By,Bz"),
+    "blanks around cells": PLAIN.replace(",", " , "),
+    "semicolons": PLAIN.replace(",", ";"),
+    "tabs": PLAIN.replace(",", "\t"),
+    "white space": PLAIN.replace(",", "   "),
+    "indented white space": PLAIN.replace(",", "   ").replace("\n", " \n  "),
+    "comments and blank lines": "# made by hand\n\n" + PLAIN.replace("\n", "\n\n  # between\n"),
+    "comment in another alphabet": "# Erdfeld in \u00b5T, \u78c1\u573a\n" + PLAIN,
+    "quotes": '"x","y","z","bx","by","bz"\n' + "\n".join(",".join(f'"{c}"' for c in ln.split(",")) for ln in LINES),
+    "delimiter at every line's end": PLAIN.replace("\n", ",\n"),
+    "delimiter at the rows' ends": PLAIN.replace("\n", ",\n").replace("bz,\n", "bz\n"),
+    "blank rows of a spreadsheet": PLAIN + ",,,,,\n,,,,,\n",
+    "text in other columns": "\n".join(["room,x,y,z,bx,by,bz", *(f"kitchen,{line}" for line in LINES)]),
+    "commas in quoted text": "\n".join(["room,x,y,z,bx,by,bz", *(f'"a, b",{line}' for line in LINES)]),
+    "unnamed index column": "\n".join([",x,y,z,bx,by,bz", *(f"{i},{line}" for i, line in enumerate(LINES))]),
+}
+
+
+def write(path, content):
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize("name", SAME_CONTENT)
+def test_every_unambiguous_spelling_gives_the_same_survey(name, tmp_path):
+    survey = read_survey(write(tmp_path / "survey.csv", SAME_CONTENT[name]))
+    np.testing.assert_array_equal(survey.positions, NUMBERS[:, :3])
+    np.testing.assert_array_equal(survey.field, NUMBERS[:, 3:])
+    assert survey.times is None
+    assert survey.orientations is None
+    assert survey.name == "survey.csv"
+
+
+def test_fault_in_a_later_chunk_keeps_its_line(tmp_path):
+    lines = LINES * (CHUNK_ROWS // len(LINES) + 2)
+    lines[CHUNK_ROWS + 5] = "0,0,0,0,0,x"
+    path = write(tmp_path / "long.csv", "\n".join(["x,y,z,bx,by,bz", *lines]))
+    with pytest.raises(DataFormatError, match=f"line {CHUNK_ROWS + 7}, column 'bz'"):
+        read_survey(path)
+
+
+def test_cell_by_cell_reading_gives_the_same_numbers_as_reading_at_once(tmp_path, rng):
+    values = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-300, 300, (200, 3))
+    lines = [",".join(map(repr, row)) for row in values.tolist()]
+    at_once = read_table(write(tmp_path / "a.csv", "\n".join(["x,y,z", *lines])), ("x", "y", "z"))
+    slowly = read_table(write(tmp_path / "b.csv", "\n".join(["x,y,z", *lines, "0,0,0,"])), ("x", "y", "z"))
+    np.testing.assert_array_equal(at_once.stack("x", "y", "z"), values)
+    np.testing.assert_array_equal(slowly.stack("x", "y", "z")[:-1], values)
+
+
+@pytest.mark.parametrize("unit", TESLA_PER_UNIT)
+def test_field_unit_only_scales_the_numbers(unit, tmp_path):
+    path = write(tmp_path / "survey.csv", PLAIN)
+    survey = read_survey_csv(path, SurveyFormat(field_unit=unit))
+    np.testing.assert_allclose(survey.field, NUMBERS[:, 3:] * TESLA_PER_UNIT[unit], rtol=1e-15)
+    np.testing.assert_array_equal(survey.positions, NUMBERS[:, :3])
+
+
+@pytest.mark.parametrize("unit", METRE_PER_UNIT)
+def test_length_unit_only_scales_the_positions(unit, tmp_path):
+    path = write(tmp_path / "survey.csv", PLAIN)
+    layout = SurveyFormat(length_unit=unit)
+    np.testing.assert_allclose(read_survey_csv(path, layout).positions, NUMBERS[:, :3] * METRE_PER_UNIT[unit])
+    np.testing.assert_allclose(read_points(path, layout), NUMBERS[:, :3] * METRE_PER_UNIT[unit])
+    np.testing.assert_array_equal(read_survey_csv(path, layout).field, NUMBERS[:, 3:])
+
+
+def test_sensor_vectors_are_turned_into_the_survey_frame(room, tmp_path):
+    path = tmp_path / "sensor.csv"
+    seen = room.orientations.inv().apply(room.field)
+    Survey(room.positions, seen, room.times, room.orientations).save(path)
+    survey = read_survey(path, SurveyFormat(field_frame="sensor"))
+    np.testing.assert_allclose(survey.field, room.field, atol=1e-18)
+
+
+def test_quaternions_are_xyzw_from_sensor_to_survey(tmp_path):
+    lines = [f"{line},0,0,1,1" for line in LINES]  # 90 deg about z, not yet of unit length
+    lines = [line.replace(",1,1", ",0.70710678,0.70710678") for line in lines]
+    path = write(tmp_path / "turned.csv", "\n".join(["x,y,z,bx,by,bz,qx,qy,qz,qw", *lines]))
+    survey = read_survey_csv(path, SurveyFormat(field_frame="sensor"))
+    np.testing.assert_allclose(survey.field, np.tile([-2e-5, 2e-5, 2e-5], (12, 1)), rtol=1e-7)
+
+
+def test_sensor_vectors_without_orientations_are_refused(tmp_path):
+    path = write(tmp_path / "survey.csv", PLAIN)
+    with pytest.raises(DataFormatError, match="'sensor' needs orientations"):
+        read_survey(path, SurveyFormat(field_frame="sensor"))
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(
+    positions=arrays(np.float64, (5, 3), elements=st.floats(-1e6, 1e6)),
+    field=arrays(np.float64, (5, 3), elements=st.floats(-1e-2, 1e-2)),
+    seed=st.integers(0, 100),
+    pose_sd=st.floats(0, 10),
+    has_times=st.booleans(),
+)
+def test_saving_and_loading_gives_the_same_bits(tmp_path_factory, positions, field, seed, pose_sd, has_times):
+    turns = Rotation.random(5, rng=np.random.default_rng(seed)) if seed % 2 else None
+    times = np.cumsum(np.random.default_rng(seed).uniform(0.1, 1, 5)) if has_times else None
+    survey = Survey(positions, field, times, turns, frame="hall, west\n\u00b5", pose_sd=pose_sd)
+    path = tmp_path_factory.mktemp("laws") / "survey.csv"
+    survey.save(path)
+    loaded = Survey.load(path)
+    np.testing.assert_array_equal(loaded.positions, survey.positions)
+    np.testing.assert_array_equal(loaded.field, survey.field)
+    assert (loaded.frame, loaded.pose_sd) == (survey.frame, survey.pose_sd)
+    assert (loaded.times is None) == (times is None)
+    if turns is not None:
+        assert loaded.orientations.approx_equal(turns, atol=1e-15).all()
+    if times is not None:
+        np.testing.assert_array_equal(loaded.times, times)
+
+
+def test_accuracy_of_the_positions_may_be_given_from_outside(room, tmp_path):
+    path = tmp_path / "room.csv"
+    Survey(room.positions, room.field, pose_sd=0.05).save(path)
+    assert read_survey(path).pose_sd == 0.05
+    assert read_survey(path, SurveyFormat(pose_sd=0.2)).pose_sd == 0.2
+
+
+def test_failed_save_leaves_the_old_file(room, tmp_path, monkeypatch):
+    path = tmp_path / "room.csv"
+    room.save(path)
+    before = path.read_bytes()
+
+    def rows_until_the_disk_is_full(*_args):
+        yield b"x,y,z,bx,by,bz\n"
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("magmatch.data.tables.table._rows", rows_until_the_disk_is_full)
+    with pytest.raises(OSError, match="No space left"):
+        room.save(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def about_z(angle):
+    return Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0]))
+
+
+@pytest.fixture
+def log(room, tmp_path):
+    """A field log in the sensor's frame and the poses from another system, both of the same walk."""
+    times = np.arange(0.0, 30.0, 0.5)
+    angle = 0.1 * times
+    trajectory = Trajectory(times, np.column_stack([times, np.sin(times), 0 * times]), about_z(angle))
+    trajectory.save(tmp_path / "poses.tum")
+    return tmp_path / "log.csv", tmp_path / "poses.tum", np.array([20e-6, 5e-6, -40e-6])
+
+
+def write_log(path, times, field):
+    lines = [",".join(map(repr, row)) for row in np.column_stack([times, field]).tolist()]
+    return write(path, "\n".join(["t,bx,by,bz", *lines]))
+
+
+def test_poses_from_a_trajectory_turn_the_log_into_the_survey_frame(log):
+    path, poses, b_survey = log
+    times = np.arange(0.2, 29.0, 0.25)
+    write_log(path, times, about_z(-0.1 * times).apply(b_survey))
+    survey = read_survey(path, SurveyFormat(field_frame="sensor", trajectory=poses))
+    np.testing.assert_allclose(survey.field, np.tile(b_survey, (len(times), 1)), atol=1e-17)
+    np.testing.assert_allclose(survey.positions[:, 0], times, atol=1e-12)
+    np.testing.assert_array_equal(survey.times, times)
+
+
+def test_samples_without_a_pose_are_dropped_and_counted(log, caplog):
+    path, poses, b_survey = log
+    times = np.arange(-1.0, 31.0, 0.25)
+    write_log(path, times, np.tile(b_survey, (len(times), 1)))
+    with caplog.at_level(logging.WARNING):
+        survey = read_survey(path, SurveyFormat(trajectory=poses))
+    assert survey.times[0] == 0.0
+    assert survey.times[-1] == 29.5
+    assert "dropped 9 of 128 samples without a pose (4 before the trajectory begins, 5 after it ends)" in caplog.text
+
+
+def test_log_and_trajectory_on_different_clocks_are_refused_with_both_ranges(log):
+    path, poses, b_survey = log
+    write_log(path, 1.6e9 + np.arange(20), np.tile(b_survey, (20, 1)))
+    with pytest.raises(DataFormatError) as caught:
+        read_survey(path, SurveyFormat(trajectory=poses))
+    for fragment in ("1600000000.000 to 1600000019.000 s", "0.000 to 29.500 s", str(poses), "same clock"):
+        assert fragment in str(caught.value)
+
+
+def test_trajectory_needs_times_in_the_log(log):
+    path, poses, _ = log
+    write(path, PLAIN)
+    with pytest.raises(DataFormatError, match=r"missing t; .*clock"):
+        read_survey(path, SurveyFormat(trajectory=poses))
+
+
+def test_positions_beside_a_trajectory_are_said_to_be_ignored(log, caplog):
+    path, poses, _ = log
+    write(path, "\n".join(["t,x,y,z,bx,by,bz", *(f"{i},{line}" for i, line in enumerate(LINES))]))
+    with caplog.at_level(logging.WARNING):
+        survey = read_survey(path, SurveyFormat(trajectory=poses))
+    assert "columns x, y, z are ignored" in caplog.text
+    np.testing.assert_allclose(survey.positions[:, 0], np.arange(12), atol=1e-12)
+
+
+def test_poses_interpolated_across_a_gap_are_said(log, caplog, tmp_path):
+    path, _, b_survey = log
+    times = np.concatenate([np.arange(0, 5, 0.1), np.arange(15, 20, 0.1)])
+    Trajectory(times, np.column_stack([times] * 3), Rotation.identity(len(times))).save(tmp_path / "gap.tum")
+    write_log(path, np.arange(0, 19, 0.5), np.tile(b_survey, (38, 1)))
+    with caplog.at_level(logging.WARNING):
+        read_survey(path, SurveyFormat(trajectory=tmp_path / "gap.tum"))
+    assert "20 samples lie in gaps of the trajectory longer than 1 s" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"\x89PNG\r\n\x1a\n", "PNG picture"), (b'{"schema": "magmatch.registration/1"}', "a registration file")],
+)
+def test_trajectory_that_is_another_kind_of_file_is_named(log, tmp_path, content, words):
+    path, _, b_survey = log
+    write_log(path, np.arange(20.0), np.tile(b_survey, (20, 1)))
+    with pytest.raises(DataFormatError, match=words):
+        read_survey(path, SurveyFormat(trajectory=write(tmp_path / "poses.tum", content)))
+
+
+def test_missing_trajectory_is_named(log, tmp_path):
+    path, _, b_survey = log
+    write_log(path, np.arange(20.0), np.tile(b_survey, (20, 1)))
+    with pytest.raises(DataFormatError, match=r"nowhere\.tum: no such file"):
+        read_survey(path, SurveyFormat(trajectory=tmp_path / "nowhere.tum"))
+
+
+@pytest.mark.parametrize("settings", [{"field_unit": "tesla"}, {"length_unit": "km"}, {"pose_sd": -1}, {"unit": "T"}])
+def test_unknown_settings_are_refused(settings):
+    with pytest.raises(ValueError, match="SurveyFormat"):
+        SurveyFormat(**settings)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("size", [1, 64, 700])
+def test_a_file_read_in_blocks_is_the_same_survey(end, size, room, tmp_path, monkeypatch):
+    room.save(tmp_path / "whole.csv")
+    text = (tmp_path / "whole.csv").read_text()
+    (tmp_path / "room.csv").write_bytes("\ufeff".encode() + text.replace("\n", end).encode())
+    monkeypatch.setattr("magmatch.data.tables.text.BLOCK", size)
+    survey = read_survey(tmp_path / "room.csv")
+    np.testing.assert_array_equal(survey.field, room.field)
+    np.testing.assert_array_equal(survey.times, room.times)
+
+
+def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.data.tables.text.BLOCK", 1000)
+    monkeypatch.setattr("magmatch.data.tables.text.MAX_LINE", 5000)
+    (tmp_path / "room.csv").write_text("x,y,z,bx,by,bz\n" + "1" * 10_000)
+    with pytest.raises(DataFormatError, match="a line of more than 5000 bytes"):
+        read_survey(tmp_path / "room.csv")

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Phone logs: the tables of Sensor Logger and phyphox, alone, in a folder or in a zip archive."""
+
+import zipfile
+
+import numpy as np
+import pytest
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.tables.tum import write_tum
+from magmatch.errors import DataFormatError
+
+N = 40
+FIELD_UT = np.random.default_rng(1).normal([18.0, 3.0, -45.0], 2.0, (N, 3))
+
+
+def sensor_logger(start_ns=1_700_000_000_000_000_000):
+    """Its columns stand in the order z, y, x."""
+    rows = [
+        f"{start_ns + i * 10_000_000},{0.01 * i},{z!r},{y!r},{x!r}" for i, (x, y, z) in enumerate(FIELD_UT.tolist())
+    ]
+    return "\n".join(["time,seconds_elapsed,z,y,x", *rows, ""])
+
+
+def phyphox(mark=","):
+    names = ["Time (s)", *(f"Magnetic field {axis} (µT)" for axis in "xyz"), "Absolute field (µT)"]
+    rows = [mark.join(map(repr, [0.01 * i, *v, float(np.linalg.norm(v))])) for i, v in enumerate(FIELD_UT.tolist())]
+    return "\n".join([mark.join(f'"{name}"' for name in names), *rows, ""])
+
+
+@pytest.fixture
+def poses(tmp_path):
+    """Walks along x at 1 m/s without turning, on either clock."""
+
+    def write(start):
+        times = start + np.linspace(-0.1, 0.6, 30)
+        positions = np.column_stack([times - start, 0.01 * np.sin(9 * times), 0 * times])
+        write_tum(tmp_path / "poses.tum", times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (30, 1)))
+        return SurveyFormat(trajectory=tmp_path / "poses.tum")
+
+    return write
+
+
+def zipped(path, **members):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in members.items():
+            archive.writestr(name.replace("__", "/").replace("_", " ") + ".csv", text)
+    return path
+
+
+def test_sensor_logger_in_every_wrapping_gives_the_same_survey(tmp_path, poses):
+    layout = poses(1.7e9)
+    (tmp_path / "table.csv").write_text(sensor_logger())
+    (tmp_path / "export").mkdir()
+    (tmp_path / "export" / "Magnetometer.csv").write_text(sensor_logger())
+    (tmp_path / "export" / "Location.csv").write_text("time,latitude\n")
+    zipped(tmp_path / "export.zip", **{"walk__Magnetometer": sensor_logger(), "walk__Location": "time,latitude\n"})
+    for name in ("table.csv", "export", "export.zip"):
+        survey = read_survey(tmp_path / name, layout)
+        np.testing.assert_array_equal(survey.field, FIELD_UT * 1e-6)
+        np.testing.assert_allclose(survey.positions[:, 0], 0.01 * np.arange(N), atol=1e-6)  # clock of 0.24 us
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_phyphox_columns_are_found_by_name(mark, tmp_path, poses):
+    path = zipped(tmp_path / "phyphox.zip", **{"Raw_Data": phyphox(mark), "meta__device": "property,value\n"})
+    survey = read_survey(path, poses(0.0))
+    np.testing.assert_array_equal(survey.field, FIELD_UT * 1e-6)
+    # The app offers decimal commas too, where something else separates the cells.
+    for text in (phyphox(mark), phyphox(mark).replace(".", "," if mark != "," else ".")):
+        (tmp_path / "table.csv").write_text(text)
+        np.testing.assert_array_equal(read_survey(tmp_path / "table.csv", poses(0.0)).field, survey.field)
+
+
+def test_uncalibrated_samples_are_read_last_and_said_to_be(tmp_path, poses, caplog):
+    other = sensor_logger().replace("time,", "time,", 1)
+    path = zipped(tmp_path / "a.zip", Magnetometer=other, MagnetometerUncalibrated=other)
+    read_survey(path, poses(1.7e9))
+    assert "calibration" not in caplog.text
+    read_survey(zipped(tmp_path / "b.zip", MagnetometerUncalibrated=other), poses(1.7e9))
+    assert "without the phone's own calibration" in caplog.text
+
+
+def test_a_phone_log_alone_says_where_positions_come_from(tmp_path):
+    (tmp_path / "table.csv").write_text(sensor_logger())
+    with pytest.raises(DataFormatError, match="--trajectory"):
+        read_survey(tmp_path / "table.csv")

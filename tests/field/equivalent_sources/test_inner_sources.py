@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Claims about charges among the samples: they stand for what is there, and only for that."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.field.box import Box
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.equivalent_sources.holes import hole_charges
+from magmatch.field.equivalent_sources.inner_sources import find_inner_sources
+from magmatch.field.equivalent_sources.magnets import find_magnets
+from magmatch.field.equivalent_sources.shell import lay_shell
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+
+BOX, NOISE = np.array([1.6, 1.2, 0.8]), 0.4e-6
+H = Hyperparameters(lengthscale=0.4, signal_sd=12e-6, noise_sd=NOISE, spacing=0.2)
+PRIOR = HarmonicPrior(HarmonicConfig(max_sources=600, max_search_sources=600))
+
+
+def field_at(points, strength):
+    """Earth's field, dipoles half a metre below a box, and two of a strength among the samples."""
+    rng = np.random.default_rng(0)
+    sources = [(rng.uniform([0, 0, -0.6], [1.6, 1.2, -0.5]), 1e-6 * rng.normal(size=3)) for _ in range(8)]
+    sources += [(BOX / 2 + [s, 0, 0], strength * 1e-6 * np.array([1.0, s, 0.5])) for s in (-0.08, 0.08)]
+    field = np.array([18e-6, 2e-6, -44e-6]) + np.zeros_like(points)
+    for at, moment in sources:
+        r, d = points - at, np.linalg.norm(points - at, axis=1)[:, None]
+        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+    return field
+
+
+def around_hole(n, seed):
+    """Points of the box that keep 30 cm away from its middle."""
+    points = np.random.default_rng(seed).uniform(0, BOX, size=(n, 3))
+    return points[np.linalg.norm(points - BOX / 2, axis=1) > 0.3]
+
+
+def room(strength, n=600):
+    points = around_hole(n, 1)
+    return points, field_at(points, strength) + np.random.default_rng(2).normal(scale=NOISE, size=points.shape)
+
+
+@pytest.fixture(scope="module")
+def furnished():
+    points, field = room(strength=0.5)
+    h = PRIOR.choose_hyperparameters(points, field)
+    model = PRIOR.build(points, field, h)
+    return model.infer(model.observe(points, field))
+
+
+def test_what_stands_among_the_samples_is_followed_and_no_longer_counts_as_noise(furnished):
+    assert furnished.hyperparameters.noise_sd < 1.3 * NOISE
+    at = around_hole(600, 3)
+    error = np.sqrt(((furnished.evaluate(at).field - field_at(at, 0.5)) ** 2).sum(axis=1))
+    assert np.median(error) < 1.5 * NOISE
+
+
+def test_intervals_hold_next_to_what_stands_among_the_samples(furnished):
+    at = around_hole(600, 4)
+    error = furnished.evaluate(at).field - field_at(at, 0.5)
+    sd = np.sqrt(np.diagonal(furnished.covariance(at), axis1=1, axis2=2))
+    assert 0.9 < np.mean(np.abs(error) < 1.96 * sd) <= 0.99
+
+
+def test_curl_and_divergence_stay_zero(furnished):
+    gradient = furnished.evaluate(around_hole(100, 5), 1).gradient
+    size = np.abs(gradient).max()
+    assert np.abs(gradient - gradient.transpose(0, 2, 1)).max() < 1e-9 * size
+    assert np.abs(np.trace(gradient, axis1=1, axis2=2)).max() < 1e-9 * size
+
+
+def test_the_map_knows_nothing_next_to_such_a_charge(furnished):
+    charges = furnished.model.basis.inner.data
+    assert not furnished.knows(charges).any()
+    beside = charges[:3] + 0.01
+    sd = np.sqrt(np.trace(furnished.covariance(beside), axis1=1, axis2=2) / 3)
+    assert np.isfinite(furnished.evaluate(beside, 1).gradient).all()
+    assert sd.min() > 0.5 * furnished.hyperparameters.signal_sd
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_holes_of_chance_stay_empty(seed):
+    points = np.random.default_rng(seed).uniform(0, BOX, size=(500, 3))
+    field = field_at(points, 0.0) + np.random.default_rng(9).normal(scale=NOISE, size=points.shape)
+    shell = lay_shell(points, 0.4, 0.2, 600)
+    assert find_inner_sources(shell, points, field).filled(H, 1e-4) is shell
+
+
+def test_along_a_path_and_in_a_plane_there_are_no_holes():
+    s = np.linspace(0, 1, 500)
+    path = np.stack([1.6 * s, 0.6 + 0.5 * np.sin(40 * s), 0.4 + 0.3 * np.cos(55 * s)], axis=1)
+    plane = around_hole(600, 1) * [1, 1, 0.01]
+    for points in (path, plane):
+        assert len(hole_charges(lay_shell(points, 0.4, 0.2, 600), points)[0]) == 0
+
+
+def test_magnets_under_a_lane_are_found_where_they_are():
+    x, y = np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 0.8, 0.1))
+    lanes = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=1)
+    magnets, rng = np.array([[0.2, 0.3, 0.02], [0.7, 0.5, 0.0], [0.55, 0.1, 0.03]]), np.random.default_rng(0)
+    moments = 1e-8 * np.array([[0.5, 1.0, 3.0], [2.0, 0.0, -3.0], [0.0, 1.0, 2.0]])
+    field = np.array([18e-6, 2e-6, -44e-6]) + rng.normal(scale=NOISE, size=lanes.shape)
+    for at, moment in zip(magnets, moments, strict=True):
+        r, d = lanes - at, np.linalg.norm(lanes - at, axis=1)[:, None]
+        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+    found, strengths = find_magnets(lanes, field, 0.3)
+    order = [int(np.argmin(np.linalg.norm(found - at, axis=1))) for at in magnets]
+    np.testing.assert_allclose(found[order], magnets, atol=2e-3)
+    np.testing.assert_allclose(strengths[order], moments, atol=1e-9)
+
+
+def test_a_declared_box_is_kept_free_of_charges_whatever_the_data_show():
+    box = Box(np.zeros(3), BOX, RigidTransform.identity())
+    assert PRIOR.build(*room(0.5), H, box).basis.inner is None
+    assert PRIOR.build(*room(0.5), H).basis.inner is not None
+
+
+def test_a_map_with_charges_in_holes_is_saved_and_loaded(tmp_path):
+    built = build_map(Survey(*room(0.5, 400)), FieldConfig(prior="harmonic", lengthscale=0.4, noise_sd=NOISE))
+    built.save(tmp_path / "map")
+    at = around_hole(20, 6)
+    assert np.array_equal(type(built).load(tmp_path / "map").evaluate(at, 1).gradient, built.evaluate(at, 1).gradient)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Claims about honest spread: misfit widens the posterior, noise does not."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.field.box import Box
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import misfit_inflation
+from magmatch.field.priors import PRIORS
+from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+
+BOX, NOISE = np.array([1.6, 1.2, 0.8]), 0.5e-6
+H = Hyperparameters(lengthscale=0.4, signal_sd=12e-6, noise_sd=2 * NOISE, spacing=0.2)
+PRIOR = HarmonicPrior(HarmonicConfig(max_sources=500, max_search_sources=500))
+# Small magnets that samples come so near to that they leave no hole.
+MAGNETS, NEAREST = np.array([[0.4, 0.4, 0.4], [1.1, 0.8, 0.3], [1.2, 0.3, 0.5]]), 0.06
+
+
+def field_at(points, strength):
+    """Earth's field, a dipole below a box, and magnets of a strength among the samples."""
+    field = np.array([18e-6, 2e-6, -44e-6]) + np.zeros_like(points)
+    for at, moment in ((np.array([0.8, 0.6, -0.6]), 2e-6), *((at, strength * 1e-8) for at in MAGNETS)):
+        r, d = points - at, np.linalg.norm(points - at, axis=1)[:, None]
+        m = moment * np.array([0.6, 0.0, 0.8])
+        field += 3 * r * (r @ m)[:, None] / d**5 - m / d**3
+    return field
+
+
+def samples(n, seed):
+    points = np.random.default_rng(seed).uniform(0, BOX, size=(n, 3))
+    return points[np.linalg.norm(points[:, None] - MAGNETS, axis=2).min(axis=1) > NEAREST]
+
+
+def survey(strength, n=700, seed=0):
+    points = samples(n, seed)
+    return points, field_at(points, strength) + np.random.default_rng(1).normal(scale=NOISE, size=points.shape)
+
+
+def test_intervals_hold_where_magnets_among_the_samples_break_the_promise_of_the_prior():
+    points, field = survey(3.0)
+    # A box that is declared free of sources allows no charges at the magnets.
+    box = Box(np.zeros(3), BOX, RigidTransform.identity())
+    h = PRIOR.choose_hyperparameters(points, field, box)
+    model = PRIOR.build(points, field, h, box)
+    posterior = model.infer(model.observe(points, field))
+    at = samples(700, 5)
+    size = np.abs(posterior.evaluate(at).field - field_at(at, 3.0))
+    sd = np.sqrt(np.diagonal(posterior.covariance(at), axis1=1, axis2=2))
+    assert h.inflation > 1.2
+    assert np.mean(size < 1.96 * sd / h.inflation) < 0.9 < np.mean(size < 1.96 * sd) <= 0.99
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("name", ["harmonic", "curl_free", "divergence_free"])
+def test_what_is_only_noise_widens_nothing(name, seed):
+    points, field = survey(0.0, seed=seed)
+    model = PRIORS[name].build(points, field, H)
+    # Of two samples at one place each is the other's neighbour, not its own.
+    twice = np.concatenate([points, points[:50]]), np.concatenate([field, field_at(points[:50], 0.0)])
+    assert misfit_inflation(*twice, model.infer(model.observe(*twice))) == 1.0

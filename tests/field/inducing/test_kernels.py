@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The divergence-free kernel is what was published, obeys its law, and differentiates as it should."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.field.inducing.kernels import DivergenceFreeKernel, hermite_functions
+
+laws = settings(deadline=None, derandomize=True, max_examples=20)
+seeds = st.integers(0, 10_000)
+lengthscales = st.floats(0.1, 10.0)
+EYE = np.eye(3)
+
+
+def blocks(kernel, points, others, order=0):
+    """Covariance as (rows, n, 3, m)."""
+    return kernel.covariance(points, others, order).reshape(-1, len(points), 3, len(others))
+
+
+def printed(d, sf, length):
+    """The kernel as the paper prints it."""
+    r2 = d @ d / length**2
+    return sf**2 / length**2 * np.exp(-r2 / 2) * (np.outer(d, d) / length**2 + (2 - r2) * EYE)
+
+
+@laws
+@given(seeds, lengthscales)
+def test_kernel_is_the_printed_formula(seed, length):
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(4, 3)) * length, rng.normal(size=(5, 3)) * length
+    kernel = DivergenceFreeKernel(length, 17e-6)
+    K = blocks(kernel, x, y)
+    for i, j in np.ndindex(4, 5):
+        np.testing.assert_allclose(K[:, i, :, j], printed(x[i] - y[j], kernel.scale, length), rtol=1e-9, atol=1e-24)
+
+
+def test_kernel_is_the_operator_on_the_squared_exponential():
+    length, sf, h = 0.8, 1.3, 1e-3
+    d0 = np.array([0.3, -0.5, 0.2])
+
+    def se(d):
+        return np.exp(-(d @ d) / (2 * length**2))
+
+    hessian = np.array(
+        [
+            [
+                (se(d0 + h * (a + b)) - se(d0 + h * (a - b)) - se(d0 - h * (a - b)) + se(d0 - h * (a + b)))
+                / (4 * h**2)
+                for b in EYE
+            ]
+            for a in EYE
+        ]
+    )
+    kernel = DivergenceFreeKernel(length, sf * np.sqrt(2) / length)
+    K = blocks(kernel, d0[None], np.zeros((1, 3)))[:, 0, :, 0]
+    # The error of second differences with this step is about 1e-6.
+    np.testing.assert_allclose(K, sf**2 * (hessian - np.trace(hessian) * EYE), atol=1e-5)
+
+
+@laws
+@given(seeds, lengthscales)
+def test_kernel_is_symmetric_and_positive_semidefinite(seed, length):
+    x = np.random.default_rng(seed).uniform(-2, 2, size=(12, 3))
+    K = DivergenceFreeKernel(length, 1.0).covariance(x, x)
+    np.testing.assert_allclose(K, K.T, atol=1e-14)
+    assert np.linalg.eigvalsh(K)[0] > -1e-12
+
+
+@laws
+@given(seeds, lengthscales)
+def test_every_column_has_zero_divergence(seed, length):
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(6, 3)) * length, rng.normal(size=(5, 3)) * length
+    gradient = blocks(DivergenceFreeKernel(length, 1.0), x, y, 1)[3:].reshape(3, 3, 6, 3, 5)
+    divergence = np.trace(gradient, axis1=0, axis2=1)
+    np.testing.assert_allclose(divergence, 0, atol=1e-13 / length)
+
+
+@laws
+@given(seeds, lengthscales)
+def test_derivatives_are_finite_differences(seed, length):
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(3, 3)) * length, rng.normal(size=(4, 3)) * length
+    kernel = DivergenceFreeKernel(length, 1.0)
+    h = 1e-5 * length
+    exact = blocks(kernel, x, y, 2)
+    first = np.stack([(blocks(kernel, x + h * e, y) - blocks(kernel, x - h * e, y)) / (2 * h) for e in EYE], axis=1)
+    second = np.stack(
+        [(blocks(kernel, x + h * e, y, 1)[3:] - blocks(kernel, x - h * e, y, 1)[3:]) / (2 * h) for e in EYE], axis=1
+    )
+    np.testing.assert_allclose(exact[3:12], first.reshape(9, 3, 3, 4), atol=1e-8 / length)
+    np.testing.assert_allclose(exact[12:], second.reshape(27, 3, 3, 4), atol=1e-8 / length**2)
+
+
+def test_prior_of_field_and_gradient_is_that_of_finite_differences():
+    length, h = 0.7, 1e-3
+    kernel = DivergenceFreeKernel(length, 2.0)
+    offsets = np.concatenate([np.zeros((1, 3)), h * EYE, -h * EYE])
+    K = kernel.covariance(offsets, offsets).reshape(3, 7, 3, 7)
+    stencil = np.zeros((4, 7))
+    stencil[0, 0] = 1
+    stencil[range(1, 4), range(1, 4)], stencil[range(1, 4), range(4, 7)] = 1 / (2 * h), -1 / (2 * h)
+    joint = np.einsum("pi,aibj,qj->apbq", stencil, K, stencil)
+    rows = [(a, 0) for a in range(3)] + [(a, 1 + b) for a in range(3) for b in range(3)]
+    differences = np.array([[joint[a, p, b, q] for b, q in rows] for a, p in rows])
+    # Central differences err by (h / l)^2.
+    np.testing.assert_allclose(kernel.at_one_point(1), differences, atol=1e-4)
+    np.testing.assert_allclose(kernel.at_one_point(0), 4.0 * EYE, rtol=1e-14)
+
+
+def test_hermite_functions_are_derivatives_of_each_other():
+    t, h = np.linspace(-4, 4, 41), 1e-5
+    exact = hermite_functions(t, 5)
+    differences = (hermite_functions(t + h, 5) - hermite_functions(t - h, 5)) / (2 * h)
+    np.testing.assert_allclose(exact[1:], differences[:-1], atol=1e-8)
+
+
+@pytest.mark.parametrize(("length", "sd"), [(0.0, 1.0), (-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (np.inf, 1.0)])
+def test_impossible_kernel_is_refused(length, sd):
+    with pytest.raises(ValueError, match="expected positive lengthscale and signal_sd"):
+        DivergenceFreeKernel(length, sd)
+
+
+def test_impossible_order_is_refused():
+    kernel = DivergenceFreeKernel(1.0, 1.0)
+    with pytest.raises(ValueError, match="expected order 0"):
+        kernel.covariance(np.zeros((1, 3)), np.zeros((1, 3)), 3)
+    with pytest.raises(ValueError, match="covariance of order 0"):
+        kernel.at_one_point(2)

@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The live estimate: the same field as in batch, over any distance, through checkpoints, in spite of bad samples."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from magmatch.errors import DataFormatError, SurveyError
+from magmatch.field.config import EstimatorConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.live.estimator import FieldEstimator
+from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS
+from magmatch.field.live.live_record import SCHEMA
+from magmatch.field.map import FieldMap
+from magmatch.field.spline.spline_model import CONSTANT_SD, SplineModel
+from magmatch.field.storage.archive import read_archive, write_archive
+
+laws = settings(deadline=None, derandomize=True, max_examples=6)
+H = Hyperparameters(0.5, 1e-5, 5e-7, 0.25, 1.0)
+EARTH = np.array([18e-6, 3e-6, -45e-6])
+
+
+def field_at(x):
+    return EARTH + 1e-5 * np.c_[np.sin(2 * x[:, 0]), np.cos(3 * x[:, 1]), x[:, 2]]
+
+
+def walk(n=900, seed=0, length=2.5):
+    """A walk that stands still for a third of the time, so that some cells overflow."""
+    rng = np.random.default_rng(seed)
+    s = np.maximum(np.linspace(-0.5, 1, n), 0) * length
+    x = np.c_[s, 0.6 * np.sin(2 * s), 0.3 + 0.01 * rng.normal(size=n)]
+    return x, field_at(x) + 5e-7 * rng.normal(size=x.shape)
+
+
+def queries(n=12, seed=1, length=2.5):
+    s = np.random.default_rng(seed).uniform(0, length, n)
+    return np.c_[s, 0.6 * np.sin(2 * s) + 0.1, np.full(n, 0.35)]
+
+
+def fed(x, b, **kwargs):
+    estimator = FieldEstimator(H, **kwargs)
+    estimator.update(x, b)
+    return estimator
+
+
+@pytest.fixture(scope="module")
+def at_once():
+    return fed(*walk())
+
+
+def test_one_by_one_is_in_batch_to_the_bit(at_once):
+    estimator = FieldEstimator(H)
+    for x, b in zip(*walk(), strict=True):
+        estimator.update(x, b)
+    one, other = estimator.predict(queries(), 2), at_once.predict(queries(), 2)
+    assert len(estimator) == len(at_once) == 900
+    for name in ("field", "gradient", "second"):
+        assert np.array_equal(getattr(one.values, name), getattr(other.values, name))
+    assert np.array_equal(one.covariance, other.covariance)
+
+
+@laws
+@given(seed=st.integers(0, 1000), n_parts=st.integers(1, 40), asked=st.booleans())
+def test_order_and_chunks_of_samples_do_not_matter(at_once, seed, n_parts, asked):
+    x, b = walk()
+    estimator = FieldEstimator(H)
+    for rows in np.array_split(np.random.default_rng(seed).permutation(len(x)), n_parts):
+        estimator.update(x[rows], b[rows])
+        if asked and n_parts < 8:
+            estimator.predict(queries(1))
+    one, other = estimator.predict(queries(), 1), at_once.predict(queries(), 1)
+    np.testing.assert_allclose(one.field, other.field, rtol=0, atol=1e-8 * np.abs(other.field).max())
+    gradient = other.values.gradient
+    np.testing.assert_allclose(one.values.gradient, gradient, rtol=0, atol=1e-8 * np.abs(gradient).max())
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=0, atol=1e-8 * other.covariance.max())
+
+
+def test_a_place_smaller_than_a_block_is_one_spline_model():
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-0.5, 0.5, (400, 3)) * [1, 1, 0.3]
+    b = field_at(x) + 5e-7 * rng.normal(size=x.shape)
+    model = SplineModel.over(x, H)
+    posterior = model.infer(model.observe(x, b))
+    live = fed(x, b, config=EstimatorConfig(block=24)).predict(x[:20], 2)
+    expected = posterior.evaluate(x[:20], 2)
+    for name in ("field", "gradient", "second"):
+        scale = np.abs(getattr(expected, name)).max()
+        np.testing.assert_allclose(getattr(live.values, name), getattr(expected, name), rtol=0, atol=1e-8 * scale)
+    exact = posterior.covariance(x[:20])
+    np.testing.assert_allclose(live.covariance, exact, rtol=0, atol=1e-8 * exact.max())
+
+
+def test_cells_that_overflow_lose_nothing():
+    rng = np.random.default_rng(4)
+    x = 0.05 * rng.uniform(-1, 1, (5 * KEPT_PER_CELL, 3))
+    b = field_at(x) + 5e-7 * rng.normal(size=x.shape)
+    model = SplineModel.over(x, H)
+    exact = model.infer(model.observe(x, b))
+    estimator = fed(x, b)
+    assert len(estimator._tiles.kept) == KEPT_PER_CELL
+    field = exact.evaluate(x[:9]).field
+    np.testing.assert_allclose(estimator.predict(x[:9]).field, field, rtol=0, atol=1e-9 * np.abs(field).max())
+    np.testing.assert_allclose(estimator.predict(x[:9]).covariance, exact.covariance(x[:9]), rtol=1e-7)
+
+
+def test_a_walk_is_recovered_and_its_spread_is_honest(at_once):
+    q = queries(100)
+    found = at_once.predict(q, 1)
+    error = found.field - field_at(q)
+    assert np.sqrt((error**2).sum(axis=1).mean()) < 2e-6
+    assert np.mean(np.abs(error) < 1.96 * np.sqrt(found.variance)) > 0.9
+    assert found.is_known.all()
+
+
+def test_blended_gradient_is_that_of_the_blended_field(at_once):
+    q, e = queries(40), 1e-6
+    values = at_once.predict(q, 2).values
+    for axis in range(3):
+        step = e * np.eye(3)[axis]
+        up, down = (at_once.predict(q + sign * step, 1).values for sign in (1, -1))
+        by_difference = (up.field - down.field) / (2 * e)
+        np.testing.assert_allclose(
+            values.gradient[..., axis], by_difference, atol=1e-5 * np.abs(values.gradient).max()
+        )
+
+
+def test_the_domain_grows_with_the_walk_and_memory_with_the_cells():
+    estimator = FieldEstimator(H)
+    sizes = []
+    for start in (0.0, 300.0, -5000.0, 20000.0):
+        x, b = walk(400)
+        there = np.array([start, 0, 0])
+        estimator.update(x + there, b)
+        near = estimator.predict(queries(4) + there)
+        assert near.is_known.all()
+        assert np.abs(near.field - field_at(queries(4))).max() < 3e-6
+        sizes.append(estimator.n_bytes)
+    np.testing.assert_allclose(np.diff(sizes), sizes[0], rtol=0.5)
+    standing = np.tile([[20000.0, 0, 0.3]], (5000, 1)), np.tile([EARTH], (5000, 1))
+    estimator.update(*standing)
+    before = estimator.n_bytes
+    estimator.update(*standing)
+    estimator.update(*standing)
+    assert estimator.n_bytes == before
+
+
+def test_far_from_all_samples_the_spread_is_the_priors(at_once):
+    far = at_once.predict(np.array([[100.0, 0, 0], [-1e6, 1e6, 0]]), 1)
+    assert not far.is_known.any()
+    assert np.all(far.variance > H.signal_sd**2)
+    assert np.all(far.variance < 3 * (H.signal_sd**2 + CONSTANT_SD**2))
+    np.testing.assert_allclose(far.field[0], walk()[1].mean(axis=0))
+    assert not far.values.gradient.any()
+
+
+def test_sensor_vectors_are_turned_into_the_map(at_once):
+    x, b = walk()
+    turns = Rotation.random(len(x), rng=np.random.default_rng(0))
+    estimator = FieldEstimator(H)
+    estimator.update(x, turns.inv().apply(b), turns.as_quat())
+    once = FieldEstimator(H)
+    for i in range(len(x)):
+        once.update(x[i], turns[i].inv().apply(b[i]), turns[i].as_quat())
+    for other in (estimator, once):
+        np.testing.assert_allclose(other.predict(queries()).field, at_once.predict(queries()).field, atol=1e-14)
+
+
+def test_predictions_are_at_most_as_old_as_asked_for():
+    now, (x, b) = [0.0], walk()
+    estimator = FieldEstimator(H, clock=lambda: now[0])
+    estimator.update(x, b)
+    q = x[-1:]
+    old = estimator.predict(q, max_age=1.0).field
+    estimator.update(q, b[-1:] + 5e-6)
+    changes = []
+    for now[0] in (0.9, 1.0):
+        changes.append(np.abs(estimator.predict(q, max_age=1.0).field - old).max())
+    estimator.update(q, b[-1:] - 5e-6)
+    changes.append(np.abs(estimator.predict(q, max_age=1.0).field - old).max())
+    changes.append(np.abs(estimator.predict(q).field - old).max())
+    # Rounding where shares do not quite sum to one.
+    assert changes[0] < 1e-18
+    assert changes[1] > 1e-8
+    assert changes[2] == pytest.approx(changes[1])
+    assert changes[3] < 0.5 * changes[1]
+
+
+def test_blocks_that_nothing_changed_are_not_fitted_again(at_once):
+    at_once.predict(queries(3))
+    before = at_once._tiles.n_fits
+    at_once.predict(queries(3))
+    assert at_once._tiles.n_fits == before
+
+
+@pytest.mark.parametrize("n", [300, 900])
+def test_a_resumed_estimate_predicts_the_same_bits(tmp_path, n):
+    x, b = walk()
+    estimator = fed(x[:n], b[:n])
+    estimator.save(tmp_path / "a.live")
+    again = FieldEstimator.load(tmp_path / "a.live")
+    for _ in range(2):
+        one, other = estimator.predict(queries(), 2), again.predict(queries(), 2)
+        assert np.array_equal(one.values.second, other.values.second)
+        assert np.array_equal(one.covariance, other.covariance)
+        assert len(again) == len(estimator)
+        for e in (estimator, again):
+            e.update(x[: n // 2], b[: n // 2])
+    again.save(tmp_path / "b.live")
+    estimator.save(tmp_path / "c.live")
+    assert (tmp_path / "b.live").read_bytes() == (tmp_path / "c.live").read_bytes()
+
+
+def test_an_estimate_without_samples_or_numbers_can_be_saved(tmp_path):
+    for h in (None, H):
+        FieldEstimator(h).save(tmp_path / "a.live")
+        again = FieldEstimator.load(tmp_path / "a.live")
+        assert len(again) == 0
+        assert again.hyperparameters == h
+
+
+def test_hyperparameters_are_chosen_from_the_first_samples_and_kept(tmp_path):
+    x, b = walk()
+    x, b = x[300:], b[300:]
+    estimator = FieldEstimator(config=EstimatorConfig(n_first=300))
+    with pytest.raises(SurveyError, match="at least 10 samples"):
+        estimator.predict(queries())
+    estimator.update(x[:100], b[:100])
+    assert estimator.hyperparameters is None
+    early = estimator.predict(x[50:51])
+    assert np.abs(early.field - field_at(x[50:51])).max() < 3e-6
+    for_now = estimator.hyperparameters
+    estimator.save(tmp_path / "a.live")
+    for e in (estimator, FieldEstimator.load(tmp_path / "a.live")):
+        assert e.hyperparameters == for_now
+        e.update(x[100:500], b[100:500])
+        e.update(x[500:], b[500:])
+        assert len(e) == len(x)
+        assert e.hyperparameters != for_now
+        assert np.abs(e.predict(queries()).field - field_at(queries())).max() < 5e-6
+    settled = estimator.hyperparameters
+    assert estimator.choose_hyperparameters() == estimator.hyperparameters != settled
+    assert len(estimator) == len(x)
+
+
+def test_numbers_chosen_again_keep_the_cells_that_hold_sums():
+    rng = np.random.default_rng(5)
+    x = np.r_[walk()[0], 0.02 * rng.normal(size=(300, 3))]
+    estimator = fed(x, field_at(x) + 5e-7 * rng.normal(size=x.shape))
+    chosen = estimator.choose_hyperparameters()
+    assert chosen.spacing == H.spacing
+    assert chosen != H
+    assert len(estimator) == len(x)
+    assert np.abs(estimator.predict(queries()).field - field_at(queries())).max() < 5e-6
+
+
+def test_a_live_estimate_becomes_a_map(caplog, tmp_path):
+    x, b = walk(200, length=1.5)
+    x = x + np.array([0.0, 0.0, 1.0])
+    field_map = fed(x[66:], b[66:]).to_map()
+    assert isinstance(field_map, FieldMap)
+    assert field_map.hyperparameters.spacing == H.spacing
+    q = x[100:120]
+    live = fed(x[66:], b[66:], config=EstimatorConfig(block=40)).predict(q)
+    np.testing.assert_allclose(field_map.evaluate(q).field, live.field, atol=1e-8 * np.abs(b).max())
+    np.testing.assert_allclose(field_map.covariance(q), live.covariance, atol=1e-8 * live.covariance.max())
+    field_map.save(tmp_path / "live.map")
+    assert np.array_equal(FieldMap.load(tmp_path / "live.map").evaluate(q).field, field_map.evaluate(q).field)
+    with caplog.at_level(logging.WARNING):
+        thinned = fed(np.zeros((500, 3)), np.tile(EARTH, (500, 1))).to_map()
+    assert len(thinned.survey) == KEPT_PER_CELL
+    assert "64 of 500" in caplog.text
+
+
+BAD = {
+    "NaN": (np.array([0, 0, np.nan]), EARTH, None, SurveyError, "finite"),
+    "infinite field": (np.zeros(3), np.array([np.inf, 0, 0]), None, SurveyError, "finite"),
+    "microtesla": (np.zeros(3), 1e6 * EARTH, None, SurveyError, "is it in tesla"),
+    "millimetres": (np.array([2e8, 0, 0]), EARTH, None, SurveyError, "is it in metres"),
+    "two numbers": (np.zeros(2), np.zeros(2), None, ValueError, r"both \(3,\)"),
+    "different counts": (np.zeros((4, 3)), np.zeros((3, 3)), None, ValueError, r"\(4, 3\) and \(3, 3\)"),
+    "no quaternion": (np.zeros(3), EARTH, np.zeros(3), ValueError, "quaternions"),
+    "zero quaternion": (np.zeros(3), EARTH, np.zeros(4), SurveyError, "unit"),
+    "quaternion NaN": (np.zeros(3), EARTH, np.full(4, np.nan), SurveyError, "unit"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_samples_are_refused_and_change_nothing(name):
+    position, field, orientation, error, words = BAD[name]
+    x, b = walk(300)
+    estimator, clean = fed(x[:150], b[:150]), fed(x, b)
+    with pytest.raises(error, match=words) as caught:
+        estimator.update(position, field, orientation)
+    assert "\n" not in str(caught.value)
+    estimator.update(x[150:], b[150:])
+    assert len(estimator) == 300
+    assert np.array_equal(estimator.predict(queries()).field, clean.predict(queries()).field)
+
+
+def test_a_batch_with_one_bad_sample_is_refused_whole():
+    x, b = walk(300)
+    b[200, 1] = np.nan
+    estimator = FieldEstimator(H)
+    with pytest.raises(SurveyError, match="sample 200"):
+        estimator.update(x, b)
+    assert len(estimator) == 0
+    estimator.update(np.zeros((0, 3)), np.zeros((0, 3)))
+    with pytest.raises(SurveyError, match="got 0"):
+        estimator.predict(queries())
+
+
+def test_variance_is_left_out_where_it_is_not_wanted(at_once):
+    without = at_once.predict(queries(), 1, with_variance=False)
+    assert np.isnan(without.covariance).all()
+    assert np.array_equal(without.values.gradient, at_once.predict(queries(), 1).values.gradient)
+
+
+def test_impossible_questions_are_refused(at_once):
+    with pytest.raises(ValueError, match=r"\(n, 3\)"):
+        at_once.predict(np.zeros(3))
+    with pytest.raises(ValueError, match="order"):
+        at_once.predict(queries(), 3)
+    assert at_once.predict(np.zeros((0, 3)), 1).covariance.shape == (0, 3, 3)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "a.live"
+    fed(*walk()).save(path)
+    return path
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "missing", "text"])
+def test_damaged_checkpoints_are_one_clear_error(checkpoint, tmp_path, damage):
+    content = checkpoint.read_bytes()
+    bad = tmp_path / "bad.live"
+    if damage != "missing":
+        middle = len(content) // 2
+        bad.write_bytes({
+            "cut": content[:middle],
+            "flipped": content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :],
+            "empty": b"",
+            "text": b"x,y,z\n",
+        }[damage])  # fmt: skip
+    with pytest.raises((DataFormatError, FileNotFoundError)) as caught:
+        FieldEstimator.load(bad)
+    assert "\n" not in str(caught.value)
+
+
+CRAFTED = {
+    "another count": lambda a, r: (a | {"n_samples": 7}, r),
+    "a count that is none": lambda a, r: (a | {"n_chosen": -1}, r),
+    "no spacing": lambda a, r: (a | {"hyperparameters": a["hyperparameters"] | {"spacing": 0.0}}, r),
+    "unknown setting": lambda a, r: (a | {"config": {"blocks": 3}}, r),
+    "no samples": lambda a, r: (a, {k: v for k, v in r.items() if k != "kept"} | {"kept": np.zeros((0, 6))}),
+    "sums elsewhere": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 1000}),
+    "half a cell": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 0.5}),
+    "other columns": lambda a, r: (a, r | {"sums": np.zeros((len(r["sums"]), N_SUMS - 1))}),
+    "NaN": lambda a, r: (a, r | {"moments": np.full((4, 3), np.nan)}),
+    "moments missing": lambda a, r: (a, {k: v for k, v in r.items() if k != "moments"}),
+    "unknown array": lambda a, r: (a, r | {"other": np.zeros((1, 3))}),
+}
+
+
+@pytest.mark.parametrize("name", CRAFTED)
+def test_crafted_checkpoints_are_one_clear_error(checkpoint, tmp_path, name):
+    attributes, arrays = CRAFTED[name](*read_archive(checkpoint, SCHEMA))
+    write_archive(tmp_path / "bad.live", SCHEMA, attributes, arrays)
+    with pytest.raises(DataFormatError) as caught:
+        FieldEstimator.load(tmp_path / "bad.live")
+    assert "\n" not in str(caught.value)
+    with pytest.raises(DataFormatError):
+        FieldMap.load(checkpoint)
+
+
+def test_saving_leaves_the_old_checkpoint_where_it_cannot_write(checkpoint, tmp_path):
+    with pytest.raises(DataFormatError, match="does not exist"):
+        FieldEstimator(H).save(tmp_path / "nowhere" / "a.live")
+    assert replace(H) == FieldEstimator.load(checkpoint).hyperparameters

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What contradicts its neighbours is left out and said; what is merely steep stays."""
+
+import numpy as np
+import pytest
+
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.priors import PRIORS
+from magmatch.field.selection.outliers import reweighted_residuals
+from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.tiles import Tiling
+from magmatch.simulation.simulate import simulate
+
+UT = 1e-6
+SETTINGS = FieldConfig(lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
+SOURCES = np.array([[0.5, 0.4, -0.6], [1.6, 1.2, -0.7], [0.2, 1.9, 1.4]])
+
+
+def field_at(x):
+    out = np.tile([18.0, 3.0, -45.0], (len(x), 1)) * UT
+    for k, p in enumerate(SOURCES):
+        r = x - p
+        d = np.linalg.norm(r, axis=1, keepdims=True)
+        m = 4 * UT * np.eye(3)[k]
+        out += 3 * (r @ m)[:, None] * r / d**5 - m / d**3
+    return out
+
+
+def room(n=1200, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, [2, 2, 0.6], (n, 3))
+    return x, field_at(x) + 0.3 * UT * rng.normal(size=x.shape), rng
+
+
+def rmse(field_map, q):
+    return np.sqrt(((field_map.evaluate(q).field - field_at(q)) ** 2).sum(axis=1).mean())
+
+
+def test_spikes_are_left_out_and_told(caplog):
+    x, b, rng = room()
+    hit = rng.choice(len(x), 12, replace=False)
+    spiked = b.copy()
+    spiked[hit] += 30 * UT * rng.normal(size=(12, 3))
+    q = rng.uniform(0.1, [1.9, 1.9, 0.5], (400, 3))
+    clean = build_map(Survey(x, b), SETTINGS)
+    with caplog.at_level("WARNING"):
+        robust = build_map(Survey(x, spiked, name="office"), SETTINGS)
+    trusting = build_map(Survey(x, spiked), SETTINGS.model_copy(update={"leave_out_outliers": False}))
+    assert "office" in caplog.text
+    assert "contradict" in caplog.text
+    assert len(trusting.survey) == 1200
+    left_out = 1200 - len(robust.survey)
+    assert 9 <= left_out <= 14
+    assert rmse(robust, q) < 1.2 * rmse(clean, q)
+    assert rmse(trusting, q) > 2 * rmse(clean, q)
+
+
+def test_numbers_are_chosen_again_only_where_what_is_left_out_shaped_them():
+    x, b, rng = room(600, seed=4)
+    config = FieldConfig(spacing=0.25)
+    everything = config.model_copy(update={"leave_out_outliers": False})
+    faint, strong = b.copy(), b.copy()
+    faint[7] += np.array([4, 0, 0]) * UT
+    hit = rng.choice(len(x), 8, replace=False)
+    strong[hit] += 40 * UT * rng.normal(size=(8, 3))
+    for spiked, is_kept in ((faint, True), (strong, False)):
+        cleaned = build_map(Survey(x, spiked), config)
+        assert len(cleaned.survey) < len(x)
+        kept = cleaned.hyperparameters == build_map(Survey(x, spiked), everything).hyperparameters
+        assert kept == is_kept
+
+
+def test_clean_rooms_and_steep_fields_keep_all_but_a_thousandth():
+    x, b, _ = room(seed=1)
+    assert len(build_map(Survey(x, b), SETTINGS).survey) >= 0.999 * len(x)
+    near = np.array([[1.0, 1.0, -0.15]])
+    r = x - near
+    steep = b + 0.05 * UT * r / np.linalg.norm(r, axis=1, keepdims=True) ** 4
+    assert len(build_map(Survey(x, steep), SETTINGS).survey) >= 0.995 * len(x)
+
+
+@pytest.mark.parametrize("seed", [400, 402])
+def test_simulated_rooms_keep_the_samples_that_come_close_to_steel(seed):
+    """What one of them sees is finer than the splines, and was taken for a contradiction."""
+    pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
+    survey = simulate("office-random", seed).base
+    assert len(build_map(survey).survey) >= len(survey) - 1
+
+
+def test_a_lift_that_passed_on_one_lap_of_four_is_left_out():
+    rng = np.random.default_rng(2)
+    turn = np.linspace(0, 8 * np.pi, 2400)
+    x = np.c_[1 + 0.8 * np.cos(turn), 1 + 0.8 * np.sin(turn), 0.3 + 0.02 * rng.normal(size=2400)]
+    b = field_at(x) + 0.3 * UT * rng.normal(size=x.shape)
+    passing = slice(1000, 1060)
+    b[passing] += np.array([12, -8, 15]) * UT
+    kept = build_map(Survey(x, b, times=np.arange(2400.0)), SETTINGS).survey
+    missing = np.setdiff1d(np.arange(2400.0), kept.times)
+    assert len(missing) >= 50
+    assert np.mean((missing >= 1000) & (missing < 1060)) > 0.95
+
+
+def test_a_survey_that_contradicts_itself_everywhere_is_kept_with_a_word(caplog):
+    x, b, rng = room(seed=3)
+    hit = rng.random(len(x)) < 0.2
+    b[hit] += 30 * UT * rng.normal(size=(hit.sum(), 3))
+    with caplog.at_level("WARNING"):
+        assert len(build_map(Survey(x, b), SETTINGS).survey) == len(x)
+    assert "too many" in caplog.text
+
+
+def test_the_map_without_outliers_is_saved_and_read_back(tmp_path):
+    x, b, _ = room(seed=4)
+    b[7] += 50 * UT
+    built = build_map([Survey(x[:600], b[:600]), Survey(x[600:], b[600:])], SETTINGS)
+    built.save(tmp_path / "room.mag")
+    loaded = type(built).load(tmp_path / "room.mag")
+    # The spike, and perhaps a clean sample: see the thousandth above.
+    assert 1198 <= len(built.survey) <= 1199
+    assert len(loaded.survey) == len(built.survey)
+    assert np.array_equal(loaded.evaluate(x[:5]).field, built.evaluate(x[:5]).field)
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_few_samples_are_all_kept(n):
+    x, b, _ = room(n, seed=5)
+    b[0] += 1e-3
+    assert len(build_map(Survey(x, b), SETTINGS).survey) == n
+
+
+@pytest.mark.parametrize("name", ["spline", "divergence_free", "curl_free", "harmonic"])
+def test_counting_samples_less_is_as_good_as_fitting_again(name):
+    x, b, rng = room(150, seed=6)
+    h = Hyperparameters(0.8, 8 * UT, 0.5 * UT, 0.4, 100.0 if name == "spline" else 0.0, inflation=1.7, reach=2.0)
+    model = PRIORS[name].build(x, b, h)
+    rows, weights = rng.choice(150, 20, replace=False), np.ones(150)
+    weights[rows] = rng.uniform(0.01, 1.0, 20)
+    fit = model.infer(model.observe(x, b))
+    again = b - model.infer(model.observe(x, b, weights)).evaluate(x).field
+    residual = b - fit.evaluate(x).field
+    assert np.abs(again[rows] - residual[rows]).max() > 0.05 * UT
+    left = reweighted_residuals(fit.influence(x[rows]), residual[rows], weights[rows])
+    assert np.abs(left - again[rows]).max() < 1e-8 * np.abs(again[rows]).max()
+
+
+def test_in_tiles_counting_samples_less_is_nearly_as_good_as_fitting_again():
+    rng = np.random.default_rng(7)
+    x = rng.uniform(0, [4, 2, 0.4], (900, 3))
+    b = field_at(x) + 0.3 * UT * rng.normal(size=x.shape)
+    hit = rng.choice(900, 20, replace=False)
+    b[hit] += 20 * UT * rng.normal(size=(20, 3))
+    h = Hyperparameters(0.6, 8 * UT, 0.5 * UT, 0.2, 100.0)
+    model = TiledModel.over(x, h, Tiling(0.2, margin=4, reach=2, core=8, blend=2))
+    weights = np.ones(900)
+    weights[hit] = 0.01
+    fit = model.infer(model.observe(x, b))
+    before = b[hit] - fit.evaluate(x[hit]).field
+    again = b[hit] - model.infer(model.observe(x, b, weights)).evaluate(x[hit]).field
+    left = reweighted_residuals(fit.influence(x[hit]), before, weights[hit])
+    assert len(model.tiles) > 3
+    assert np.linalg.norm(left - again) < 0.05 * np.linalg.norm(again - before)

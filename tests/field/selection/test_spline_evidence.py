@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The evidence of the spline prior's numbers, and how many samples of a path count as one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.selection.other_passes import OtherPasses
+from magmatch.field.selection.spline_evidence import EvidenceSearch, correlated_samples
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.spline.spline_model import SplineModel
+
+H = Hyperparameters(0.5, 3e-6, 0.5e-6, 0.3, reach=1.0, stiffness=30.0)
+
+
+def draw(n=60, seed=0):
+    """Samples of a field drawn from the prior itself."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, 1, (n, 3))
+    return x, dense_field(x, rng)
+
+
+def dense_covariance(x, h):
+    """Prior covariance of the measured values, by unit weights one at a time."""
+    model = SplineModel.over(x, h)
+    posterior = model.infer(model.observe(x[:0], x[:0]))
+    m = len(posterior.weights)
+    Phi = np.stack([posterior.evaluate(x, 0, row).field.ravel() for row in np.eye(m)], axis=1)
+    P = model.prior_precision().to_dense(model.cells) / h.noise_sd**2
+    return Phi @ np.linalg.solve(P, Phi.T) + h.noise_sd**2 * np.eye(3 * len(x))
+
+
+def dense_field(x, rng):
+    K = dense_covariance(x, H)
+    return (np.linalg.cholesky(K) @ rng.standard_normal(len(K))).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 4.0])
+def test_evidence_differences_equal_those_of_the_dense_gaussian_at_the_best_noise(factor):
+    x, b = draw()
+    search = EvidenceSearch(x, b, np.arange(len(x)))
+
+    def dense(h):
+        # Everything scales with the noise, so the dense density at the profiled level is what evidence says.
+        scale = search.noise_sd(h) / h.noise_sd
+        return multivariate_normal(None, dense_covariance(x, h) * scale**2).logpdf(b.ravel())
+
+    other = replace(H, lengthscale=H.lengthscale * factor, noise_sd=H.noise_sd * factor)
+    expected = dense(other) - dense(H)
+    assert search.log_evidence(other) - search.log_evidence(H) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("signal_to_noise", [1.0, 30.0, 300.0, 1e4])
+def test_single_precision_tells_the_same_evidence(signal_to_noise):
+    """To a quarter of a nat, where a move has to gain two."""
+    x, b = draw(400, seed=5)
+    h = replace(H, noise_sd=H.signal_sd / signal_to_noise, stiffness=3000.0)
+    double, single = (EvidenceSearch(x, b, np.arange(len(x)), precision) for precision in (np.float64, np.float32))
+    assert single.log_evidence(h) == pytest.approx(double.log_evidence(h), rel=0, abs=0.25)
+    assert single.noise_sd(h) == pytest.approx(double.noise_sd(h), rel=1e-4)
+
+
+@pytest.mark.parametrize("samples_as_one", [1.0, 4.0])
+@pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
+def test_slopes_are_those_of_the_evidence_as_far_as_few_random_vectors_tell(factor, samples_as_one):
+    x, b = draw(300, seed=4)
+    search, h = EvidenceSearch(x, b, np.arange(len(x))), replace(H, noise_sd=factor * H.noise_sd)
+    search.samples_as_one = samples_as_one
+    step = 0.05
+
+    def derivatives(f):
+        low, here, high = (f(replace(h, noise_sd=h.noise_sd * np.exp(k * step))) for k in (-1, 0, 1))
+        return (high - low) / (2 * step), (high - 2 * here + low) / step**2
+
+    slopes, found = derivatives(search.log_evidence_of_noise), search.noise_slopes(h)
+    # In nats per logarithm, of 900 measured values: what four random vectors miss a trace by.
+    assert found.evidence == pytest.approx(slopes, abs=15)
+    # No trace in these.
+    assert found.level == pytest.approx(derivatives(lambda h: np.log(search.noise_sd(h))), rel=0.01, abs=1e-3)
+    assert search.noise_slopes(h) == found
+
+
+def test_evidence_finds_the_noise_level_the_field_was_drawn_with():
+    x, b = draw(300, seed=3)
+    search = EvidenceSearch(x, b, np.arange(len(x)))
+    ratios = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
+    best = ratios[np.argmax([search.log_evidence(replace(H, noise_sd=H.noise_sd * r)) for r in ratios])]
+    assert best == 1.0
+    assert search.noise_sd(H) == pytest.approx(H.noise_sd, rel=0.1)
+
+
+def test_white_residuals_count_one_by_one():
+    r = np.random.default_rng(0).standard_normal((5000, 3))
+    assert correlated_samples(r, np.arange(5000)) == 1.0
+    assert correlated_samples(np.zeros((50, 3)), np.arange(50)) == 1.0
+
+
+@given(share=st.floats(0.2, 0.75), scale=st.floats(1e-9, 1e3))
+@settings(max_examples=10, deadline=None, derandomize=True)
+def test_an_autoregression_counts_as_its_correlation_time(share, scale):
+    rng = np.random.default_rng(1)
+    r = rng.standard_normal((20_000, 3))
+    for n in range(1, len(r)):
+        r[n] += share * r[n - 1]
+    assert correlated_samples(scale * r, np.arange(len(r))) == pytest.approx((1 + share) / (1 - share), rel=0.2)
+
+
+def test_samples_beyond_a_gap_of_the_path_are_no_neighbours():
+    r = np.repeat(np.random.default_rng(2).standard_normal((500, 3)), 2, axis=0)
+    together = np.arange(1000)
+    apart = 2 * together
+    assert correlated_samples(r, together) > 1.5
+    assert correlated_samples(r, apart) == 1.0
+
+
+def test_errors_between_passes_hold_the_offset_of_a_lap():
+    turn = np.linspace(0, 8 * np.pi, 1600)
+    x = np.stack([3 * np.cos(turn), 3 * np.sin(turn), 0 * turn], axis=1)
+    b = 1e-6 * np.stack([np.cos(2 * turn), np.sin(turn), 0 * turn], axis=1)
+    lap = (turn // (2 * np.pi)).astype(int) % 2
+    b += 2e-6 * lap[:, None]
+    h = Hyperparameters(1.0, 1e-6, 0.3e-6, 0.5, stiffness=30.0)
+    passes = OtherPasses(EvidenceSearch(x, b, np.arange(len(x)), np.float32), 1.0)
+    assert passes.tell_something
+    misses = passes.misses(h)
+    # Laps differ by 2 uT a component; a stretch left out is predicted from laps of both kinds.
+    assert 0.7e-6 < misses.size < 2.1e-6
+    assert misses.inflation(1e-9) > misses.inflation(2e-6)
+
+
+def test_what_is_left_out_in_single_precision_is_predicted_as_by_a_fit_of_the_rest():
+    x, b = draw(200, seed=7)
+    rows = np.arange(200) % 5 == 0
+    search = EvidenceSearch(x, b, np.arange(200), np.float32)
+    model = SplineModel.over(x, H)
+    expected = model.infer(model.observe(x[~rows], b[~rows]))
+    posterior = search.fit_without(rows, H)
+    scale = np.abs(b).max()
+    assert posterior.evaluate(x[rows]).field == pytest.approx(expected.evaluate(x[rows]).field, abs=1e-5 * scale)
+    # Variances in single precision: differences of large numbers.
+    assert posterior.covariance(x[rows]) == pytest.approx(expected.covariance(x[rows]), abs=0.01 * H.noise_sd**2)
+
+
+def test_a_path_that_never_returns_says_nothing_and_is_fitted_all_the_same():
+    x = np.linspace(0, 1, 45)[:, None] * [1.0, 0.0, 0.0]
+    b = 1e-6 * np.sin(20 * x)
+    h = choose_spline_hyperparameters(x, b)
+    assert all(np.isfinite(v) and v > 0 for v in h.as_dict().values())

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The published check of a transform."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import exp_se3, random_transform
+from magmatch.registration.decide.fitness import alignment_fitness, mean_misalignment
+
+
+def test_equal_directions_have_no_misalignment():
+    vectors = np.random.default_rng(0).normal(size=(20, 3))
+    assert mean_misalignment(vectors, 2 * vectors) < 1e-12
+
+
+@pytest.mark.parametrize(("angle_deg", "value"), [(30, 0.5), (90, 1.0), (150, 1.0), (180, 1.0)])
+def test_misalignment_is_the_sine_up_to_a_right_angle_and_full_beyond(angle_deg, value):
+    a = np.radians(angle_deg)
+    assert np.isclose(
+        mean_misalignment(np.array([[3e-5, 0, 0]]), 5e-5 * np.array([[np.cos(a), np.sin(a), 0]])), value
+    )
+
+
+def test_strong_vectors_weigh_more():
+    aligned = np.array([[4e-5, 0, 0], [1e-5, 0, 0]])
+    expected = np.array([[4e-5, 0, 0], [0, 1e-5, 0]])
+    assert np.isclose(mean_misalignment(aligned, expected), 1 / 17)
+
+
+def test_vanishing_fields_agree_with_nothing():
+    assert mean_misalignment(np.zeros((3, 3)), np.zeros((3, 3))) == 1.0
+
+
+def test_the_true_pose_is_fit_and_a_wrong_one_is_not(make_exact_pair):
+    T = random_transform(np.random.default_rng(1))
+    base, target = make_exact_pair(1, T)
+    right = alignment_fitness(base, target.survey, T)
+    wrong = alignment_fitness(base, target.survey, T * exp_se3(np.array([0, 0, 0.5, 0, 0, 0])))
+    assert right.value < 0.02
+    assert right.overlap == 1.0
+    assert wrong.value > 5 * right.value
+
+
+def test_partial_overlap_is_counted_and_none_is_never_fit(make_exact_pair):
+    T = random_transform(np.random.default_rng(1))
+    base, target = make_exact_pair(1, T)
+    aside = alignment_fitness(base, target.survey, RigidTransform.from_translation([1.5, 0, 0]) * T)
+    assert 0.3 < aside.overlap < 0.9
+    away = alignment_fitness(base, target.survey, RigidTransform.from_translation([50, 0, 0]) * T)
+    assert (away.value, away.overlap) == (1.0, 0.0)

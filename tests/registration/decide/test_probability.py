@@ -1,0 +1,48 @@
+"""Claims about the stated probability: it follows the evidence, and poses that exclude each other share it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from magmatch.registration.decide.probability import pose_probability, shares, walk_probability
+
+odds = st.floats(-100, 1000)
+
+
+@given(low=odds, high=odds, misfit=st.floats(0.2, 30), share=st.floats(0, 1))
+def test_more_evidence_is_never_less_probable(low, high, misfit, share):
+    low, high = sorted((low, high))
+    assert pose_probability(low, None, misfit, share) <= pose_probability(high, None, misfit, share)
+
+
+@given(low=odds, high=odds, residual=st.floats(0, 10), coverage=st.floats(0, 1))
+def test_more_evidence_of_a_walk_is_never_less_probable(low, high, residual, coverage):
+    low, high = sorted((low, high))
+    assert 0 <= walk_probability(low, residual, coverage) <= walk_probability(high, residual, coverage) <= 1
+    assert walk_probability(-np.inf, residual, coverage) == 0
+
+
+@given(log_odds=odds, chance=st.floats(-50, 200), misfit=st.floats(0.2, 30))
+def test_what_chance_reaches_and_residuals_nothing_explains_speak_against_a_pose(log_odds, chance, misfit):
+    p = pose_probability(log_odds, None, misfit, 0.9)
+    assert 0 <= pose_probability(log_odds, chance, misfit, 0.9) <= p <= 1
+    assert pose_probability(log_odds, None, 2 * misfit, 0.9) <= p
+
+
+@given(st.lists(odds, min_size=1, max_size=6))
+def test_poses_that_exclude_each_other_share_one_probability_in_their_order(values):
+    values = sorted(values, reverse=True)
+    found = shares(values)
+    assert sum(found) == pytest.approx(1)
+    assert found == sorted(found, reverse=True)
+
+
+def test_equal_rooms_are_equally_probable_and_no_pose_elsewhere_takes_nothing():
+    np.testing.assert_allclose(shares([300.0, 300.0, 300.0]), 1 / 3)
+    assert shares([300.0, -np.inf]) == [1.0, 0.0]
+    assert shares([-np.inf]) == [1.0]
+
+
+def test_no_evidence_at_all_is_no_probability():
+    assert pose_probability(-np.inf, None, np.inf, 0.0) == 0.0

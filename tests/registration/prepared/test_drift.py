@@ -1,0 +1,113 @@
+"""Surveys that state how far their positions drift get answers that reckon with it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import magmatch as mm
+from magmatch.data.survey import Survey
+from magmatch.evaluation.trial import nees_of
+from magmatch.field.values import FieldValues
+from magmatch.registration.prepared.drift import CORRELATION_SHARE, Drift, field_variance, white_variance
+from magmatch.simulation.config import SimulationConfig
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A field whose gradient grows with the distance from the middle, T."""
+
+    scale: float = 1e-5
+
+    def evaluate(self, points, order=0):
+        x, y, z = points.T
+        field = np.stack([x**2 - y**2, -2 * x * y, 0 * z], axis=1)
+        gradient = np.zeros((len(points), 3, 3))
+        gradient[:, 0, 0], gradient[:, 0, 1], gradient[:, 1, 0], gradient[:, 1, 1] = 2 * x, -2 * y, -2 * y, -2 * x
+        return FieldValues(self.scale * field, self.scale * gradient)
+
+
+def drift_along(positions, pose_sd):
+    return drift_of(positions, Quadratic().evaluate(positions).field, pose_sd, Quadratic())
+
+
+def drift_of(positions, field, pose_sd, posterior):
+    return Drift.of(Survey(positions, field, pose_sd=pose_sd), posterior)
+
+
+def circles(n=400):
+    """Three rounds that widen."""
+    angle = np.linspace(0, 6 * np.pi, n)
+    return np.c_[(1 + 0.1 * angle) * np.cos(angle), (1 + 0.1 * angle) * np.sin(angle), 0.1 * angle]
+
+
+def test_scores_scatter_as_much_as_drawn_drifts_move_them():
+    rng = np.random.default_rng(1)
+    x = circles()
+    drift = drift_along(x, 0.05)
+    rows = np.sort(rng.permutation(len(x))[:300])
+    weighted, G = rng.normal(size=(300, 3, 7)), rng.normal(size=(300, 3, 3))
+    G, weighted = G + np.eye(3), weighted + 1.0
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
+    apart = np.abs(walked[rows, None] - walked[rows])
+    K = 0.05**2 * np.exp(-apart / (CORRELATION_SHARE * walked[-1]))
+    errors = np.einsum("ij,djc->dic", np.linalg.cholesky(K + 1e-12 * np.eye(300)), rng.normal(size=(20_000, 300, 3)))
+    scores = np.einsum("nip,nij,dnj->dp", weighted, G, errors, optimize=True)
+    found = drift.score_covariance(weighted, G, rows)
+    # Stretches are an eighth of the correlation length, draws as many as bring the sampling error to a percent.
+    np.testing.assert_allclose(found, np.cov(scores.T), atol=0.05 * np.diag(found).max())
+    np.testing.assert_allclose(found, found.T, rtol=1e-12)
+
+
+@pytest.mark.parametrize("pose_sd", [0.0, 0.05])
+def test_samples_that_follow_no_path_share_no_error(pose_sd):
+    x = np.random.default_rng(2).permutation(circles())
+    drift = drift_along(x, pose_sd)
+    assert drift.sd == pose_sd
+    assert not drift.score_covariance(np.ones((9, 3, 6)), np.ones((9, 3, 3)), np.arange(9)).any()
+
+
+@pytest.mark.parametrize("noise_sd", [0.0, 2e-7, 1e-6])
+def test_errors_of_each_sample_are_told_from_those_that_last(noise_sd):
+    rng = np.random.default_rng(5)
+    x = circles(3000)
+    own = 0.03 * rng.normal(size=x.shape)
+    slow = 0.1 * np.sin(np.linspace(0, 12, len(x)))[:, None] * np.ones(3)
+    noise = noise_sd * rng.normal(size=x.shape)
+    field = Quadratic()
+    jumpy = field.evaluate(x + own).field + noise
+    assert np.sqrt(white_variance(x, jumpy, field)) == pytest.approx(0.03, rel=0.1)
+    smooth = field.evaluate(x + slow).field + noise
+    assert white_variance(x, smooth, field) < 0.01**2
+    both = field.evaluate(x + own + slow).field + noise
+    assert drift_of(x, both, 0.1, field).lasting_sd == pytest.approx(np.sqrt(0.1**2 - 0.03**2), rel=0.05)
+    assert drift_of(x, jumpy, 0.03, field).lasting_sd < 0.01
+
+
+def test_where_nothing_changes_nothing_is_told():
+    x, flat = circles(), Quadratic(0.0)
+    assert white_variance(x, np.zeros_like(x), flat) == 0.0
+    assert drift_of(x, np.zeros_like(x), 0.05, flat).lasting_sd == 0.05
+
+
+def test_field_variance_is_that_of_moved_samples():
+    rng = np.random.default_rng(3)
+    G = rng.normal(size=(3, 3))
+    seen = 0.1 * rng.normal(size=(200_000, 3)) @ G.T
+    assert field_variance(G[None], 0.1**2)[0] == pytest.approx((seen**2).mean(), rel=0.01)
+
+
+def test_a_blind_walk_is_as_far_off_as_its_stated_drift_lets_expect():
+    """Unstated, the squared error is many times what the covariance says."""
+    pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
+    config = SimulationConfig(pose_drift=0.05)
+    stated, unstated = [], []
+    for seed in (7001, 7002, 7005):
+        pair = mm.simulate("corridor", seed, config)
+        for found, (base, target) in (
+            (stated, (pair.base, pair.target)),
+            (unstated, (replace(pair.base, pose_sd=0.0), replace(pair.target, pose_sd=0.0))),
+        ):
+            found.append(nees_of(mm.register(base, target), pair.T_base_target))
+    assert np.mean(stated) < 1.5
+    assert np.mean(unstated) > 2 * np.mean(stated)

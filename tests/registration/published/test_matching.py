@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Correspondences in descriptor space."""
+
+import numpy as np
+import pytest
+
+from magmatch.features.features import Features
+from magmatch.registration.published.matching import MatchingConfig, match_features
+
+ALL = MatchingConfig(kept_share=1.0)
+
+
+def features(descriptors):
+    n = len(descriptors)
+    descriptors = np.array(descriptors, dtype=float).reshape(n, -1 if n else 1)
+    return Features(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), None, descriptors)
+
+
+def rows(base, target, config=ALL):
+    matches = match_features(features(base), features(target), config)
+    return list(zip(matches.base_rows.tolist(), matches.target_rows.tolist(), strict=True))
+
+
+def test_each_target_keypoint_finds_its_nearest():
+    assert rows([0, 10, 20], [9, 1, 19, 21]) == [(1, 0), (0, 1), (2, 2), (2, 3)]
+
+
+def test_nearest_agrees_with_brute_force():
+    rng = np.random.default_rng(0)
+    base, target = rng.random((50, 90)), rng.random((40, 90))
+    matches = match_features(features(base), features(target), ALL)
+    apart = np.linalg.norm(target[:, None] - base, axis=2)
+    assert np.array_equal(matches.base_rows, apart.argmin(axis=1))
+    assert np.allclose(matches.distance, apart.min(axis=1))
+
+
+def test_distant_matches_are_not_believed():
+    assert rows([0, 10], [0.1, 13, 4], MatchingConfig(kept_share=1.0, max_distance=3.5)) == [(0, 0), (1, 1)]
+
+
+def test_the_closest_share_is_kept():
+    assert rows([0, 100], [1, 2, 97, 104], MatchingConfig(kept_share=0.5)) == [(0, 0), (0, 1)]
+
+
+def test_ambiguous_matches_fail_the_ratio_test():
+    assert rows([0, 10], [1, 5.2], MatchingConfig(kept_share=1.0, max_ratio=0.8)) == [(0, 0)]
+
+
+def test_mutual_matches_are_each_others_nearest():
+    assert rows([0, 10], [1, 2, 11], MatchingConfig(kept_share=1.0, is_mutual=True)) == [(0, 0), (1, 2)]
+
+
+@pytest.mark.parametrize(("n_base", "n_target"), [(0, 5), (5, 0), (0, 0)])
+def test_no_keypoints_give_no_matches(n_base, n_target):
+    matches = match_features(features(np.ones((n_base, 90))), features(np.ones((n_target, 90))), ALL)
+    assert len(matches) == 0
+
+
+def test_one_keypoint_can_match_and_has_no_second_nearest():
+    assert rows([3], [1], MatchingConfig(kept_share=1.0, max_ratio=0.5)) == [(0, 0)]

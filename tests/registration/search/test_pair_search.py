@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from dataclasses import astuple, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
+from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
+from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
+from magmatch.registration.prepared.prepared_map import prepare
+from magmatch.registration.prepared.walk import bin_along_path, choose_search, walk_of
+from magmatch.registration.refine.refinement import perturbation
+from magmatch.registration.register_walk import WalkConfig, index_walks, register_walk
+from magmatch.registration.result import Status
+from magmatch.registration.search.pair_search import pair_search
+from magmatch.registration.weigh.line_evidence import weigh_walk
+
+NOISE_SD = 0.3e-6
+CORNERS = np.array([[0.3, 0.4, 0.3], [2.6, 0.7, 0.2], [2.4, 2.5, 0.35], [0.6, 2.2, 0.3]])
+
+
+def path(corners, step=0.02):
+    legs = [np.linspace(a, b, int(np.linalg.norm(b - a) / step)) for a, b in pairwise(corners)]
+    return np.concatenate(legs)
+
+
+def walk_in(base, rng, corners=CORNERS):
+    """A walk measured in the exact base's own world."""
+    x = path(corners)
+    return Survey(x, base.evaluate(x).field + NOISE_SD * rng.standard_normal(x.shape))
+
+
+@pytest.fixture(scope="module")
+def rooms(make_exact_pair):
+    here, elsewhere = make_exact_pair(3, RigidTransform.identity(), other_room=True)
+    return here, elsewhere
+
+
+@pytest.fixture(scope="module")
+def index(rooms):
+    rng = np.random.default_rng(0)
+    return index_walks(prepare(rooms[0], 8, rng), WalkConfig(), rng)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_walk_is_found_wherever_its_frame_lies(rooms, index, seed):
+    rng = np.random.default_rng(seed)
+    T = random_transform(rng)
+    target = walk_in(rooms[0], rng).transformed(T.inv())
+    result = register_walk(index, target, WalkConfig(), rng)
+    assert result.status is Status.ACCEPTED, result.reason
+    distance, angle = transform_error(result.T_base_target, T, target.centroid)
+    assert distance < 0.03
+    assert np.degrees(angle) < 1.5
+
+
+def test_the_truth_is_among_the_first_poses_of_the_search(rooms, index):
+    rng = np.random.default_rng(7)
+    T = random_transform(rng)
+    walk = walk_of(walk_in(rooms[0], rng).transformed(T.inv()), index.length)
+    found = pair_search(index.base, index.table, walk, PosePrior(1.0), WalkConfig().search, rng)
+    T_true = index.base.T_map_model.inv() * T * walk.T_survey_walk
+    errors = [transform_error(c.T_base_target, T_true, walk.positions.mean(axis=0)) for c in found.candidates[:3]]
+    assert min(d for d, _ in errors) < 0.15
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_walk_in_another_room_is_refused(rooms, index, seed):
+    rng = np.random.default_rng(seed)
+    target = walk_in(rooms[1], rng).transformed(random_transform(rng))
+    result = register_walk(index, target, WalkConfig(), rng)
+    assert result.status is not Status.ACCEPTED
+    assert result.T_base_target is None
+    assert result.reason
+
+
+def test_a_walk_shorter_than_any_pair_is_refused_with_a_reason(rooms, index):
+    rng = np.random.default_rng(1)
+    short = walk_in(rooms[0], rng, CORNERS[:1] + np.array([[0, 0, 0], [0.2, 0.0, 0.0]]))
+    result = register_walk(index, short, WalkConfig(), rng)
+    assert result.status is Status.UNINFORMATIVE
+    assert "walk" in result.reason
+
+
+def test_a_rough_pose_makes_a_short_walk_enough(rooms, index):
+    """Half a metre straight on leaves the pose open; a pose known to 10 cm and 4 deg closes it."""
+    rng = np.random.default_rng(3)
+    T = random_transform(rng)
+    target = walk_in(rooms[0], rng, np.array([[0.5, 0.6, 0.3], [1.1, 0.7, 0.25]])).transformed(T.inv())
+    alone = register_walk(index, target, WalkConfig(), np.random.default_rng(0))
+    assert not alone.is_accepted
+    rough = T * perturbation(np.array([0.04, -0.03, 0.03, 0.06, -0.05, 0.05]), target.centroid)
+    numbers = (*map(float, rough.translation), *map(float, rough.rotation.as_quat()))
+    prior = PosePriorConfig(pose=numbers, sd_translation=0.05, sd_rotation=0.03)
+    result = register_walk(index, target, WalkConfig(), np.random.default_rng(0), prior)
+    assert result.is_accepted, result.reason
+    distance, angle = transform_error(result.T_base_target, T, target.centroid)
+    assert distance < 0.05
+    assert np.degrees(angle) < 3
+
+
+def test_a_walk_far_from_a_wrong_rough_pose_is_refused(rooms, index):
+    rng = np.random.default_rng(4)
+    target = walk_in(rooms[0], rng)
+    prior = PosePriorConfig(pose=(0.9, -0.8, 0.3, 0.0, 0.0, 0.7071, 0.7071), sd_translation=0.2, sd_rotation=0.1)
+    assert not register_walk(index, target, WalkConfig(), rng, prior).is_accepted
+
+
+def test_a_walk_is_found_among_the_headings_that_gravity_leaves(rooms, index):
+    rng = np.random.default_rng(6)
+    T = RigidTransform.from_components([3.0, -2.0, 0.5], Rotation.from_euler("z", 200, degrees=True))
+    prior = PosePriorConfig(is_gravity_aligned=True)
+    result = register_walk(index, walk_in(rooms[0], rng).transformed(T.inv()), WalkConfig(), rng, prior)
+    assert result.is_accepted, result.reason
+    assert (T.rotation.inv() * result.T_base_target.rotation).magnitude() < 0.02
+
+
+def test_a_walk_through_a_uniform_field_is_refused(index):
+    rng = np.random.default_rng(2)
+    x = path(CORNERS)
+    uniform = Survey(x, np.array([20e-6, 0.0, -45e-6]) + NOISE_SD * rng.standard_normal(x.shape))
+    assert register_walk(index, uniform, WalkConfig(), rng).status is not Status.ACCEPTED
+
+
+def test_the_same_seed_gives_the_same_answer(rooms, index):
+    target = walk_in(rooms[0], np.random.default_rng(5))
+    one, other = (register_walk(index, target, WalkConfig(), np.random.default_rng(9)) for _ in range(2))
+    np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
+
+
+def test_the_stated_covariance_matches_the_errors(rooms, index):
+    """Residuals are drawn from the covariance that is assumed: a mean of 240 chi-squares is 1 +- 0.1."""
+    noise = replace(index.noise, misfit_sd=0.8e-6, constant_sd=0.4e-6, attitude_sd=0.01, drift_sd=0.01)
+    clean = walk_of(walk_in(rooms[0], np.random.default_rng(0)), index.length)
+    truth = index.base.T_map_model.inv() * clean.T_survey_walk
+    values = index.base.field_map.posterior.evaluate(truth.apply(clean.positions), 1).rotated(truth.inv())
+    sd = index.base.raster.lookup(truth.apply(clean.positions))[1]
+    C = noise.full(cdist(clean.positions, clean.positions), sd, values.gradient, values.field)
+    L, rng = np.linalg.cholesky(C), np.random.default_rng(4)
+    nees = []
+    for _ in range(40):
+        walk = replace(clean, field=values.field + (L @ rng.standard_normal(len(C))).reshape(-1, 3))
+        best = weigh_walk(index.base, walk, [truth], noise, index.length, PosePrior(1.0), WalkConfig().evidence)[0]
+        # Perturbation about the centre: turn, then shift of the centre.
+        difference = best.T_base_walk.inv() * truth
+        shift = difference.apply(best.center) - best.center
+        xi = np.concatenate([difference.rotation.as_rotvec(), shift])
+        nees.append(xi @ np.linalg.solve(best.covariance, xi) / 6)
+    assert 0.7 < np.mean(nees) < 1.4
+
+
+def test_refinement_ends_at_the_truth_from_nearby(rooms, index):
+    walk = walk_of(walk_in(rooms[0], np.random.default_rng(0)), index.length)
+    truth = index.base.T_map_model.inv() * walk.T_survey_walk
+    start = truth * exp_se3(np.array([0.04, -0.03, 0.05, 0.05, 0.04, -0.03]))
+    best = weigh_walk(index.base, walk, [start], index.noise, index.length, PosePrior(1.0), WalkConfig().evidence)[0]
+    assert np.abs(log_se3(truth.inv() * best.T_base_walk)).max() < 0.02
+
+
+def test_learned_noise_explains_stretches_as_well_as_the_noise_they_were_drawn_from():
+    rng = np.random.default_rng(8)
+    true = PathNoise(1e-6, 0.8, 0.3e-6, 0.5e-6, 1.0, 1.0, 0.02, 0.06, 4.0)
+    x = np.stack([np.linspace(0, 5, 18), np.zeros(18), np.zeros(18)], axis=1)
+    stretches = []
+    for _ in range(40):
+        gradient = 5e-6 * rng.standard_normal((18, 3, 3))
+        field = np.tile(Rotation.random(random_state=rng).apply([0, 0, 50e-6]), (18, 1))
+        sd = np.full(18, 0.2e-6)
+        L = np.linalg.cholesky(true.full(cdist(x, x), sd, gradient, field))
+        stretches.append(Stretch(x, (L @ rng.standard_normal(54)).reshape(18, 3), sd, gradient, field))
+    guess = PathNoise(0.5e-6, 1.5, 0.6e-6, 0.3e-6, 1.0, 1.0, 0.01, 0.03, 3.0)
+    learned = most_likely(guess, stretches)
+    # The misfit and what moves with the walker are told apart; the rest is looser.
+    for name in ("misfit_sd", "nugget_sd", "attitude_sd", "drift_sd"):
+        assert 0.6 < getattr(learned, name) / getattr(true, name) < 1.6, (name, astuple(learned))
+    assert learned.spread < 0.35
+
+
+def test_noise_covariance_is_positive_definite_and_turns_with_the_walk():
+    rng = np.random.default_rng(2)
+    noise = PathNoise(1e-6, 0.8, 0.3e-6, 0.5e-6, 1.0, 1.0, 0.02, 0.06, 4.0)
+    x, field, gradient = (
+        rng.standard_normal((9, 3)),
+        5e-5 * rng.standard_normal((9, 3)),
+        rng.standard_normal((9, 3, 3)),
+    )
+    R, sd = Rotation.random(random_state=rng).as_matrix(), np.full(9, 1e-7)
+    C = noise.full(cdist(x, x), sd, 5e-6 * gradient, field)
+    turned = noise.full(cdist(x, x), sd, 5e-6 * R @ gradient @ R.T, field @ R.T)
+    big = np.kron(np.eye(9), R)
+    np.testing.assert_allclose(turned, big @ C @ big.T, rtol=1e-9, atol=1e-24)
+    assert np.linalg.eigvalsh(C).min() > 0
+
+
+def test_a_line_is_searched_by_pairs_and_a_room_by_invariants(rooms):
+    assert choose_search(Survey(path(CORNERS), np.ones((len(path(CORNERS)), 3))), 0.5) == "pairs"
+    assert choose_search(rooms[0].survey, 0.5) == "invariants"
+    rows = np.concatenate([[[x, y, 0.0] for x in np.arange(0, 3, 0.05)] for y in np.arange(0, 3, 0.2)])
+    assert choose_search(Survey(rows, np.ones_like(rows)), 0.5) == "invariants"
+
+
+def test_bins_follow_the_path_and_do_not_join_separate_passes():
+    there_and_back = np.concatenate([path(CORNERS[:2]), path(CORNERS[1::-1])])
+    rows = bin_along_path(there_and_back, 0.1)
+    assert np.all(np.diff(rows) >= 0)
+    assert np.all(np.diff(rows) <= 1)
+    for k in range(rows[-1] + 1):
+        assert np.ptp(there_and_back[rows == k], axis=0).max() < 0.25
+
+
+def test_the_field_length_of_a_map_does_not_depend_on_its_frame(rooms):
+    T = random_transform(np.random.default_rng(3))
+    lengths = [prepare(m, 4, np.random.default_rng(0)).lengthscale for m in (rooms[0], rooms[0].transformed(T))]
+    assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)
