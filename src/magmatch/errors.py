@@ -9,19 +9,7 @@ class MagmatchError(Exception):
 
 
 class DataFormatError(MagmatchError, ValueError):
-    """A file does not hold what it should.
-
-    Parameters
-    ----------
-    path : path
-        The file at fault.
-    message : str
-        What was expected and what was found.
-    line : int, optional
-        Line of a text file, counted from 1.
-    column : str, optional
-        Name of the column or field.
-    """
+    """A file does not hold what it should."""
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None, column: str | None = None) -> None:
         self.path, self.message, self.line, self.column = Path(path), message, line, column
@@ -50,15 +38,7 @@ class TaskError(MagmatchError, RuntimeError):
 
 
 class MissingExtraError(MagmatchError, ImportError):
-    """An optional dependency is not installed; names the extra that brings it.
-
-    Parameters
-    ----------
-    feature : str
-        What the caller wanted to do.
-    extra : str
-        The extra of this package that has what it needs.
-    """
+    """An optional dependency is not installed; names the extra that brings it."""
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs the extra '{extra}': pip install 'magmatch[{extra}]'")

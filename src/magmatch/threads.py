@@ -27,13 +27,7 @@ _is_worker: ContextVar[bool] = ContextVar("is_worker", default=False)
 
 
 class WhileAnyone:
-    """A state of the whole process that lasts from the first thread that needs it to the last.
-
-    Parameters
-    ----------
-    begin : callable
-        Brings it about; gives what puts back what was before.
-    """
+    """A state of the whole process that lasts from the first thread that needs it to the last."""
 
     def __init__(self, begin: Callable[[], Callable[[], None]]) -> None:
         self._begin, self._lock, self._n = begin, Lock(), 0

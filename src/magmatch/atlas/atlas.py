@@ -29,7 +29,6 @@ class Sheet:
     ----------
     path : Path
         The saved map.
-    index : IndexFile
     table : PairTable
         Its pairs of points, mapped into memory.
     """
@@ -50,7 +49,6 @@ class Atlas:
 
     Attributes
     ----------
-    folder : Path
     sheets : tuple of Sheet
         In the order of their names.
     config : RegistrationConfig

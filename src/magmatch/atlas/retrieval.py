@@ -45,23 +45,7 @@ SHARED_LENGTH = 1.15
 
 
 def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:
-    """Share of a walk's pairs that agree on one pose, in each of many maps.
-
-    Parameters
-    ----------
-    tables : list of PairTable
-        One per map.
-    target : Survey
-        A line of samples in the order they were taken.
-    config : PairSearchConfig
-    seed : int
-        Draws the pairs.
-
-    Returns
-    -------
-    (n,) array
-        Between 0 and 1.
-    """
+    """Share of a walk's pairs that agree on one pose, in each of many maps."""
     few = config.model_copy(update={"n_pairs": N_PAIRS, "n_neighbours": N_NEIGHBOURS})
     walks: dict[int, Walk] = {}
     votes = np.zeros(len(tables))
@@ -74,21 +58,7 @@ def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfi
 
 
 def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.random.Generator) -> float:
-    """Share of the walk's pairs that agree on the pose most of them agree on.
-
-    Parameters
-    ----------
-    table : PairTable
-    walk : Walk
-    config : PairSearchConfig
-        Counts.
-    rng : numpy Generator
-
-    Returns
-    -------
-    float
-        0 where the walk is too short for any pair.
-    """
+    """Share of the walk's pairs that agree on the pose most of them agree on."""
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return 0.0
@@ -105,20 +75,7 @@ def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.ra
 def count_agreement(
     bases: Iterable[PreparedMap], target: PreparedMap, config: RegistrationConfig, seed: int
 ) -> Scalars:
-    """Score of the best of a few poses of a target, in each of many maps.
-
-    Parameters
-    ----------
-    bases : iterable of PreparedMap
-    target : PreparedMap
-    config : RegistrationConfig
-    seed : int
-
-    Returns
-    -------
-    (n,) array, nats
-        Log-likelihood against an unrelated field; 0 where it speaks against all poses.
-    """
+    """Score of the best of a few poses of a target, in each of many maps."""
     return np.array([_best_score(base, target, config.invariants, np.random.default_rng(seed)) for base in bases])
 
 

@@ -24,19 +24,7 @@ UsageError = typer.BadParameter.__bases__[0]
 
 
 def guarded(action: Callable[[], object], narrator: Narrator) -> int:
-    """Run a command and turn whatever it raises into an exit code.
-
-    Parameters
-    ----------
-    action : callable
-        Gives an exit code, or nothing when all went well.
-    narrator : Narrator
-        Says the warnings at the end, and whether tracebacks are wanted.
-
-    Returns
-    -------
-    int
-    """
+    """Run a command and turn whatever it raises into an exit code."""
     try:
         outcome = action()
         if outcome == INTERRUPTED:  # typer turns the interrupt into an exit of this code
@@ -61,11 +49,6 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
 
 def explain(error: Exception) -> tuple[str, int]:
     """What to say about an error, and the exit code it means.
-
-    Parameters
-    ----------
-    error : Exception
-        Whatever came out of a command.
 
     Returns
     -------

@@ -53,24 +53,7 @@ class Layouts:
 def command(
     app: typer.Typer, name: str, examples: Sequence[str], surveys: Sequence[str] | None = None
 ) -> Callable[[Callable[..., int | None]], Callable[..., int | None]]:
-    """Make a function a subcommand.
-
-    Parameters
-    ----------
-    app : Typer
-        The program.
-    name : str
-        Name of the subcommand.
-    examples : sequence of str
-        Lines to show under its help.
-    surveys : sequence of str, optional
-        Names of the surveys it reads. The options of `SurveyFormat` are added (and once more with each name, such
-        as ``--base-field-unit``), and the function gets them as argument ``layouts``.
-
-    Returns
-    -------
-    decorator
-    """
+    """Make a function a subcommand."""
     epilog = "\b\nExamples:\n" + "\n".join(f"  {example}" for example in examples)
 
     def decorate(function: Callable[..., int | None]) -> Callable[..., int | None]:

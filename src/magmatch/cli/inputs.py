@@ -14,28 +14,7 @@ if TYPE_CHECKING:
 
 
 def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Survey | FieldMap":
-    """Read a file as what it is.
-
-    Parameters
-    ----------
-    path : Path
-        A survey or a saved map.
-    layouts : Layouts
-        Options that say how to read it.
-    survey : str
-        Which of the command's surveys it is.
-
-    Returns
-    -------
-    Survey or FieldMap
-
-    Raises
-    ------
-    DataFormatError, SurveyError
-        It is neither.
-    ConfigurationError
-        A unit or frame was stated for a map, which knows its own.
-    """
+    """Read a file as what it is."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.data.read import read_survey
 
@@ -50,22 +29,7 @@ def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Surve
 
 
 def read_map(path: Path) -> "FieldMap":
-    """Read a saved map.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    FieldMap
-
-    Raises
-    ------
-    DataFormatError
-        It is something else, or damaged.
-    """
+    """Read a saved map."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.field.map import FieldMap
 
@@ -77,17 +41,7 @@ def read_map(path: Path) -> "FieldMap":
 
 
 def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
-    """Read the samples of a survey, or those a saved map was made from.
-
-    Parameters
-    ----------
-    path, layouts, survey
-        As in `read_survey_or_map`.
-
-    Returns
-    -------
-    Survey
-    """
+    """Read the samples of a survey, or those a saved map was made from."""
     from magmatch.data.survey import Survey
 
     read = read_survey_or_map(path, layouts, survey)
@@ -95,22 +49,7 @@ def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
 
 
 def read_result(path: Path) -> "RegistrationResult":
-    """Read a registration result.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    RegistrationResult
-
-    Raises
-    ------
-    DataFormatError
-        It is something else.
-    """
+    """Read a registration result."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.registration.result import RegistrationResult
 

@@ -46,12 +46,7 @@ COMMANDS = (register, transform, prepare, map, index, query, info, view, convert
 
 
 def build_app() -> typer.Typer:
-    """Put the program together.
-
-    Returns
-    -------
-    Typer
-    """
+    """Put the program together."""
     app = typer.Typer(
         name="magmatch", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EPILOG
     )

@@ -71,12 +71,7 @@ class Narrator(logging.Handler):
 
 @contextmanager
 def narrated() -> Iterator[Narrator]:
-    """Follow the library's log for the time of one command.
-
-    Yields
-    ------
-    Narrator
-    """
+    """Follow the library's log for the time of one command."""
     logger, narrator = logging.getLogger("magmatch"), Narrator()
     level = logger.level
     logger.addHandler(narrator)

@@ -12,24 +12,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
-    """Make sure that results can be written where they shall go, before any work is done.
-
-    Parameters
-    ----------
-    outputs : iterable of Path or None
-        Files to be written; None where none was asked for.
-    inputs : iterable of Path
-        Files that are read, which no result may replace.
-
-    Raises
-    ------
-    DataFormatError
-        A folder does not exist, or the path is itself a folder.
-    ConfigurationError
-        Two results, or a result and an input, have one name.
-    OSError
-        No permission, or the disk is read-only.
-    """
+    """Make sure that results can be written where they shall go, before any work is done."""
     taken = {path.resolve(): "an input" for path in inputs}
     for path in outputs:
         if path is None:

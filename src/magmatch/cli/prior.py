@@ -13,31 +13,7 @@ if TYPE_CHECKING:
 def with_prior(
     config: "RegistrationConfig", pose: str | None, pose_sd: str | None, is_aligned: bool, gravity_sd: float | None
 ) -> "RegistrationConfig":
-    """Put what is known of the pose into the settings.
-
-    Parameters
-    ----------
-    config : RegistrationConfig
-    pose : str, optional
-        ``x,y,z,qx,qy,qz,qw`` or the name of a registration result.
-    pose_sd : str, optional
-        ``metres,degrees``.
-    is_aligned : bool
-        Whether z points up in both surveys.
-    gravity_sd : float, degrees, optional
-        How well it does.
-
-    Returns
-    -------
-    RegistrationConfig
-
-    Raises
-    ------
-    ConfigurationError
-        Not such numbers; names the option.
-    DataFormatError
-        The result cannot be read.
-    """
+    """Put what is known of the pose into the settings."""
     from math import radians
 
     said: dict[str, Any] = {}

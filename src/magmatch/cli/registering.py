@@ -18,23 +18,7 @@ if TYPE_CHECKING:
 def register_in_folder(
     folder: Path, target: "Survey | FieldMap", settings: "RegistrationConfig", seed: int
 ) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
-    """Find a target in a folder of maps.
-
-    Parameters
-    ----------
-    folder : Path
-    target : Survey or FieldMap
-    settings : RegistrationConfig
-    seed : int
-
-    Returns
-    -------
-    base_map : FieldMap or None
-        The map that the result names.
-    target : Survey or FieldMap
-        As it was used.
-    result : RegistrationResult
-    """
+    """Find a target in a folder of maps."""
     from magmatch.atlas.atlas import open_atlas
     from magmatch.atlas.localize import localize_keeping_map
 
@@ -45,20 +29,7 @@ def register_in_folder(
 
 
 def read_base(path: Path, layouts: Layouts, settings: "RegistrationConfig") -> "Survey | FieldMap | MapIndex":
-    """Read the base: a survey, or a saved map with its index where there is one beside it.
-
-    Parameters
-    ----------
-    path : Path
-    layouts : Layouts
-        Options that say how to read it.
-    settings : RegistrationConfig
-        What the index must have been made with.
-
-    Returns
-    -------
-    Survey, FieldMap or MapIndex
-    """
+    """Read the base: a survey, or a saved map with its index where there is one beside it."""
     from magmatch.data.survey import Survey
     from magmatch.errors import DataFormatError
     from magmatch.registration.index.map_index import open_index

@@ -21,28 +21,7 @@ MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
 
 
 def registration_config(preset: str, path: Path | None, sensor: str = "auto") -> "RegistrationConfig":
-    """Resolve the configuration of a registration: the file's settings over the preset's.
-
-    Parameters
-    ----------
-    preset : str
-        Name of a preset.
-    path : Path, optional
-        YAML file of settings, or a registration result, whose settings are taken.
-    sensor : str
-        What to estimate between the two magnetometers.
-
-    Returns
-    -------
-    RegistrationConfig
-
-    Raises
-    ------
-    ConfigurationError
-        No such preset or sensor model.
-    DataFormatError
-        The file is no YAML, or holds a setting that is unknown or out of bounds.
-    """
+    """Resolve the configuration of a registration: the file's settings over the preset's."""
     from magmatch.registration.config import PRESETS
 
     if preset not in PRESETS:
@@ -72,27 +51,7 @@ def with_sensor(config: "RegistrationConfig", sensor: str) -> "RegistrationConfi
 
 
 def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
-    """Put settings over a configuration.
-
-    Parameters
-    ----------
-    config : pydantic model
-        What holds where nothing is said.
-    settings : mapping
-        Nested as the configuration is.
-    path : Path
-        The file they came from, for messages.
-
-    Returns
-    -------
-    pydantic model
-        Of the same class.
-
-    Raises
-    ------
-    DataFormatError
-        Names the setting that is unknown or out of bounds.
-    """
+    """Put settings over a configuration."""
     try:
         return type(config).model_validate(_over(config.model_dump(), settings))
     except ValidationError as error:
@@ -102,22 +61,7 @@ def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read a YAML file of settings, or take those of a registration result.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    DataFormatError
-        Not readable, no YAML, or no mapping.
-    """
+    """Read a YAML file of settings, or take those of a registration result."""
     content = _parsed(path)
     if isinstance(content, dict) and str(content.get("schema", "")).startswith("magmatch.registration/"):
         content = content.get("config")

@@ -13,26 +13,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def runner(jobs: int, scheduler: str | None) -> "Iterator[Runner]":
-    """Give what runs the tasks of a map in tiles: this process, others on this machine, or a cluster.
-
-    Parameters
-    ----------
-    jobs : int
-        Processes on this machine.
-    scheduler : str, optional
-        Address of a Dask scheduler, whose workers are used instead.
-
-    Yields
-    ------
-    Runner
-
-    Raises
-    ------
-    ConfigurationError
-        The scheduler's address is none.
-    MissingExtraError
-        Dask is not installed.
-    """
+    """Give what runs the tasks of a map in tiles: this process, others on this machine, or a cluster."""
     if jobs == 1 and scheduler is None:
         yield map
         return

@@ -38,25 +38,7 @@ CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 
 
 def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str]:
-    """Refuse what cannot be a survey and list what is odd about one that can.
-
-    Parameters
-    ----------
-    survey : Survey
-        Samples to judge.
-    layout : SurveyFormat, optional
-        How it was read, so that messages can name the flag that would help.
-
-    Returns
-    -------
-    list of str
-        Doubts to tell the user; empty when there are none.
-
-    Raises
-    ------
-    SurveyError
-        Too few samples, NaN or infinity, time that does not increase, impossible magnitudes or extent.
-    """
+    """Refuse what cannot be a survey and list what is odd about one that can."""
     layout = layout or SurveyFormat()
     _require_samples(survey)
     _require_finite(survey)

@@ -31,13 +31,7 @@ def write_ply(stream: BinaryIO, points: Points, values: Mapping[str, np.ndarray]
 
 
 def write_vtk_points(stream: BinaryIO, points: Points, values: Mapping[str, np.ndarray]) -> None:
-    """Write points with numbers at each as legacy VTK (polydata of vertices).
-
-    Parameters
-    ----------
-    stream, points, values
-        As in `write_ply`.
-    """
+    """Write points with numbers at each as legacy VTK (polydata of vertices)."""
     n = len(points)
     stream.write(_vtk_head("POLYDATA") + f"POINTS {n} double\n".encode() + _big_endian(points))
     cells = np.column_stack([np.ones(n), np.arange(n)]).astype(">i4")

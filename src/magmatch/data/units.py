@@ -21,16 +21,6 @@ ORDINARY_FIELD = (10e-6, 200e-6)
 def likely_field_unit(median_number: float) -> FieldUnit | None:
     """Give the unit in which a number would be an ordinary magnitude near the Earth's surface.
 
-    Parameters
-    ----------
-    median_number : float
-        Median field magnitude as it stands in the file.
-
-    Returns
-    -------
-    str or None
-        The unit that brings it closest to 48 uT; None where no unit makes it ordinary.
-
     Examples
     --------
     >>> likely_field_unit(48.0), likely_field_unit(480.0), likely_field_unit(1e9)

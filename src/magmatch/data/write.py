@@ -16,20 +16,7 @@ from magmatch.errors import SurveyError
 
 
 def write_tum_of(survey: Survey, path: str | Path) -> None:
-    """Write the poses of a survey as a TUM trajectory.
-
-    Parameters
-    ----------
-    survey : Survey
-        With times and orientations.
-    path : path
-        Where.
-
-    Raises
-    ------
-    SurveyError
-        It has no times or no orientations.
-    """
+    """Write the poses of a survey as a TUM trajectory."""
     if survey.times is None or survey.orientations is None:
         missing = "times" if survey.times is None else "orientations"
         msg = f"{survey.name}: has no {missing}, which a TUM trajectory needs"

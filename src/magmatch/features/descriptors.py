@@ -14,18 +14,7 @@ RANGE_QUANTILE = 0.98
 
 
 def component_range(field: Vectors) -> float:
-    """Half range of the component histograms, scaled to the data.
-
-    Parameters
-    ----------
-    field : (n, 3) array, T
-        Measured vectors; maps that are to be compared must share the largest of their ranges.
-
-    Returns
-    -------
-    float, T
-        What 98 % of the vectors' norms do not exceed.
-    """
+    """Half range of the component histograms, scaled to the data."""
     norm = np.linalg.norm(field, axis=1)
     return max(float(np.quantile(norm, RANGE_QUANTILE)), np.finfo(float).tiny)
 
@@ -33,26 +22,7 @@ def component_range(field: Vectors) -> float:
 def histograms_of_oriented_vectors(
     field: Vectors, neighbours: np.ndarray, frames: Tensors, half_range: float
 ) -> Matrix:
-    """Describe the support vectors of each keypoint in its local frame.
-
-    Parameters
-    ----------
-    field : (n, 3) array, T, map frame
-        Field at all points of X*.
-    neighbours : (k, s) int array
-        Rows of each keypoint's support, -1 where there is none; the keypoint itself left out (its own vector lies
-        along z in its own frame: no azimuth, and components on the edge of a bin).
-    frames : (k, 3, 3) array
-        Columns are the axes of the local frames.
-    half_range : float, T
-        Of the component histograms; values outside +-half_range are discarded.
-
-    Returns
-    -------
-    (k, 90) array
-        Azimuth (20 bins of 18 deg), elevation (10 of 18 deg), then x, y and z (20 bins each over +-range), as
-        shares of the support vectors, so that supports cut by the region's edge stay comparable.
-    """
+    """Describe the support vectors of each keypoint in its local frame."""
     descriptors = np.zeros((len(frames), N_DIMENSIONS))
     step = max(CHUNK // max(neighbours.shape[1], 1), 1)
     for start in range(0, len(frames), step):

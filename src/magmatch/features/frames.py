@@ -18,19 +18,6 @@ def local_frames(
 ) -> tuple[Tensors, Scalars]:
     """Frames whose z-axis follows the field and whose x-axis follows the field around.
 
-    Parameters
-    ----------
-    field : (n, 3) array, T, map frame
-        Field at all points of X*.
-    keypoint_rows : (k,) int array
-        Which of them are keypoints.
-    neighbours : (k, s) int array
-        Rows of each keypoint's support, -1 where there is none.
-    distance : (s,) array
-        Distance of each column of the support, spacings.
-    frame_sd : float
-        Standard deviation of the Gaussian weights, spacings.
-
     Returns
     -------
     frames : (k, 3, 3) array

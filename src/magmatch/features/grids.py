@@ -44,13 +44,6 @@ class InferencePoints:
     def support(self, rows: Indices, radius: float) -> tuple[np.ndarray, Scalars]:
         """Points around chosen ones, themselves left out.
 
-        Parameters
-        ----------
-        rows : (k,) int array
-            Chosen points.
-        radius : float
-            In grid spacings.
-
         Returns
         -------
         neighbours : (k, s) int array
@@ -90,20 +83,7 @@ def grid_spacing(field_map: FieldMap, config: FeatureConfig) -> float:
 
 
 def inference_grid(field_map: FieldMap, config: FeatureConfig) -> InferencePoints:
-    """Lay X* over the measured region, or along the path, and keep the points that the map knows.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-        The map to ask.
-    config : FeatureConfig
-        Spacing, bound and kind of grid.
-
-    Returns
-    -------
-    InferencePoints
-        In the map's frame; they move with the map.
-    """
+    """Lay X* over the measured region, or along the path, and keep the points that the map knows."""
     spacing = grid_spacing(field_map, config)
     grid, near_path = _cells_in_use(field_map, spacing, config)
     cells = np.arange(grid.n_points, dtype=np.int64) if near_path is None else near_path

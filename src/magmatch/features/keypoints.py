@@ -14,16 +14,6 @@ from magmatch.typing import Indices, Scalars, Tensors
 def magnitude_hessian(values: FieldValues) -> Tensors:
     """Second derivatives of the magnitude of the field.
 
-    Parameters
-    ----------
-    values : FieldValues
-        Field, gradient and second derivatives at n points.
-
-    Returns
-    -------
-    (n, 3, 3) array, T/m^2
-        NaN where the field vanishes.
-
     Notes
     -----
     With n = norm(B) and the derivative d_i along axis i,
@@ -46,20 +36,7 @@ def magnitude_hessian(values: FieldValues) -> Tensors:
 
 
 def curvature_response(values: FieldValues, determinant: str) -> Scalars:
-    """Determinant of the Hessian of the magnitude, signed so that what is looked for is positive.
-
-    Parameters
-    ----------
-    values : FieldValues
-        Of order 2.
-    determinant : str
-        As in `FeatureConfig.determinant`.
-
-    Returns
-    -------
-    (n,) array, T^3/m^6
-        NaN where the field vanishes.
-    """
+    """Determinant of the Hessian of the magnitude, signed so that what is looked for is positive."""
     H = magnitude_hessian(values)
     # Written out: LAPACK's determinant warns about NaN.
     doh: Scalars = np.einsum("ni,ni->n", H[:, 0], np.cross(H[:, 1], H[:, 2]))
@@ -68,22 +45,7 @@ def curvature_response(values: FieldValues, determinant: str) -> Scalars:
 
 
 def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scalars, config: FeatureConfig) -> Indices:
-    """Points of X* with more than the mean response whose field is known well.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-        Gives the variance of the candidates.
-    points : InferencePoints
-    response : (n,) array
-        See `curvature_response`.
-    config : FeatureConfig
-
-    Returns
-    -------
-    (k,) int array
-        Rows of ``points``, increasing.
-    """
+    """Points of X* with more than the mean response whose field is known well."""
     if not np.isfinite(response).any():
         return np.zeros(0, dtype=np.int64)
     rows = np.flatnonzero(response > np.nanmean(response)).astype(np.int64)
@@ -103,17 +65,6 @@ def block_variance(field_map: FieldMap, points: InferencePoints, rows: Indices) 
 
     Asked once for each block of 2 x 2 x 2 grid points, at its centre: variance changes slowly, and a dense posterior
     spends more on it than on all the rest.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    points : InferencePoints
-    rows : (k,) int array
-        Chosen points.
-
-    Returns
-    -------
-    (k,) array, T^2
     """
     ijk = np.stack(np.unravel_index(points.cells[rows], points.grid.shape), axis=1)
     blocks, block_of_row = np.unique(ijk // 2, axis=0, return_inverse=True)

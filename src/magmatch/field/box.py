@@ -35,17 +35,7 @@ class Box:
         return float(max(wished, np.cbrt(size).prod() / np.cbrt(_N_LATTICE), size.max() / 1000))
 
     def lattice(self, step: float) -> Points:
-        """Points no farther apart than a step that fill the box, in the model's frame.
-
-        Parameters
-        ----------
-        step : float, m
-            See `lattice_step`.
-
-        Returns
-        -------
-        (n, 3) array, m
-        """
+        """Points no farther apart than a step that fill the box, in the model's frame."""
         n_steps = np.ceil((self.high - self.low) / step).astype(np.int64)
         axes = [np.linspace(a, b, n + 1) for a, b, n in zip(self.low, self.high, n_steps, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -42,8 +42,6 @@ class Rival:
 
     Attributes
     ----------
-    name : str
-    hyperparameters : Hyperparameters
     log_errors : (p,) array
         Logarithm of the root mean square error (T) of each part.
     fitted : tuple, optional
@@ -65,15 +63,6 @@ def choose_prior(
     samples: Survey, config: FieldConfig, T_domain_model: RigidTransform
 ) -> tuple[FieldConfig, Hyperparameters]:
     """Take the prior that predicts left-out parts best, and say by how much.
-
-    Parameters
-    ----------
-    samples : Survey
-        In the model's frame.
-    config : FieldConfig
-        Numbers that are given hold for every prior.
-    T_domain_model : RigidTransform
-        Takes model coordinates to the frame of ``config.domain``.
 
     Returns
     -------
@@ -115,23 +104,7 @@ def choose_prior(
 def resolved_hyperparameters(
     samples: Survey, config: FieldConfig, T_domain_model: RigidTransform, calibrate: bool = True
 ) -> Hyperparameters:
-    """Numbers from the configuration where given, from the data otherwise.
-
-    Parameters
-    ----------
-    samples : Survey
-        In the model's frame.
-    config : FieldConfig
-        Names its prior.
-    T_domain_model : RigidTransform
-        Takes model coordinates to the frame of ``config.domain``.
-    calibrate : bool
-        As `Prior.choose_hyperparameters` says.
-
-    Returns
-    -------
-    Hyperparameters
-    """
+    """Numbers from the configuration where given, from the data otherwise."""
     log.info("choosing hyperparameters of prior %s", config.prior)
     box = declared_box(config, T_domain_model)
     chosen = PRIORS[config.prior].choose_hyperparameters(samples.positions, samples.field, box, calibrate)

@@ -63,18 +63,7 @@ def fit_posterior(
 
 
 def declared_box(config: FieldConfig, T_domain_model: RigidTransform | None = None) -> Box | None:
-    """Box that a configuration declares, as the model sees it.
-
-    Parameters
-    ----------
-    config : FieldConfig
-    T_domain_model : RigidTransform, optional
-        Takes model coordinates to those in which ``config.domain`` is given; the same by default.
-
-    Returns
-    -------
-    Box or None
-    """
+    """Box that a configuration declares, as the model sees it."""
     if config.domain is None:
         return None
     low, high = np.array(config.domain[:3]), np.array(config.domain[3:])

@@ -25,18 +25,7 @@ N_DENSITY, SIDE_OF_A_CUBE, MOST_ASKED = 8, 0.8, 1000
 
 
 def typical_length(points: Points, field: Vectors) -> float:
-    """Distance at which field vectors have lost most of their likeness: where the variogram reaches 60 %.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-
-    Returns
-    -------
-    float, m
-        Between the samples' spacing and half their extent; 0 where all points coincide.
-    """
+    """Distance at which field vectors have lost most of their likeness: where the variogram reaches 60 %."""
     n = len(points)
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     if extent == 0 or n < 3:
@@ -64,16 +53,7 @@ def typical_length(points: Points, field: Vectors) -> float:
 
 
 def sample_distance(points: Points) -> float:
-    """Side of the cube that holds one sample, where most samples are.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-
-    Returns
-    -------
-    float, m
-    """
+    """Side of the cube that holds one sample, where most samples are."""
     asked = points[:: -(-len(points) // MOST_ASKED)]
     distance, _ = cKDTree(points).query(asked, k=[min(N_DENSITY + 1, len(points))])
     return SIDE_OF_A_CUBE * float(np.median(distance))
@@ -131,19 +111,7 @@ def path_segments(points: Points, length: float) -> Indices:
 
 
 def path_stretches(points: Points, lengthscale: float) -> Indices:
-    """Number the stretches of a path: long against the lengthscale, short against the region.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        In the order of the path.
-    lengthscale : float, m
-        Over which the field changes.
-
-    Returns
-    -------
-    (n,) int array
-    """
+    """Number the stretches of a path: long against the lengthscale, short against the region."""
     extent = float(np.ptp(points, axis=0).max())
     return path_segments(points, min(STRETCH_IN_LENGTHSCALES * lengthscale, STRETCH_IN_EXTENTS * extent))
 
@@ -168,20 +136,7 @@ def folds_of(number: Indices, others: bool = False) -> list[Mask]:
 
 
 def space_blocks(points: Points, size: float, rng: np.random.Generator) -> Indices:
-    """Number the cubes that hold samples, at random.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    size : float, m
-        Side of a cube.
-    rng : numpy Generator
-        Shuffles the numbers.
-
-    Returns
-    -------
-    (n,) int array
-    """
+    """Number the cubes that hold samples, at random."""
     cube = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
     _, block = np.unique(cube, axis=0, return_inverse=True)
     return np.asarray(rng.permutation(int(block.max()) + 1)[block.reshape(-1)], dtype=np.int64)

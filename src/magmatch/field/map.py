@@ -31,7 +31,6 @@ class GriddedField:
 
     Attributes
     ----------
-    grid : RegularGrid
     values : FieldValues
         Field and derivatives at ``grid.points()``.
     variance : (n,) array, T^2

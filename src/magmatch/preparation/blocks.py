@@ -13,22 +13,7 @@ CHANNEL = "channel "
 
 
 def sensor_blocks(R: Tensors, readings: Vectors, sizes: Mapping[str, float]) -> dict[str, Block]:
-    """Columns of the sensor's own errors.
-
-    Parameters
-    ----------
-    R : (n, 3, 3) array
-        Takes sensor coordinates to survey coordinates.
-    readings : (n, 3) array, T
-        Sensor frame.
-    sizes : dict of str to float
-        Which of ``hard_iron``, ``soft_iron`` and ``misalignment`` are free, and their expected sizes.
-
-    Returns
-    -------
-    dict of str to Block
-        With ``M = I + N``, the corrected field is ``R (b + N b - d)``: linear in N and d.
-    """
+    """Columns of the sensor's own errors."""
     columns = {}
     if "hard_iron" in sizes:
         columns["hard_iron"] = -np.moveaxis(R, 2, 0)
@@ -39,22 +24,7 @@ def sensor_blocks(R: Tensors, readings: Vectors, sizes: Mapping[str, float]) -> 
 
 
 def channel_blocks(R: Tensors, channels: Mapping[str, Scalars], size: float) -> dict[str, Block]:
-    """Columns of disturbances that follow other channels: ``-R k I``, per standard deviation of the channel.
-
-    Parameters
-    ----------
-    R : (n, 3, 3) array
-        Takes sensor coordinates to survey coordinates.
-    channels : dict of str to (n,) array
-        Values at the readings.
-    size : float, T
-        Expected size of the disturbance.
-
-    Returns
-    -------
-    dict of str to Block
-        Constant channels are left out: they look like hard iron.
-    """
+    """Columns of disturbances that follow other channels: ``-R k I``, per standard deviation of the channel."""
     blocks = {}
     for name, values in channels.items():
         spread = float(values.std())
@@ -65,19 +35,7 @@ def channel_blocks(R: Tensors, channels: Mapping[str, Scalars], size: float) -> 
 
 
 def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]) -> SensorModel:
-    """Sensor model of the estimated unknowns; what was not estimated is taken to be perfect.
-
-    Parameters
-    ----------
-    estimate : dict of str to array
-        By block.
-    channels : dict of str to (n,) array
-        The channels' values that were used.
-
-    Returns
-    -------
-    SensorModel
-    """
+    """Sensor model of the estimated unknowns; what was not estimated is taken to be perfect."""
     matrix, shift = np.eye(3), np.zeros(3)
     for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
         if name in estimate:

@@ -77,24 +77,7 @@ class Calibration:
 def calibrate(
     sensor_log: SensorLog, config: PreparationConfig, channels: Mapping[str, Scalars], is_good: Mask
 ) -> Calibration | None:
-    """Estimate clock offset, hard and soft iron, misalignment and currents together, against a map of the place.
-
-    Parameters
-    ----------
-    sensor_log : SensorLog
-        Readings and poses.
-    config : PreparationConfig
-        What is free.
-    channels : dict of str to (n,) array
-        Other channels, at the readings.
-    is_good : (n,) bool array
-        Readings to use; spikes, for example, are none.
-
-    Returns
-    -------
-    Calibration or None
-        None where nothing is switched on, or there are too few readings.
-    """
+    """Estimate clock offset, hard and soft iron, misalignment and currents together, against a map of the place."""
     switches = switches_of(config, sensor_log, channels)
     largest = config.time_offset.largest if "time_offset" in switches else 0.0
     if sensor_log.times is not None:

@@ -31,17 +31,6 @@ def find_disturbances(
 ) -> tuple[Mask, list[StepReport]]:
     """Which samples to keep, and what is odd about the others.
 
-    Parameters
-    ----------
-    survey : Survey
-        Corrected.
-    readings : (n, 3) array, T
-        Of the same samples, sensor frame, as read.
-    calibration : Calibration, optional
-        Its map settings are used; chosen anew without.
-    config : PreparationConfig
-        What to look for, and what to do about it.
-
     Returns
     -------
     kept : (n,) bool array

@@ -15,17 +15,7 @@ STRETCH_IN_LENGTHSCALES = 3.0
 
 
 class MapConsistency:
-    """What no map of the place explains, for any number of fields sampled at the same points.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        Survey frame.
-    hyperparameters : Hyperparameters
-        Of the spline map.
-    weights : (n,) array
-        Inverse variance of each sample relative to the noise's.
-    """
+    """What no map of the place explains, for any number of fields sampled at the same points."""
 
     def __init__(self, points: Points, hyperparameters: Hyperparameters, weights: Scalars) -> None:
         self.points, self.weights = points, weights
@@ -63,23 +53,7 @@ class MapConsistency:
 
 
 def held_out_error(points: Points, field: Vectors, hyperparameters: Hyperparameters) -> float:
-    """Median miss of a map at samples that were left out of it, stretch by stretch.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        Survey frame.
-    field : (n, 3) array, T
-        Survey frame.
-    hyperparameters : Hyperparameters
-        Of the map.
-
-    Returns
-    -------
-    float, T
-        Length of the difference. Only other passes predict a stretch, so a field that depends on the heading
-        misses, however well it follows itself along the path.
-    """
+    """Median miss of a map at samples that were left out of it, stretch by stretch."""
     stretch = path_segments(points, STRETCH_IN_LENGTHSCALES * hyperparameters.lengthscale)
     model, misses = SplineModel.over(points, hyperparameters), []
     for fold in range(2):

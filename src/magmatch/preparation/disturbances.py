@@ -26,19 +26,7 @@ STRETCH_IN_LENGTHSCALES, ROUNDS_OF_TRUST = 0.5, 8
 
 
 def find_jumps(readings: Vectors, threshold: float) -> Mask:
-    """Readings that differ from those just before and after.
-
-    Parameters
-    ----------
-    readings : (n, 3) array, T
-        In the order they were taken.
-    threshold : float
-        How far, in robust standard deviations of that difference.
-
-    Returns
-    -------
-    (n,) bool array
-    """
+    """Readings that differ from those just before and after."""
     if len(readings) < 2 * NEIGHBOURS + 1:
         return np.zeros(len(readings), dtype=bool)
     among = median_filter(readings, size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
@@ -50,25 +38,7 @@ def find_jumps(readings: Vectors, threshold: float) -> Mask:
 def find_spikes(
     points: Points, field: Vectors, hyperparameters: Hyperparameters, threshold: float, *, in_order: bool
 ) -> Mask:
-    """Samples that neither a map of the others nor, along a path, their neighbours explain.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        Survey frame.
-    field : (n, 3) array, T
-        Survey frame.
-    hyperparameters : Hyperparameters
-        Of the map.
-    threshold : float
-        Standard deviations.
-    in_order : bool
-        Whether samples stand in the order they were taken.
-
-    Returns
-    -------
-    (n,) bool array
-    """
+    """Samples that neither a map of the others nor, along a path, their neighbours explain."""
     weights = np.ones(len(points))
     for _ in range(ROUNDS):
         residual = MapConsistency(points, hyperparameters, weights).project(field[None])[1][0]
@@ -79,17 +49,7 @@ def find_spikes(
 
 
 def find_repeats(readings: Vectors) -> Mask:
-    """Readings equal to the one before, up to the rounding of a turn to and fro.
-
-    Parameters
-    ----------
-    readings : (n, 3) array, T
-        Sensor frame.
-
-    Returns
-    -------
-    (n,) bool array
-    """
+    """Readings equal to the one before, up to the rounding of a turn to and fro."""
     is_same = np.zeros(len(readings), dtype=bool)
     size = np.linalg.norm(readings[1:], axis=1)
     is_same[1:] = np.linalg.norm(np.diff(readings, axis=0), axis=1) <= 1e-12 * size
@@ -97,17 +57,7 @@ def find_repeats(readings: Vectors) -> Mask:
 
 
 def find_saturation(readings: Vectors) -> Mask:
-    """Readings at the end of the sensor's range: more at one largest value than at the next three.
-
-    Parameters
-    ----------
-    readings : (n, 3) array, T
-        Sensor frame.
-
-    Returns
-    -------
-    (n,) bool array
-    """
+    """Readings at the end of the sensor's range: more at one largest value than at the next three."""
     is_saturated = np.zeros(len(readings), dtype=bool)
     for values in readings.T:
         for signed in (values, -values):
@@ -119,22 +69,7 @@ def find_saturation(readings: Vectors) -> Mask:
 
 
 def find_contradictions(points: Points, field: Vectors, hyperparameters: Hyperparameters) -> Mask:
-    """Runs of samples that contradict other passes of the same places: metal that moved, or poses that did.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        In the order they were taken, survey frame.
-    field : (n, 3) array, T
-        Survey frame.
-    hyperparameters : Hyperparameters
-        Of the map.
-
-    Returns
-    -------
-    (n,) bool array
-        Where two passes contradict each other, both may be marked: nothing says which is right.
-    """
+    """Runs of samples that contradict other passes of the same places: metal that moved, or poses that did."""
     is_contradicted = np.zeros(len(points), dtype=bool)
     if not has_path_order(points):
         return is_contradicted
@@ -153,19 +88,7 @@ def find_contradictions(points: Points, field: Vectors, hyperparameters: Hyperpa
 
 
 def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:
-    """First and last sample of each run (times where there are any, else numbers).
-
-    Parameters
-    ----------
-    mask : (n,) bool array
-        What belongs to a run.
-    times : (n,) array, s, optional
-        Of the samples.
-
-    Returns
-    -------
-    list of [first, last]
-    """
+    """First and last sample of each run (times where there are any, else numbers)."""
     numbered, n_runs = label(mask)
     found = [np.flatnonzero(numbered == k)[[0, -1]] for k in range(1, min(n_runs, 100) + 1)]
     return [[float(times[i]) if times is not None else float(i) for i in ends] for ends in found]

@@ -29,7 +29,6 @@ class Place:
         Geodetic, degrees north and east.
     height : float, m
         Above the ellipsoid (above sea level does as well: 100 m change the field by 0.005 %).
-    day : date
     """
 
     latitude_deg: float
@@ -62,7 +61,6 @@ class EarthFieldCheck:
         Angle below the horizontal; taken from the survey's z axis as the vertical.
     words : str
         What is odd about it, or that nothing is.
-    is_plausible : bool
     """
 
     magnitude: float
@@ -84,24 +82,7 @@ class EarthFieldCheck:
 
 
 def check_earth_field(field: Vectors, place: Place) -> EarthFieldCheck:
-    """Compare a survey's mean field with the International Geomagnetic Reference Field.
-
-    Parameters
-    ----------
-    field : (n, 3) array, T
-        Survey frame, z up (only the inclination depends on it).
-    place : Place
-        Where and when.
-
-    Returns
-    -------
-    EarthFieldCheck
-
-    Raises
-    ------
-    MissingExtraError
-        ppigrf is not installed.
-    """
+    """Compare a survey's mean field with the International Geomagnetic Reference Field."""
     model, mean = earth_field(place), field.mean(axis=0)
     expected = float(np.linalg.norm(model))
     magnitude = float(np.linalg.norm(mean))
@@ -124,18 +105,7 @@ def check_earth_field(field: Vectors, place: Place) -> EarthFieldCheck:
 
 
 def earth_field(place: Place) -> np.ndarray:
-    """Earth's field of the IGRF.
-
-    Parameters
-    ----------
-    place : Place
-        Where and when.
-
-    Returns
-    -------
-    (3,) array, T
-        East, north, up.
-    """
+    """Earth's field of the IGRF."""
     try:
         import ppigrf
     except ImportError:

@@ -98,15 +98,6 @@ class System:
     def solve(self, active: Collection[str]) -> Solution:
         """Unknowns of some blocks that make the field most consistent, the others being zero.
 
-        Parameters
-        ----------
-        active : collection of str
-            Names of blocks.
-
-        Returns
-        -------
-        Solution
-
         Notes
         -----
         With the columns scaled by the expected sizes, ``H = J' P J / s^2`` has eigenvectors v and values l. Errors

@@ -94,19 +94,7 @@ def prepare(
 
 
 def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
-    """Readings that estimates may rest on: no jumps, repeats or saturation, whatever is done about them later.
-
-    Parameters
-    ----------
-    sensor_log : SensorLog
-        Readings in their order.
-    config : PreparationConfig
-        Threshold of jumps.
-
-    Returns
-    -------
-    (n,) bool array
-    """
+    """Readings that estimates may rest on: no jumps, repeats or saturation, whatever is done about them later."""
     readings = sensor_log.readings
     is_bad = (
         find_jumps(readings, config.disturbances.spike_threshold)

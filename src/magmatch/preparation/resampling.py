@@ -12,22 +12,7 @@ from magmatch.typing import Indices, Points
 
 
 def resample_by_distance(survey: Survey, step: float, average: Literal["mean", "median"]) -> Survey:
-    """Average the samples of each step of the way.
-
-    Parameters
-    ----------
-    survey : Survey
-        Samples in the order they were taken.
-    step : float, m
-        Distance between samples; where samples lie farther apart, each stays as it is.
-    average : {"mean", "median"}
-        Of the field's components; positions, times and orientations are means.
-
-    Returns
-    -------
-    Survey
-        Times still increase.
-    """
+    """Average the samples of each step of the way."""
     number = steps_of(survey.positions, step)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     counts = np.diff(np.append(first, len(number)))

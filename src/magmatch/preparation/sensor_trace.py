@@ -32,19 +32,6 @@ def turns_with_sensor(survey: Survey, hyperparameters: Hyperparameters) -> bool:
 def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     """How much better a constant in the sensor's frame explains readings, beside a map of the place.
 
-    Parameters
-    ----------
-    survey : Survey
-        In any frame.
-    hyperparameters : Hyperparameters
-        Of the spline map of it.
-
-    Returns
-    -------
-    float, nats
-        Of the direction in the sensor's frame that shows most; below 0 where none does, minus infinity without
-        orientations, and where a map of even a few samples costs too much or cannot be made.
-
     Notes
     -----
     With c the columns of the orientations' matrices, P what no map explains of them, s the noise and k how many

@@ -29,15 +29,6 @@ LENGTHSCALE_IN_SPACINGS, SIGNAL_SD, NOISE_SD, STIFFNESS = 2.5, 10e-6, 0.5e-6, 30
 def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float]) -> tuple[float, Solution]:
     """Offset at which a coarse map explains the field best, and the sensor's errors that go with it.
 
-    Parameters
-    ----------
-    log : SensorLog
-        Readings that have a pose at every offset searched.
-    largest : float, s
-        How far to search to either side; 0 looks at the stamps as they are.
-    sizes : dict of str to float
-        Errors of the sensor that are free, and how large they are expected to be.
-
     Returns
     -------
     offset : float, s

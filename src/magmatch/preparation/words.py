@@ -24,25 +24,7 @@ def calibration_steps(
     survey: Survey, sensor_log: SensorLog | None, calibration: Calibration | None, config: PreparationConfig,
     channels: Mapping[str, Scalars],
 ) -> list[StepReport]:  # fmt: skip
-    """Reports of the time offset, hard iron, soft iron, misalignment and each channel.
-
-    Parameters
-    ----------
-    survey : Survey
-        As read.
-    sensor_log : SensorLog, optional
-        None where there are no orientations.
-    calibration : Calibration, optional
-        None where it could not be made.
-    config : PreparationConfig
-        What was asked for.
-    channels : dict of str to (n,) array
-        That were looked at.
-
-    Returns
-    -------
-    list of StepReport
-    """
+    """Reports of the time offset, hard iron, soft iron, misalignment and each channel."""
     c = config.calibration
     modes = {
         "time_offset": config.time_offset.mode, "hard_iron": c.hard_iron, "soft_iron": c.soft_iron,

@@ -34,21 +34,7 @@ def needs_both_sides(walks: WalkIndex, answer: RegistrationResult) -> bool:
 def refine_from_both_sides(
     base: PreparedMap, target: PreparedMap, answer: RegistrationResult, config: RegistrationConfig, seed: int
 ) -> RegistrationResult:
-    """Refine an answer as that of two maps.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    answer : RegistrationResult
-        Of a walk; one that `needs_both_sides`.
-    config : RegistrationConfig
-    seed : int
-
-    Returns
-    -------
-    RegistrationResult
-        The answer as it was where the two hardly meet.
-    """
+    """Refine an answer as that of two maps."""
     log.info("refining the walk's pose from both sides")
     assert answer.best_pose is not None  # it was found
     prior = pose_prior(config.prior, base.T_map_model, target.T_map_model, base.raster.volume)

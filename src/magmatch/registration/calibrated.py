@@ -37,7 +37,6 @@ class Calibrated:
 
     Attributes
     ----------
-    survey : Survey
     sensor : SensorModel
         What was undone.
     """

@@ -47,19 +47,6 @@ def write_relative_tum(result: RegistrationResult, path: str | Path) -> None:
 def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quaternion") -> np.ndarray:
     """Information matrix of a g2o edge.
 
-    Parameters
-    ----------
-    covariance : (6, 6) array
-        Rotation first (rad, m), of xi in ``T_true = T_estimate Exp(xi)``.
-    tangent : {"quaternion", "angle"}
-        What stands for the rotation: the vector part of the error's quaternion, as g2o itself computes it, or its
-        angle, as GTSAM takes the same file.
-
-    Returns
-    -------
-    (6, 6) array
-        Translation first, of ``Z^-1 T_true``.
-
     Notes
     -----
     To first order ``Exp(xi)`` has translation ``rho`` and quaternion ``(theta / 2, 1)``, so that the error of g2o is

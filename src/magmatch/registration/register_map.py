@@ -36,8 +36,6 @@ class WeighedMap:
 
     Attributes
     ----------
-    base, target : PreparedMap
-    prior : PosePrior
     found : SearchResult
         Counts of the search.
     ranked : list of PoseEvidence

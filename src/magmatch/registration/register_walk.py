@@ -34,12 +34,10 @@ class WalkIndex:
 
     Attributes
     ----------
-    base : PreparedMap
     length : float, m
         Its field length.
     noise : PathNoise
         What residuals of another walk look like.
-    table : PairTable
     """
 
     base: PreparedMap
@@ -49,19 +47,7 @@ class WalkIndex:
 
 
 def index_walks(base: PreparedMap, config: WalkConfig, rng: np.random.Generator) -> WalkIndex:
-    """Learn the residuals' covariance and list the base's pairs of points, once for all walks.
-
-    Parameters
-    ----------
-    base : PreparedMap
-    config : WalkConfig
-    rng : numpy Generator
-        Posterior draws.
-
-    Returns
-    -------
-    WalkIndex
-    """
+    """Learn the residuals' covariance and list the base's pairs of points, once for all walks."""
     length = base.lengthscale
     noise = learn_path_noise(base.field_map, length, rng)
     return WalkIndex(base, length, noise, tabulate_pairs(base, length, noise.total_sd, config.search))
@@ -73,8 +59,6 @@ class WeighedWalk:
 
     Attributes
     ----------
-    index : WalkIndex
-    walk : Walk
     found : SearchResult
         Counts of the search.
     ranked : list of LineEvidence
@@ -99,23 +83,7 @@ def register_walk(
     rng: np.random.Generator,
     prior: PosePriorConfig | None = None,
 ) -> RegistrationResult:
-    """Search by pairs of points, refine and weigh by generalised least squares, decide.
-
-    Parameters
-    ----------
-    index : WalkIndex
-    target : Survey
-        A line of samples in the order they were taken.
-    config : WalkConfig
-    rng : numpy Generator
-        Draws the walk's pairs.
-    prior : PosePriorConfig, optional
-        What is known of the pose beforehand.
-
-    Returns
-    -------
-    RegistrationResult
-    """
+    """Search by pairs of points, refine and weigh by generalised least squares, decide."""
     walk = walk_of(target, index.length)
     weighed = search_walk(index, walk, config, rng, prior or PosePriorConfig(), index.base.raster.volume)
     return judge_walk(weighed, config)

@@ -38,7 +38,6 @@ class RegistrationResult:
         Fraction of the target's samples that fall where the base map knows the field.
     alternatives : tuple of Alternative
         Other poses, best first; the best candidate stands first where nothing was accepted.
-    degenerate_directions : tuple of DegenerateDirection
     sensor : dict or None
         Bias (T) and scale between the magnetometers, when estimated; and what was undone of each survey's own sensor
         first (``calibrated``), where its readings showed it.
@@ -48,7 +47,6 @@ class RegistrationResult:
         Mean norm of the cross product of aligned vectors, T (normalised as the configuration says).
     n_inliers, n_keypoints, n_correspondences : int
         Counts; ``keypoints`` of both maps together.
-    links : Links
     seconds : dict
         Per stage and total.
     config, version, seed, inputs

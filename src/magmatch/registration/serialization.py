@@ -30,17 +30,7 @@ def describe_input(survey: Survey) -> dict[str, str]:
 
 
 def document_of(result: "RegistrationResult") -> dict[str, Any]:
-    """What a result says, in lists, numbers and words: the keys of the file, in its order.
-
-    Parameters
-    ----------
-    result : RegistrationResult
-
-    Returns
-    -------
-    dict
-        Numbers that are not finite are None.
-    """
+    """What a result says, in lists, numbers and words: the keys of the file, in its order."""
     base, target = _few_links(result.links)
     document = {
         "schema": SCHEMA,
@@ -108,11 +98,5 @@ def _plain(value: Any, key: str) -> Any:
 
 
 def read_result_document(path: str | Path) -> dict[str, Any]:
-    """Read a result's document and check its schema and, where it has one, its checksum.
-
-    Raises
-    ------
-    DataFormatError
-        No such file, not JSON, another schema, or changed after it was written.
-    """
+    """Read a result's document and check its schema and, where it has one, its checksum."""
     return read_document(path, SCHEMA, "registration result", MAX_BYTES)

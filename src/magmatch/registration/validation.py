@@ -21,25 +21,7 @@ UNIT_TOLERANCE = 1e-6
 
 
 def fields_of(document: Mapping[str, Any], path: str | Path) -> dict[str, Any]:
-    """Fields of a `RegistrationResult` from a document; what a file from elsewhere leaves out takes its default.
-
-    Parameters
-    ----------
-    document : mapping
-        Of `read_json`; keys that are not known are passed over.
-    path : path
-        Where it came from, for messages.
-
-    Returns
-    -------
-    dict
-        Arguments of `RegistrationResult`.
-
-    Raises
-    ------
-    DataFormatError
-        A value is missing or cannot be; names the key.
-    """
+    """Fields of a `RegistrationResult` from a document; what a file from elsewhere leaves out takes its default."""
     for key in ("status", "T_base_target"):
         if key not in document:
             raise DataFormatError(path, f"key '{key}' is missing")

@@ -45,24 +45,7 @@ class Corruption:
 def draw_corruption(
     rng: np.random.Generator, hard_iron: float = 30e-6, soft_iron: float = 0.05, clock_offset: float = 0.04
 ) -> Corruption:
-    """Errors of stated size in random directions.
-
-    Parameters
-    ----------
-    rng : numpy Generator
-        Source of randomness.
-    hard_iron : float, T
-        Length of the hard iron's vector.
-    soft_iron : float
-        Largest eigenvalue of the soft iron's deviation from the identity, in absolute value; the deviation is
-        symmetric and has no trace (a common factor is no error of direction).
-    clock_offset : float, s
-        Absolute value; either sign is equally likely.
-
-    Returns
-    -------
-    Corruption
-    """
+    """Errors of stated size in random directions."""
     direction = rng.standard_normal(3)
     stretch = rng.uniform(-1, 1, 3)
     stretch -= stretch.mean()
@@ -76,15 +59,6 @@ def draw_corruption(
 
 def corrupt(survey: Survey, corruption: Corruption, rng: np.random.Generator) -> tuple[Survey, np.ndarray]:
     """Give the survey as a raw log would have it.
-
-    Parameters
-    ----------
-    survey : Survey
-        With orientations, and with times if clocks shall differ.
-    corruption : Corruption
-        What to put on it.
-    rng : numpy Generator
-        Draws the spikes.
 
     Returns
     -------

@@ -83,23 +83,6 @@ Source = Box | Cylinder | Dipole
 def field_of(sources: Sequence[Source], points: Points) -> Vectors:
     """Magnetic flux density of all sources together; the Earth's field is not in it.
 
-    Parameters
-    ----------
-    sources : sequence of Box, Cylinder or Dipole
-        World frame.
-    points : (n, 3) array, m
-        Where to evaluate, world frame.
-
-    Returns
-    -------
-    (n, 3) array, T
-        World frame; zero where there are no sources.
-
-    Raises
-    ------
-    MissingExtraError
-        Magpylib is not installed.
-
     Notes
     -----
     A dipole gives ``mu0 / (4 pi) (3 (m . r) r / r^5 - m / r^3)``, and so do the bodies from afar, with
@@ -124,20 +107,7 @@ def field_of(sources: Sequence[Source], points: Points) -> Vectors:
 
 
 def distance_to(source: Source, points: Points) -> Scalars:
-    """Distance of points to the surface of a source; zero inside it.
-
-    Parameters
-    ----------
-    source : Box, Cylinder or Dipole
-        World frame.
-    points : (n, 3) array, m
-        World frame.
-
-    Returns
-    -------
-    (n,) array, m
-        Distances.
-    """
+    """Distance of points to the surface of a source; zero inside it."""
     offset = points - source.center
     if isinstance(source, Dipole):
         return np.asarray(np.linalg.norm(offset, axis=1))
@@ -151,20 +121,7 @@ def distance_to(source: Source, points: Points) -> Scalars:
 
 
 def strengthened(source: Source, factor: float) -> Source:
-    """Return the same source, its magnetisation multiplied.
-
-    Parameters
-    ----------
-    source : Box, Cylinder or Dipole
-        Any source.
-    factor : float
-        What to multiply by.
-
-    Returns
-    -------
-    Box, Cylinder or Dipole
-        New source.
-    """
+    """Return the same source, its magnetisation multiplied."""
     if isinstance(source, Dipole):
         return replace(source, moment=source.moment * factor)
     return replace(source, polarization=source.polarization * factor)

@@ -32,40 +32,12 @@ class SensorPath:
 
 
 def uniform_in_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) -> Points:
-    """Points drawn uniformly from a box.
-
-    Parameters
-    ----------
-    low, high : (3,) array, m
-        Opposite corners.
-    n : int
-        Number of points.
-    rng : numpy Generator
-        Source of randomness.
-
-    Returns
-    -------
-    (n, 3) array, m
-        Points.
-    """
+    """Points drawn uniformly from a box."""
     return rng.uniform(low, high, (n, 3))
 
 
 def resample(corners: Points, n: int) -> Points:
-    """Points at equal distances along a chain of straight lines, both ends included.
-
-    Parameters
-    ----------
-    corners : (k, 3) array, m
-        The chain.
-    n : int
-        Number of points.
-
-    Returns
-    -------
-    (n, 3) array, m
-        Points.
-    """
+    """Points at equal distances along a chain of straight lines, both ends included."""
     walked = path_walked(corners)
     at = np.linspace(0, walked[-1], n)
     return np.column_stack([np.interp(at, walked, corners[:, axis]) for axis in range(3)])
@@ -74,26 +46,7 @@ def resample(corners: Points, n: int) -> Points:
 def boustrophedon(
     low: Vector3, high: Vector3, heights: Sequence[float], row_spacing: float, along: int, n: int
 ) -> Points:
-    """Sweep a rectangle row by row, back and forth, one height after another.
-
-    Parameters
-    ----------
-    low, high : (3,) array, m
-        Opposite corners of the rectangle; their z is not used.
-    heights : sequence of float, m
-        z of each sweep.
-    row_spacing : float, m
-        Distance of neighbouring rows, shortened so that rows lie on both edges.
-    along : {0, 1}
-        Axis the rows run along.
-    n : int
-        Number of points, at equal distances along the sweep.
-
-    Returns
-    -------
-    (n, 3) array, m
-        Points in the order they are passed.
-    """
+    """Sweep a rectangle row by row, back and forth, one height after another."""
     across = 1 - along
     n_rows = int(np.ceil((high[across] - low[across]) / row_spacing)) + 1
     rows = np.linspace(low[across], high[across], n_rows)
@@ -112,17 +65,6 @@ def boustrophedon(
 def circles(center: Vector3, radii: Sequence[float], laps: int, n: int) -> tuple[Points, Scalars]:
     """Drive circles about a point, one radius after another, at constant height.
 
-    Parameters
-    ----------
-    center : (3,) array, m
-        Common centre; its z is the height.
-    radii : sequence of float, m
-        One per circle.
-    laps : int
-        Rounds on each circle.
-    n : int
-        Number of points, at equal distances along the drive.
-
     Returns
     -------
     positions : (n, 3) array, m
@@ -140,22 +82,6 @@ def wander(size: tuple[float, float, float], n: int, interval: float, rng: np.ra
     """Walk to and fro through a box, as somebody does who waves a sensor about to fill it.
 
     Each coordinate swings with a period of its own, so that the path crosses itself under many headings.
-
-    Parameters
-    ----------
-    size : (float, float, float), m
-        Sides of the box, which is centred on the origin; a side may be 0.
-    n : int
-        Number of points.
-    interval : float, s
-        Time between them; sides of 3 m are crossed at about 0.6 m/s.
-    rng : numpy Generator
-        Draws the phases and, within a tenth, the periods.
-
-    Returns
-    -------
-    (n, 3) array, m
-        Points in the order they are passed.
     """
     period = np.array([13.0, 17.3, 7.1]) * rng.uniform(0.9, 1.1, 3)
     angle = 2 * np.pi * np.arange(n)[:, None] * interval / period + rng.uniform(0, 2 * np.pi, 3)
@@ -164,15 +90,6 @@ def wander(size: tuple[float, float, float], n: int, interval: float, rng: np.ra
 
 def around_loop(size: tuple[float, float], corner_radius: float, s: Scalars) -> tuple[Points, Scalars]:
     """Points and headings on a rectangle with rounded corners, anticlockwise from the start of its first long side.
-
-    Parameters
-    ----------
-    size : (float, float), m
-        Sides along x and y.
-    corner_radius : float, m
-        Radius of the corners.
-    s : (n,) array, m
-        Distances walked along the loop; they wrap around.
 
     Returns
     -------
@@ -219,23 +136,6 @@ def times_along(positions: Points, speed: float) -> Scalars:
 
 
 def smooth_noise(n: int, width: int, sd: float, rng: np.random.Generator) -> Scalars:
-    """Wander of an unsteady hand: Gaussian noise without steps.
-
-    Parameters
-    ----------
-    n : int
-        Number of values.
-    width : int
-        Standard deviation of the smoothing window, samples.
-    sd : float
-        Standard deviation of the values over the whole series (its own unit).
-    rng : numpy Generator
-        Source of randomness.
-
-    Returns
-    -------
-    (n,) array
-        The series.
-    """
+    """Wander of an unsteady hand: Gaussian noise without steps."""
     smooth = gaussian_filter1d(rng.standard_normal(n), width, mode="wrap")
     return np.asarray(sd * smooth / max(float(np.std(smooth)), np.finfo(float).tiny))

@@ -49,30 +49,13 @@ class Scene:
         return self.T_base_world * self.T_target_world.inv()
 
     def base_field(self, p_base: Points) -> Vectors:
-        """Return the true, noise-free field at the time of the base survey.
-
-        Parameters
-        ----------
-        p_base : (n, 3) array, m
-            Base frame.
-
-        Returns
-        -------
-        (n, 3) array, T
-            Base frame, Earth's field included.
-        """
+        """Return the true, noise-free field at the time of the base survey."""
         p_world = transform_points(p_base, self.T_base_world.inv())
         return rotate_vectors(field_of(self.base_sources, p_world) + self.earth_field, self.T_base_world)
 
 
 class Streams:
-    """One independent random stream per cause, so that changing one setting leaves all else as it was.
-
-    Parameters
-    ----------
-    seed : int
-        Not negative.
-    """
+    """One independent random stream per cause, so that changing one setting leaves all else as it was."""
 
     def __init__(self, seed: int) -> None:
         if seed < 0:

@@ -98,11 +98,6 @@ def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
 def read_truth(path: str | Path) -> tuple[RigidTransform, bool]:
     """Read ``truth.json``.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-
     Returns
     -------
     T_base_target : RigidTransform

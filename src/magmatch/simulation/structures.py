@@ -27,24 +27,7 @@ _BODIES = {
 def around_box(
     low: Vector3, high: Vector3, clearance: float, rng: np.random.Generator, faces: Sequence[int] = range(6)
 ) -> list[Source]:
-    """Structures on the walls, floor and ceiling around a box, none nearer to it than the clearance.
-
-    Parameters
-    ----------
-    low, high : (3,) array, m
-        Opposite corners of the box that is kept free.
-    clearance : float, m
-        Least distance of any structure to the box.
-    rng : numpy Generator
-        Source of randomness.
-    faces : sequence of int
-        Faces that carry structures: 2 axis + (0 low, 1 high); all by default.
-
-    Returns
-    -------
-    list of Box and Cylinder
-        Strengths relative; see `calibrated`.
-    """
+    """Structures on the walls, floor and ceiling around a box, none nearer to it than the clearance."""
     sides = high - low
     area = np.array([np.prod(np.delete(sides, face // 2)) for face in faces])
     n = max(int(np.ceil(SOURCES_PER_AREA * area.sum())), 6)
@@ -60,22 +43,7 @@ def around_box(
 
 
 def inside_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) -> list[Source]:
-    """Furniture that stands in the surveyed box itself.
-
-    Parameters
-    ----------
-    low, high : (3,) array, m
-        Opposite corners of the box.
-    n : int
-        Number of pieces.
-    rng : numpy Generator
-        Source of randomness.
-
-    Returns
-    -------
-    list of Box
-        Upright, wholly within the box where it is large enough.
-    """
+    """Furniture that stands in the surveyed box itself."""
     sources: list[Source] = []
     for _ in range(n):
         size = rng.uniform((0.2, 0.2, 0.2), (0.5, 0.5, 0.6))
@@ -87,24 +55,7 @@ def inside_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) ->
 
 
 def under_table(size: tuple[float, float], depth: float, n: int, rng: np.random.Generator) -> list[Source]:
-    """Block magnets of varying strength fixed under a table top.
-
-    Parameters
-    ----------
-    size : (float, float), m
-        Sides of the table, its centre at the origin, its upper surface at z = 0.
-    depth : float, m
-        How far the magnets' centres lie under the upper surface.
-    n : int
-        Number of magnets.
-    rng : numpy Generator
-        Source of randomness.
-
-    Returns
-    -------
-    list of Box
-        Ferrite blocks of 0.6 to 3 cm^3, either pole up: 0.07 to 1 A m^2.
-    """
+    """Block magnets of varying strength fixed under a table top."""
     sources: list[Source] = []
     half = np.array(size) / 2 - 0.05
     for _ in range(n):
@@ -129,24 +80,7 @@ def along_corridor(
     half_width: float,
     rng: np.random.Generator,
 ) -> list[Source]:
-    """Structures in the walls, floor and ceiling along a corridor, about one in each of them per metre and a half.
-
-    Parameters
-    ----------
-    place : callable
-        Takes distances along the centre line to floor points (n, 3) and headings (n,).
-    length : float, m
-        Length of the centre line.
-    half_width : float, m
-        From the centre line to either wall.
-    rng : numpy Generator
-        Source of randomness.
-
-    Returns
-    -------
-    list of Box and Cylinder
-        Strengths relative; see `calibrated`.
-    """
+    """Structures in the walls, floor and ceiling along a corridor, about one in each of them per metre and a half."""
     n = int(np.ceil(length / 0.4))
     floor, heading = place(rng.uniform(0, length, n))
     left = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(n)])
@@ -166,22 +100,7 @@ def along_corridor(
 
 
 def calibrated(sources: Sequence[Source], probes: Points, anomaly_sd: float) -> list[Source]:
-    """Give the sources, strengthened together until the field varies as much as wanted.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-        Relative strengths.
-    probes : (n, 3) array, m
-        Points that stand for the surveyed region.
-    anomaly_sd : float, T
-        Wanted root mean square deviation of the field vector from its mean over the probes.
-
-    Returns
-    -------
-    list of Source
-        New sources.
-    """
+    """Give the sources, strengthened together until the field varies as much as wanted."""
     field = field_of(sources, probes)
     factor = anomaly_sd / float(np.sqrt(((field - field.mean(axis=0)) ** 2).sum(axis=1).mean()))
     return [strengthened(source, factor) for source in sources]
@@ -198,26 +117,7 @@ def is_clear(sources: Sequence[Source], points: Points, clearance: float) -> np.
 def rearranged(
     sources: Sequence[Source], fraction: float, points: Points, clearance: float, rng: np.random.Generator
 ) -> list[Source]:
-    """Give the sources after some were moved, each by 0.3 to 0.8 m, none closer to the samples than the clearance.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-        As they stood.
-    fraction : float
-        How many of them move.
-    points : (n, 3) array, m
-        Samples to keep clear of.
-    clearance : float, m
-        Least distance of a moved source to the samples, unless it stood nearer before.
-    rng : numpy Generator
-        Source of randomness.
-
-    Returns
-    -------
-    list of Source
-        Same order; a source for which no clear place is found in a hundred tries stays.
-    """
+    """Give the sources after some were moved, each by 0.3 to 0.8 m, none closer to the samples than the clearance."""
     after = list(sources)
     for k in rng.permutation(len(after))[: round(fraction * len(after))]:
         least = min(clearance, float(distance_to(after[k], points).min()))

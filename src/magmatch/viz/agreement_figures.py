@@ -36,18 +36,7 @@ OUTSIDE_STYLE = {"symbol": "x", "color": LINK_COLOR}
 
 
 def agreement_figures(base_map: FieldMap, compared: Comparison) -> "list[Figure]":
-    """Overlap, residuals in space and their distribution.
-
-    Parameters
-    ----------
-    base_map : FieldMap
-    compared : Comparison
-
-    Returns
-    -------
-    list of plotly Figure
-        The overlap alone where there is none.
-    """
+    """Overlap, residuals in space and their distribution."""
     figures = [overlap_figure(base_map, compared)]
     if compared.is_known.any():
         figures += [residual_figure(compared), histogram_figure(compared)]

@@ -53,14 +53,6 @@ class Ellipsoid:
 def ellipsoids_at(covariance: Matrix, T_base_target: RigidTransform, center: Vector3) -> tuple[Ellipsoid, Ellipsoid]:
     """Where a point of the target may lie, and how the target may be turned, in base axes.
 
-    Parameters
-    ----------
-    covariance : (6, 6) array
-        Of xi in ``T_true = T_estimate Exp(xi)``, rotation first (rad, m).
-    T_base_target : RigidTransform
-    center : (3,) array, m
-        The point, target frame.
-
     Returns
     -------
     place, turn : Ellipsoid
@@ -72,22 +64,7 @@ def ellipsoids_at(covariance: Matrix, T_base_target: RigidTransform, center: Vec
 
 
 def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirection, reach: float) -> Points:
-    """Where points would lie had the pose moved along a free direction, so far that the farthest goes `reach`.
-
-    Parameters
-    ----------
-    p_target : (n, 3) array, m
-        Target frame.
-    T_base_target : RigidTransform
-    free : DegenerateDirection
-    reach : float, m
-        Sign says which way.
-
-    Returns
-    -------
-    (n, 3) array, m
-        Base frame.
-    """
+    """Where points would lie had the pose moved along a free direction, so far that the farthest goes `reach`."""
     theta, rho = free.xi[:3], free.xi[3:]
     longest = float(np.linalg.norm(np.cross(theta, p_target) + rho, axis=1).max())
     return transform_points(p_target, T_base_target * exp_se3(free.xi * (reach / max(longest, 1e-300))))

@@ -43,23 +43,7 @@ MAX_ARROWS, MAX_SWEPT = 40, 1500
 
 
 def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> "Figure":
-    """Draw an ellipsoid with its axes.
-
-    Parameters
-    ----------
-    ellipsoid : Ellipsoid
-    title : str
-    unit : str
-        Unit to show.
-    scale : float
-        What one of the ellipsoid's own units is in it.
-    note : str
-        Where it is.
-
-    Returns
-    -------
-    plotly Figure
-    """
+    """Draw an ellipsoid with its axes."""
     surface = scale * ellipsoid.surface()
     rings, meridians = [*surface[2:-2:2]], [*surface.swapaxes(0, 1)[:-1:4]]
     traces: list[Any] = [_curves([*rings, *meridians], name=f"{LEVEL:.0%} of the probability", color=BASE_COLOR)]
@@ -78,20 +62,7 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
 
 
 def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection) -> "Figure":
-    """Draw what the data leave free: the target moved both ways along a free direction.
-
-    Parameters
-    ----------
-    base, target : Survey
-        Each in its own frame.
-    T_base_target : RigidTransform
-        Pose to start from.
-    free : DegenerateDirection
-
-    Returns
-    -------
-    plotly Figure
-    """
+    """Draw what the data leave free: the target moved both ways along a free direction."""
     p_target = target.positions[thinned(len(target), MAX_SWEPT)]
     reach = SWEEP * float(np.ptp(p_target, axis=0).max())
     here = transform_points(p_target, T_base_target)
@@ -126,19 +97,7 @@ def _curves(curves: list[Points], name: str, color: str) -> Any:
 
 
 def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":
-    """Where the target would lie under each of several poses: numbered outlines, or paths, in plan view.
-
-    Parameters
-    ----------
-    base, target : Survey
-        Each in its own frame.
-    poses : sequence of RigidTransform
-        ``T_base_target``, best first; the first is drawn heavier.
-
-    Returns
-    -------
-    plotly Figure
-    """
+    """Where the target would lie under each of several poses: numbered outlines, or paths, in plan view."""
     p_target = target.positions[thinned(len(target), MAX_SWEPT)]
     lain = [transform_points(p_target, T) for T in poses]
     cut = cut_through(np.concatenate([base.positions, *lain]))

@@ -46,11 +46,6 @@ class Coverage:
 def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Scalars]:
     """Ask a map all over the box around its samples, and at points of a picture.
 
-    Parameters
-    ----------
-    field_map : FieldMap
-    points : (n, 3) array, m, map frame
-
     Returns
     -------
     coverage : Coverage
@@ -79,19 +74,7 @@ def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Sca
 
 
 def left_out(field_map: FieldMap, read: Survey) -> Mask:
-    """Samples of a survey that the map was not made from.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    read : Survey
-        As it was given to `build_map`, map frame.
-
-    Returns
-    -------
-    (n,) bool array
-        Rows whose very numbers are not among the map's samples.
-    """
+    """Samples of a survey that the map was not made from."""
     kept = {row.tobytes() for part in field_map.surveys for row in _rows(part)}
     return np.array([row.tobytes() not in kept for row in _rows(read)], dtype=bool)
 

@@ -33,8 +33,6 @@ class Part:
     ----------
     name : str
         Unique among the parts; what its node is called.
-    survey : Survey
-    field_map : FieldMap or None
     color : (3,) array
         Colour that tells the parts apart, 0 to 255.
     shape : str
@@ -63,7 +61,6 @@ class Exhibit:
         With a registration: base and target.
     T_base_target : RigidTransform or None
         Where the target's frame stands in the base's once registered; the best candidate where none was accepted.
-    result : RegistrationResult or None
     limits : (float, float), uT
         Range of the colour scale of field magnitudes, common to all parts.
     """
@@ -137,14 +134,6 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
 
 def sheet(field_map: FieldMap, cut: Cut, quantity: str, limits: tuple[float, float]) -> tuple[Matrix, Mask]:
     """Colours of a map on a cut, and where it knows the field.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    cut : Cut
-    quantity : str
-        'field magnitude' or 'standard deviation'; the latter has its own range, from 0.
-    limits : (float, float), uT
 
     Returns
     -------

@@ -41,17 +41,7 @@ MAX_MARKED = 400
 
 
 def field_figures(field_map: FieldMap) -> "list[Figure]":
-    """Magnitude on every cut worth drawing, and the three components on the main one.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-
-    Returns
-    -------
-    list of plotly Figure
-        The magnitude on the main cut first.
-    """
+    """Magnitude on every cut worth drawing, and the three components on the main one."""
     p, limits = field_map.survey.positions, common_limits(magnitude_ut(field_map.survey.field))
     main = cut_through(p)
     field, is_known = field_on(main, field_map)
@@ -68,19 +58,7 @@ def field_figures(field_map: FieldMap) -> "list[Figure]":
 
 
 def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
-    """Standard deviation of a component on a cut, with the samples nearest to it.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    cut : Cut
-    sd : (n,) array, T
-        At the points of the cut.
-
-    Returns
-    -------
-    plotly Figure
-    """
+    """Standard deviation of a component on a cut, with the samples nearest to it."""
     p = field_map.survey.positions
     sd, is_known = UT_PER_TESLA * sd, field_map.knows(cut.points)
     a, b, normal = cut.axes

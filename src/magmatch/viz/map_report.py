@@ -59,18 +59,7 @@ def write_map_report(
 
 
 def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Section]:
-    """All there is to say and show of a map, but how to make it again.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    read : sequence of Survey, optional
-        As in `write_map_report`.
-
-    Returns
-    -------
-    list of Section
-    """
+    """All there is to say and show of a map, but how to make it again."""
     cut = cut_through(field_map.survey.positions)
     coverage, sd = cover_and_spread(field_map, cut.points)
     out = [survey.subset(left_out(field_map, survey)) for survey in read]

@@ -63,19 +63,7 @@ def shown_pose(result: RegistrationResult) -> RigidTransform | None:
 
 
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
-    """Both surveys in one frame: as they came, and with the target brought to the base.
-
-    Parameters
-    ----------
-    base, target : Survey
-        Each in its own frame.
-    result : RegistrationResult
-
-    Returns
-    -------
-    list of plotly Figure
-        Before; and after, where there is a pose to show.
-    """
+    """Both surveys in one frame: as they came, and with the target brought to the base."""
     links = result.links
     before = new_scene(
         "Before: as recorded",
@@ -98,19 +86,7 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
 
 
 def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "list[Figure]":
-    """Field magnitude of both maps on one cut of the base frame, and how far their vectors differ.
-
-    Parameters
-    ----------
-    base_map, target_map : FieldMap
-        Each in its own frame.
-    result : RegistrationResult
-
-    Returns
-    -------
-    list of plotly Figure
-        Base, target brought to the base, difference; the base alone where there is no pose to show.
-    """
+    """Field magnitude of both maps on one cut of the base frame, and how far their vectors differ."""
     T_base_target = shown_pose(result)
     p_base = base_map.survey.positions
     if T_base_target is not None:
@@ -147,18 +123,7 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
 
 
 def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "Figure | None":
-    """Both maps side by side, each in its own frame, with lines between keypoints that belong together.
-
-    Parameters
-    ----------
-    base_map, target_map : FieldMap
-    result : RegistrationResult
-
-    Returns
-    -------
-    plotly Figure or None
-        None where there are no links.
-    """
+    """Both maps side by side, each in its own frame, with lines between keypoints that belong together."""
     n_links = len(result.links.base)
     if not n_links:
         return None

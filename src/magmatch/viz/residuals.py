@@ -76,23 +76,7 @@ def compare(
     result: RegistrationResult,
     n_compared: int = MAX_COMPARED,
 ) -> Comparison:
-    """Put the target's samples into the base map.
-
-    Parameters
-    ----------
-    base : FieldMap
-    target : Survey or FieldMap
-        A survey alone is taken to have the base's noise.
-    T_base_target : RigidTransform
-    result : RegistrationResult
-        Says how the sensors differ.
-    n_compared : int
-        Samples to compare, evenly chosen.
-
-    Returns
-    -------
-    Comparison
-    """
+    """Put the target's samples into the base map."""
     survey = target.survey if isinstance(target, FieldMap) else target
     noise = (base, target) if isinstance(target, FieldMap) else (base, base)
     variance = sum(m.hyperparameters.noise_sd**2 for m in noise)

@@ -59,38 +59,14 @@ class Cut:
 
 
 def cut_through(p: Points) -> Cut:
-    """Cut the box of points through their median, parallel to its flattest side.
-
-    Parameters
-    ----------
-    p : (n, 3) array, m
-        Points that the picture shall cover.
-
-    Returns
-    -------
-    Cut
-    """
+    """Cut the box of points through their median, parallel to its flattest side."""
     size = np.ptp(p, axis=0)
     flattest = int(np.argmin(size))
     return cut_normal_to(p, flattest if size[flattest] < FLATNESS * np.sort(size)[1] else 2)
 
 
 def cut_normal_to(p: Points, normal: int, height: float | None = None) -> Cut:
-    """Cut the box of points across one axis.
-
-    Parameters
-    ----------
-    p : (n, 3) array, m
-        Points that the picture shall cover.
-    normal : int
-        Which axis.
-    height : float, m, optional
-        Where along it; through their median by default.
-
-    Returns
-    -------
-    Cut
-    """
+    """Cut the box of points across one axis."""
     low, high = p.min(axis=0), p.max(axis=0)
     a, b = (axis for axis in range(3) if axis != normal)
     step = max(float(max(high[a] - low[a], high[b] - low[b])) / (N_ALONG - 1), 1e-6)
@@ -105,13 +81,6 @@ def cut_normal_to(p: Points, normal: int, height: float | None = None) -> Cut:
 
 def field_on(cut: Cut, field_map: FieldMap, T_cut_map: RigidTransform | None = None) -> tuple[Vectors, Mask]:
     """Field of a map on a cut, in the cut's frame, and where the map knows it.
-
-    Parameters
-    ----------
-    cut : Cut
-    field_map : FieldMap
-    T_cut_map : RigidTransform, optional
-        Takes map coordinates to the cut's frame; the same frame by default.
 
     Returns
     -------

@@ -32,18 +32,7 @@ if TYPE_CHECKING:
 
 
 def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
-    """Samples in space, coloured by field magnitude.
-
-    Parameters
-    ----------
-    survey : Survey
-    left_out : Survey, optional
-        Samples that were not used, drawn as crosses.
-
-    Returns
-    -------
-    plotly Figure
-    """
+    """Samples in space, coloured by field magnitude."""
     rows = thinned(len(survey))
     magnitude = magnitude_ut(survey.field[rows])
     low, high = common_limits(magnitude)
@@ -74,16 +63,7 @@ def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
 
 
 def profile_figure(survey: Survey) -> "Figure":
-    """Field components along the survey: over time, or over sample number where there is none.
-
-    Parameters
-    ----------
-    survey : Survey
-
-    Returns
-    -------
-    plotly Figure
-    """
+    """Field components along the survey: over time, or over sample number where there is none."""
     rows = thinned(len(survey), 3000)
     along = rows if survey.times is None else survey.times[rows] - survey.times[0]
     field = UT_PER_TESLA * survey.field[rows]

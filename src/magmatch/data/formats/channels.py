@@ -38,30 +38,12 @@ class Channel:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Channels:
-    """What stands in a log beside field and poses.
-
-    Attributes
-    ----------
-    by_name : mapping of str to Channel
-    """
+    """What stands in a log beside field and poses."""
 
     by_name: Mapping[str, Channel] = field(default_factory=dict)
 
     def at(self, times: Scalars | None, n: int) -> dict[str, Scalars]:
-        """Values for the samples of a survey: by time where there is one, else row by row.
-
-        Parameters
-        ----------
-        times : (n,) array, s, optional
-            Of the survey, on the file's clock.
-        n : int
-            Number of its samples.
-
-        Returns
-        -------
-        dict of str to (n,) array
-            Channels whose values cannot be matched with the samples are left out.
-        """
+        """Values for the samples of a survey: by time where there is one, else row by row."""
         found = {}
         for name, channel in self.by_name.items():
             if times is not None and channel.times is not None:
@@ -75,25 +57,7 @@ NO_CHANNELS = Channels()
 
 
 def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
-    """Read the number columns of a table that are none of a survey's.
-
-    Parameters
-    ----------
-    path : path
-        A CSV or Parquet file; others have none (recorder logs: see `magmatch.data.logs.read.read_log`).
-    layout : SurveyFormat
-        Names of the survey's own columns, and the unit of time.
-
-    Returns
-    -------
-    Channels
-        Columns that hold anything but finite numbers are left out, and all beyond the first 64.
-
-    Raises
-    ------
-    DataFormatError
-        The file is no table at all.
-    """
+    """Read the number columns of a table that are none of a survey's."""
     kind = sniff(path)
     if kind == "csv":
         times, columns = _of_csv(path, layout)

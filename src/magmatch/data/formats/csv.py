@@ -21,25 +21,7 @@ logger = logging.getLogger(__name__)
 
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
-    """Read a survey CSV into tesla, metre and the survey's frame.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    layout : SurveyFormat
-        Its units, frames and column names.
-
-    Returns
-    -------
-    Survey
-        Not yet checked for plausibility; see `magmatch.data.checks.check_survey`.
-
-    Raises
-    ------
-    DataFormatError
-        With line and column wherever one is at fault.
-    """
+    """Read a survey CSV into tesla, metre and the survey's frame."""
     names = layout.column_names()
     known = [*names, *(name for name in COLUMNS if name not in names.values())]
     table = read_table(path, known, recover=layout.recover, advise=_advice)
@@ -47,25 +29,7 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
 
 
 def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
-    """Turn a table of samples, from whatever format, into a survey.
-
-    Parameters
-    ----------
-    table : Table
-        In its own units and under our column names.
-    layout : SurveyFormat
-        Units, frames, and poses from elsewhere.
-
-    Returns
-    -------
-    Survey
-        In tesla and metre, survey frame.
-
-    Raises
-    ------
-    DataFormatError
-        A column is missing or at fault.
-    """
+    """Turn a table of samples, from whatever format, into a survey."""
     if table.has("t") and layout.time_unit != "s":
         times = table.columns["t"] / UNITS_PER_SECOND[layout.time_unit]
         table = replace(table, columns=table.columns | {"t": times})
@@ -88,19 +52,7 @@ def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
 
 
 def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
-    """Join field samples with the poses of a trajectory file.
-
-    Parameters
-    ----------
-    table : Table
-        Columns ``t`` (s) and ``bx, by, bz``; others are ignored, and said to be.
-    layout : SurveyFormat
-        Units, and the trajectory.
-
-    Returns
-    -------
-    Recording
-    """
+    """Join field samples with the poses of a trajectory file."""
     if layout.trajectory is None:
         message = (
             "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"

@@ -18,22 +18,7 @@ FIELD_COLUMNS = ("t", "bx", "by", "bz")
 
 
 def read_euroc_trajectory(path: str | Path) -> Trajectory:
-    """Read the poses of a ground truth or an estimate.
-
-    Parameters
-    ----------
-    path : path
-        Rows ``timestamp, x, y, z, qw, qx, qy, qz`` and whatever follows (velocities, biases).
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    DataFormatError
-        With the line at fault.
-    """
+    """Read the poses of a ground truth or an estimate."""
     table = _read(path, POSE_COLUMNS)
     orientations = rotations_of(table)
     if orientations is None or len(table) < 2:
@@ -42,23 +27,7 @@ def read_euroc_trajectory(path: str | Path) -> Trajectory:
 
 
 def read_euroc_field(path: str | Path) -> Table:
-    """Read the rows of a magnetometer.
-
-    Parameters
-    ----------
-    path : path
-        Rows ``timestamp, bx, by, bz``; more columns are ignored.
-
-    Returns
-    -------
-    Table
-        Columns ``t`` (s) and ``bx, by, bz`` (in the file's unit).
-
-    Raises
-    ------
-    DataFormatError
-        With the line at fault.
-    """
+    """Read the rows of a magnetometer."""
     return _read(path, FIELD_COLUMNS)
 
 

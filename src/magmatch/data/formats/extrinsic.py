@@ -20,22 +20,6 @@ EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
 def read_extrinsic(text: str) -> RigidTransform:
     """Extrinsic of a magnetometer.
 
-    Parameters
-    ----------
-    text : str
-        ``x y z qx qy qz qw``, or ``x y z``, or the name of a YAML file with ``translation`` (``x, y, z``) and
-        ``rotation`` (``x, y, z, w``), as lists or by name, possibly under ``transform``.
-
-    Returns
-    -------
-    RigidTransform
-        ``T_body_sensor``.
-
-    Raises
-    ------
-    ConfigurationError, DataFormatError
-        The text, or the file, does not hold that.
-
     Examples
     --------
     >>> read_extrinsic("0.1 0 0.3").translation.tolist()

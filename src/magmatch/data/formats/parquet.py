@@ -25,27 +25,7 @@ MAX_THRIFT = 64 << 20  # bytes or entries of the file's description
 
 
 def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
-    """Read the columns of a survey from a Parquet file.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    layout : SurveyFormat
-        Names of columns where they differ.
-
-    Returns
-    -------
-    Table
-        In the file's units; rows are counted from 1 as its line numbers. Time stamps become seconds since 1970.
-
-    Raises
-    ------
-    DataFormatError
-        Damaged, too large for its bytes, or with columns that are no finite numbers.
-    MissingExtraError
-        Reading Parquet needs the extra ``parquet``.
-    """
+    """Read the columns of a survey from a Parquet file."""
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
         known = _known(layout)
@@ -66,15 +46,6 @@ def read_other_columns(
     path: str | Path, layout: SurveyFormat, most: int
 ) -> tuple[Scalars | None, dict[str, Scalars]]:
     """Read the number columns of a Parquet file that are none of a survey's.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    layout : SurveyFormat
-        Names of the survey's own columns where they differ.
-    most : int
-        How many columns to read at most.
 
     Returns
     -------
@@ -174,19 +145,7 @@ def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars
 
 
 def write_parquet(survey: Survey, path: str | Path) -> None:
-    """Write a survey as Parquet, with the columns of the CSV; reading it back gives the same float64 values.
-
-    Parameters
-    ----------
-    survey : Survey
-    path : path
-        Where; an existing file is replaced only once the new one is complete.
-
-    Raises
-    ------
-    MissingExtraError
-        Writing Parquet needs the extra ``parquet``.
-    """
+    """Write a survey as Parquet, with the columns of the CSV; reading it back gives the same float64 values."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -27,24 +27,7 @@ _PHYPHOX_TIME = "time (s)"
 
 
 def read_phone(path: str | Path) -> Table:
-    """Read the magnetometer of a phone log.
-
-    Parameters
-    ----------
-    path : path
-        A zip archive or a folder with ``Magnetometer.csv`` (Sensor Logger) or ``Raw Data.csv`` (phyphox), or such a
-        table itself.
-
-    Returns
-    -------
-    Table
-        Columns ``t`` (s: since 1970, or since the start of a phyphox experiment) and ``bx, by, bz`` (microtesla).
-
-    Raises
-    ------
-    DataFormatError
-        No such table in it, or a damaged one; with line and column where they are known.
-    """
+    """Read the magnetometer of a phone log."""
     place, raw = _samples_of(path)
     if place.name.lower() == PHONE_MEMBERS[-1]:
         logger.warning("%s: read without the phone's own calibration; expect an offset ('magmatch prepare')", place)

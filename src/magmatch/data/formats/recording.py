@@ -55,17 +55,7 @@ class Recording:
     channels: Channels = NO_CHANNELS
 
     def carried(self, T_body_sensor: RigidTransform | None) -> "Recording":
-        """Turn poses of the carrying body into poses of the sensor.
-
-        Parameters
-        ----------
-        T_body_sensor : RigidTransform or None
-            Takes sensor coordinates to body coordinates; None where the poses are the sensor's own.
-
-        Returns
-        -------
-        Recording
-        """
+        """Turn poses of the carrying body into poses of the sensor."""
         if T_body_sensor is None:
             return self
         body = self.trajectory
@@ -74,18 +64,7 @@ class Recording:
         return replace(self, trajectory=poses)
 
     def survey(self) -> Survey:
-        """Join: each field sample at the pose interpolated to its time, its vector in the survey frame.
-
-        Returns
-        -------
-        Survey
-            Samples that the trajectory covers; what is dropped is logged.
-
-        Raises
-        ------
-        DataFormatError
-            No sample is covered, or vectors in the sensor's frame without orientations.
-        """
+        """Join: each field sample at the pose interpolated to its time, its vector in the survey frame."""
         if self.field_frame == "sensor" and not self.has_orientations:
             message = "the poses are positions only, so field vectors in the sensor's frame cannot be turned"
             raise DataFormatError(self.path, message)

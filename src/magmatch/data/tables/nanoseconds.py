@@ -13,15 +13,6 @@ SECOND = 1_000_000_000
 def seconds_of(nanoseconds: Iterable[int]) -> Scalars:
     """Whole nanoseconds as the nearest float64 seconds, as a reader of decimals would round them.
 
-    Parameters
-    ----------
-    nanoseconds : iterable of int
-        Python integers of any size.
-
-    Returns
-    -------
-    (n,) array, s
-
     Examples
     --------
     >>> seconds_of([1700000000123456789]).tolist() == [1700000000.123456789]
@@ -32,16 +23,7 @@ def seconds_of(nanoseconds: Iterable[int]) -> Scalars:
 
 
 def nanoseconds_of(seconds: Scalars) -> Indices:
-    """Seconds as the nearest whole nanoseconds.
-
-    Parameters
-    ----------
-    seconds : (n,) array, s
-
-    Returns
-    -------
-    (n,) int array
-    """
+    """Seconds as the nearest whole nanoseconds."""
     whole = np.floor(seconds)
     stamps: Indices = whole.astype(np.int64) * SECOND + np.rint((seconds - whole) * SECOND).astype(np.int64)
     return stamps

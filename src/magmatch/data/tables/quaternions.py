@@ -13,23 +13,7 @@ MAX_NORM_ERROR = 0.05
 
 
 def rotations_of(table: Table) -> Rotation | None:
-    """Orientations of a table's rows.
-
-    Parameters
-    ----------
-    table : Table
-        May hold ``qx, qy, qz, qw``.
-
-    Returns
-    -------
-    Rotation or None
-        None where the table has no quaternion column at all.
-
-    Raises
-    ------
-    DataFormatError
-        Half a quaternion, a zero one, or one that is far from unit length.
-    """
+    """Orientations of a table's rows."""
     present = [name for name in QUATERNION if table.has(name)]
     if not present:
         return None

@@ -119,24 +119,7 @@ def text_lines(path: str | Path, raw: bytes) -> list[str]:
 
 
 def text_blocks(path: str | Path, raw: bytes | None = None) -> Iterator[Block]:
-    """Give the lines of a text file in blocks of some megabytes, so that a long one is never held as a whole.
-
-    Parameters
-    ----------
-    path : path
-        The file; UTF-16 is read at once.
-    raw : bytes, optional
-        The content, where it is not that of a file of its own.
-
-    Yields
-    ------
-    Block
-
-    Raises
-    ------
-    DataFormatError
-        No such file, empty, binary, in another encoding, or with a line that no table has.
-    """
+    """Give the lines of a text file in blocks of some megabytes, so that a long one is never held as a whole."""
     start, is_blank, n_bytes = 0, True, 0
     for piece, is_last in _pieces(path) if raw is None else [(raw, True)]:
         is_blank, n_bytes = is_blank and not piece.strip(), n_bytes + len(piece)

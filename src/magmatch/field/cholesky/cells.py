@@ -143,28 +143,7 @@ def lattice_coordinate(x: np.ndarray, spacing: float) -> np.ndarray:
 def lay_cells(
     points: Points, spacing: float, reach: float, box: tuple[np.ndarray, np.ndarray] | None = None
 ) -> CellGrid:
-    """Lay cells over all places within reach of a sample.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        Where samples are.
-    spacing : float, m
-        Side of a cell.
-    reach : float, cells
-        Cells are active whose centre lies this near to the centre of a cell that holds a sample.
-    box : two (3,) int arrays, optional
-        First and one past the last cell of the lattice to activate, whatever the samples' reach.
-
-    Returns
-    -------
-    CellGrid
-
-    Raises
-    ------
-    ConfigurationError
-        If more cells would be needed than memory allows.
-    """
+    """Lay cells over all places within reach of a sample."""
     first, occupied, shape = _occupied(points, spacing, reach)
     n_box = float(np.prod(shape))
     if n_box > MAX_BOX_CELLS:

@@ -12,14 +12,7 @@ Make = Callable[[type[np.floating]], CholeskyFactor]
 
 
 class Factors:
-    """Factors of one matrix, each made when it is first asked for.
-
-    Parameters
-    ----------
-    make : callable
-    made : CholeskyFactor, optional
-        Made already: serves as the light one, and as the full one too if it is double.
-    """
+    """Factors of one matrix, each made when it is first asked for."""
 
     def __init__(self, make: Make, made: CholeskyFactor | None = None) -> None:
         self._make = make

@@ -25,7 +25,6 @@ class CholeskyFactor:
 
     Attributes
     ----------
-    elimination : Elimination
     pivots : list of (n, n) arrays
         Lower triangle of each front's own unknowns.
     below : list of (k, n) arrays

@@ -90,18 +90,7 @@ class Elimination:
 
 
 def order_elimination(cells: CellGrid, leaf_size: int = LEAF_SIZE) -> Elimination:
-    """Nested dissection by planes of the nodes of a grid of cells.
-
-    Parameters
-    ----------
-    cells : CellGrid
-    leaf_size : int
-        Parts of at most so many nodes are not divided further.
-
-    Returns
-    -------
-    Elimination
-    """
+    """Nested dissection by planes of the nodes of a grid of cells."""
     groups: list[np.ndarray] = []
     children: list[tuple[int, ...]] = []
     _dissect(np.arange(cells.n_nodes), cells.nodes, leaf_size, groups, children)

@@ -16,20 +16,7 @@ from magmatch.field.cholesky.nested_dissection import Elimination
 
 
 def solve_operations(elimination: Elimination, unknowns: np.ndarray, n_rows: int) -> float:
-    """Floating-point operations of `half_solves`.
-
-    Parameters
-    ----------
-    elimination : Elimination
-    unknowns : (n, u) int array
-        Unknowns that each point touches.
-    n_rows : int
-        Rows of the linear model per point.
-
-    Returns
-    -------
-    float
-    """
+    """Floating-point operations of `half_solves`."""
     climb = np.zeros(len(elimination.fronts))
     for k in range(len(climb) - 1, -1, -1):
         front = elimination.fronts[k]
@@ -45,23 +32,7 @@ def solve_operations(elimination: Elimination, unknowns: np.ndarray, n_rows: int
 def half_solves(
     factor: CholeskyFactor, unknowns: np.ndarray, rows: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Parts of ``L^-1 phi^T`` for rows phi of the linear model, front by front.
-
-    Parameters
-    ----------
-    factor : CholeskyFactor
-    unknowns : (n, u) int array
-        Unknowns that each point touches; they share an active cell (or are the constant).
-    rows : (n, r, u) array
-        Rows of the linear model, r per point.
-
-    Yields
-    ------
-    points : (a,) int array
-        Which points this front has something to say about.
-    part : (f, a, r) array
-        Entries of the solution that belong to the front's own unknowns.
-    """
+    """Parts of ``L^-1 phi^T`` for rows phi of the linear model, front by front."""
     e = factor.elimination
     position = e.position[unknowns]
     first = position.min(axis=1)
@@ -91,18 +62,7 @@ def half_solves(
 
 
 def marginal_covariances(factor: CholeskyFactor, unknowns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Covariance of each point's own rows, ``phi A^-1 phi^T``.
-
-    Parameters
-    ----------
-    factor : CholeskyFactor
-    unknowns : (n, u) int array
-    rows : (n, r, u) array
-
-    Returns
-    -------
-    (n, r, r) array
-    """
+    """Covariance of each point's own rows, ``phi A^-1 phi^T``."""
     out = np.zeros((len(rows), rows.shape[1], rows.shape[1]))
     for points, part in half_solves(factor, unknowns, rows):
         columns = part.transpose(1, 2, 0)
@@ -111,19 +71,7 @@ def marginal_covariances(factor: CholeskyFactor, unknowns: np.ndarray, rows: np.
 
 
 def joint_covariances(factor: CholeskyFactor, unknowns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Covariance of all points' rows with each other.
-
-    Parameters
-    ----------
-    factor : CholeskyFactor
-    unknowns : (n, u) int array
-    rows : (n, r, u) array
-
-    Returns
-    -------
-    (n r, n r) array
-        Row ``r i + a`` is row a of point i.
-    """
+    """Covariance of all points' rows with each other."""
     n, n_rows, _ = rows.shape
     out = np.zeros((n, n_rows, n, n_rows))
     for points, part in half_solves(factor, unknowns, rows):

@@ -14,21 +14,7 @@ TOLERANCE, MOST_CORRECTIONS, SLOWEST = 1e-11, 8, 0.2
 
 
 def refined_solve(A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid) -> Scalars | None:
-    """Solve ``A x = rhs`` by iterative refinement (Wilkinson 1963).
-
-    Parameters
-    ----------
-    A : StencilMatrix
-    factor : CholeskyFactor
-        Of A, in single precision.
-    rhs : (m + 3,) array
-    cells : CellGrid
-
-    Returns
-    -------
-    (m + 3,) array or None
-        None where rounding is too large for the corrections to shrink.
-    """
+    """Solve ``A x = rhs`` by iterative refinement (Wilkinson 1963)."""
     x = factor.solve(rhs)
     size = last = float(np.abs(x).max())
     for _ in range(MOST_CORRECTIONS):

@@ -11,13 +11,7 @@ MOST_IDLE, SMALLEST = 3e8, 1 << 16
 
 
 class Reserve:
-    """Buffers in which matrices lie, and others once nobody looks at the first.
-
-    Parameters
-    ----------
-    most_idle : float
-        Bytes of buffers that are kept while nobody uses them.
-    """
+    """Buffers in which matrices lie, and others once nobody looks at the first."""
 
     def __init__(self, most_idle: float = MOST_IDLE) -> None:
         # Matrices may be collected, and so come back, in the middle of `take`: by the thread that holds the lock.

@@ -24,16 +24,6 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
 
     With a front's factor ``[L; X]`` and the inverse Z22 among its border (known from its parent),
     ``W = X L^-1``, ``Z21 = -Z22 W``, ``Z11 = L^-T L^-1 + W^T Z22 W``.
-
-    Parameters
-    ----------
-    factor : CholeskyFactor
-        In whose precision everything is computed: single tells standard deviations of the field to a thousandth.
-
-    Returns
-    -------
-    StencilMatrix
-        Right wherever two unknowns share an active cell (or one is the constant); 0 elsewhere.
     """
     e = factor.elimination
     out = StencilMatrix.zeros(e.n_unknowns - 3)

@@ -70,20 +70,7 @@ class StencilMatrix:
 
 
 def sum_of_elements(cells: CellGrid, element: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Stencils (m, 172) of the weighted sum of one 64 x 64 matrix over all active cells.
-
-    Parameters
-    ----------
-    cells : CellGrid
-    element : (64, 64) array
-        Symmetric.
-    weights : (c,) array
-        Factor of each cell.
-
-    Returns
-    -------
-    (m, 172) array
-    """
+    """Stencils (m, 172) of the weighted sum of one 64 x 64 matrix over all active cells."""
     stencil = np.zeros((cells.n_nodes, HALF_STENCIL))
     _add_element(stencil, element, weights, cells.cell_nodes, HALF_OFFSET)
     return stencil

@@ -60,21 +60,7 @@ def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: in
 
 
 def charge_design(points: Points, sources: Points, order: int) -> np.ndarray:
-    """Field and distinct derivatives at points per unit charge.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        None on a source.
-    sources : (m, 3) array, m
-    order : int
-        Highest derivative.
-
-    Returns
-    -------
-    (3, 9 or 19, n, m) array
-        1/m^2, 1/m^3, 1/m^4.
-    """
+    """Field and distinct derivatives at points per unit charge."""
     out = np.empty((len(derivative_table(order)), len(points), len(sources)))
     _fill(points, sources, order, out)
     return out

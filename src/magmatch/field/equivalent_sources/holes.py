@@ -22,12 +22,6 @@ _MOST_CHARGES, _MOST_NODES = 1500, 2e6
 def hole_charges(shell: SourceShell, points: Points) -> tuple[Points, Indices]:
     """Lattice nodes within the samples' hull, far from any sample and from a layer of charges, in groups.
 
-    Parameters
-    ----------
-    shell : SourceShell
-    points : (n, 3) array, m
-        Samples.
-
     Returns
     -------
     charges : (k, 3) array, m

@@ -33,7 +33,6 @@ class InnerSources:
 
     Attributes
     ----------
-    shell : SourceShell
     points : (n, 3) array, m
         Samples.
     charges : (k, 3) array, m
@@ -57,20 +56,7 @@ class InnerSources:
     product: Scalars
 
     def filled(self, h: Hyperparameters, constant_sd: float) -> SourceShell:
-        """Layer with those charges that the evidence asks for.
-
-        Parameters
-        ----------
-        h : Hyperparameters
-            Signal and noise of the layer.
-        constant_sd : float, T
-            Prior standard deviation of the constant field.
-
-        Returns
-        -------
-        SourceShell
-            The same where there is no need.
-        """
+        """Layer with those charges that the evidence asks for."""
         if len(self.charges) == 0:
             return self.shell
         unit = h.looseness * h.signal_sd
@@ -89,18 +75,7 @@ class InnerSources:
 
 
 def find_inner_sources(shell: SourceShell, points: Points, field: Vectors) -> InnerSources:
-    """Look where sources may stand nearer than a layer of charges.
-
-    Parameters
-    ----------
-    shell : SourceShell
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-
-    Returns
-    -------
-    InnerSources
-    """
+    """Look where sources may stand nearer than a layer of charges."""
     magnets, magnet, strength = magnet_charges(points, field, shell.distance)
     holes, hole = hole_charges(shell, points)
     charges = np.concatenate([magnets, holes])

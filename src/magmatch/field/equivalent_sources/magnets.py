@@ -29,13 +29,6 @@ _STEPS, _LARGEST_STEP, _SETTLED = 8, 0.3, 1e-4
 def magnet_charges(points: Points, field: Vectors, reach: float) -> tuple[Points, Indices, Scalars]:
     """Clusters of charges that stand for magnets near the samples.
 
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    reach : float, m
-        Magnets farther from all samples are left out.
-
     Returns
     -------
     charges : (k, 3) array, m
@@ -54,13 +47,6 @@ def magnet_charges(points: Points, field: Vectors, reach: float) -> tuple[Points
 
 def find_magnets(points: Points, field: Vectors, reach: float) -> tuple[Points, Vectors]:
     """Positions and moments of dipoles beside a field that changes linearly.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    reach : float, m
-        No magnet farther from the samples is looked for.
 
     Returns
     -------

@@ -48,18 +48,7 @@ class ShellFit:
 
 
 def search_distance(fit_at: Callable[[float], ShellFit], start: float, low: float, high: float) -> ShellFit:
-    """Walk uphill in the distance, by steps of sqrt(2), then of its root.
-
-    Parameters
-    ----------
-    fit_at : function
-        Best fit at a distance.
-    start, low, high : float, m
-
-    Returns
-    -------
-    ShellFit
-    """
+    """Walk uphill in the distance, by steps of sqrt(2), then of its root."""
     fits: dict[float, ShellFit] = {}
 
     def fit(distance: float) -> ShellFit:
@@ -81,20 +70,7 @@ def search_distance(fit_at: Callable[[float], ShellFit], start: float, low: floa
 
 
 def fit_shell(shell: SourceShell, points: Points, field: Vectors, parts: Parts) -> ShellFit:
-    """Signal and noise that suit one layer of sources best.
-
-    Parameters
-    ----------
-    shell : SourceShell
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    parts : Parts
-        Of the same samples.
-
-    Returns
-    -------
-    ShellFit
-    """
+    """Signal and noise that suit one layer of sources best."""
     unit = float(np.abs(field - field.mean(axis=0)).max())
     y = ((field - field.mean(axis=0)) / unit).T.ravel()
     A = _design(shell, points)

@@ -62,19 +62,7 @@ class Parts:
 
 
 def divide(points: Points, lengthscale: float) -> Parts:
-    """Parts of a survey to leave out: stretches of a path or cubes, and a slice off one end.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    lengthscale : float, m
-        How far a field reaches.
-
-    Returns
-    -------
-    Parts
-        Without folds where there are too few samples to leave any out.
-    """
+    """Parts of a survey to leave out: stretches of a path or cubes, and a slice off one end."""
     extent = np.ptp(points, axis=0)
     is_path = has_path_order(points)
     if len(points) < FEWEST_SAMPLES or not extent.max() > 0:
@@ -98,23 +86,7 @@ def calibrated(
     box: Box | None = None,
     model: LinearModel[Any] | None = None,
 ) -> Hyperparameters:
-    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
-
-    Parameters
-    ----------
-    prior : Prior
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    h : Hyperparameters
-    box : Box, optional
-        What the prior is laid over beside the points.
-    model : LinearModel, optional
-        The prior with these numbers where it is laid over these points already.
-
-    Returns
-    -------
-    Hyperparameters
-    """
+    """The same numbers with the noise and the spread that held-out samples ask for, never smaller."""
     some = np.sort(choose_samples(points, field, _N_USED))
     few, values = points[some], field[some]
     parts = divide(few, h.lengthscale)
@@ -137,18 +109,6 @@ def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> fl
 
     Noise is each sample's own: what the residuals of nearest neighbours share is misfit, such as that of a source
     which the prior rules out. It was taken for noise, which many samples average away; their misfit they do not.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    posterior : Posterior
-        Of these samples.
-
-    Returns
-    -------
-    float
-        At least 1, which it is unless neighbours share something beyond chance.
     """
     rows = np.arange(len(points))
     residual = field - posterior.evaluate(points).field
@@ -168,19 +128,6 @@ def widened(h: Hyperparameters, points: Points, field: Vectors, parts: Parts, fi
 
     The mean stays what it is: noise and prior grow alike. Of a few spreads the sharpest, in mean log width, that
     covers 95 % of all held-out components together is taken.
-
-    Parameters
-    ----------
-    h : Hyperparameters
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    parts : Parts
-    fit : function
-        Posterior without the samples of a mask.
-
-    Returns
-    -------
-    Hyperparameters
     """
     if not parts.folds:
         return h

@@ -42,27 +42,7 @@ class DenseGP:
     def fit(
         cls, kernel: Kernel, points: Points, field: Vectors, noise_sd: float, constant_sd: float = 0.0
     ) -> "DenseGP":
-        """Condition the prior on samples.
-
-        Parameters
-        ----------
-        kernel : Kernel
-        points : (n, 3) array, m
-        field : (n, 3) array, T
-        noise_sd : float, T
-            Standard deviation of one measured component.
-        constant_sd : float, T
-            Prior standard deviation of an added constant field.
-
-        Returns
-        -------
-        DenseGP
-
-        Raises
-        ------
-        ValueError
-            More samples than a dense solution is meant for, or a covariance that is not positive definite.
-        """
+        """Condition the prior on samples."""
         if len(points) > MAX_SAMPLES:
             msg = f"expected at most {MAX_SAMPLES} samples for the exact model, got {len(points)}: use a sparse one"
             raise ValueError(msg)
@@ -82,18 +62,7 @@ class DenseGP:
         return cls(kernel, points, factor, solve_triangular(factor, half, lower=True, trans=1), constant_sd)
 
     def mean(self, points: Points, order: int = 0) -> FieldValues:
-        """Posterior mean of field and derivatives.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        order : int
-            Highest derivative: 0, 1 or 2.
-
-        Returns
-        -------
-        FieldValues
-        """
+        """Posterior mean of field and derivatives."""
         rows = (self._cross(points, order) @ self.solution).reshape(N_ROWS[order], -1)
         n = len(points)
         return FieldValues(
@@ -103,18 +72,7 @@ class DenseGP:
         )
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
-        """Marginal posterior covariance at each point.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        order : int
-            0: field; 1: field, then gradient row-major.
-
-        Returns
-        -------
-        (n, 3, 3) or (n, 12, 12) array
-        """
+        """Marginal posterior covariance at each point."""
         prior = self.kernel.at_one_point(order)
         prior[:3, :3] += self.constant_sd**2 * np.eye(3)
         half = solve_triangular(self.factor, self._cross(points, order).T, lower=True)

@@ -39,7 +39,6 @@ class GaussianGrid:
 
     Attributes
     ----------
-    grid : InducingGrid
     lengthscale : float, m
     terms : tuple of Term
         The operator.
@@ -73,19 +72,7 @@ class GaussianGrid:
         return np.asarray(x[0][:, i] * y[0][:, j] * z[0][:, k])
 
     def design(self, points: Points, order: int = 0) -> Matrix:
-        """Field and derivatives at points per unit of each weight.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        order : int
-            Highest derivative.
-
-        Returns
-        -------
-        (rows n, n_weights) array
-            Component-major rows: ``r n + i`` is row r of point i (see `kernels.N_ROWS`).
-        """
+        """Field and derivatives at points per unit of each weight."""
         x, y, z = self._tables((points[:, 0], points[:, 1], points[:, 2]), order)
         i, j, k = self.grid.levels()[1]
 
@@ -96,21 +83,7 @@ class GaussianGrid:
         return stacked.reshape(N_ROWS[order] * len(points), self.n_weights)
 
     def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives at scattered points.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        weights : (n_weights,) array, T
-        order : int
-            Highest derivative.
-        constant : (3,) array, T
-            Added to the field.
-
-        Returns
-        -------
-        FieldValues
-        """
+        """Field and derivatives at scattered points."""
         out = np.zeros((N_ROWS[order], len(points)))
         if self._is_box_too_empty():
             for rows in _chunks(len(points), N_ROWS[order] * self.n_weights):
@@ -124,21 +97,7 @@ class GaussianGrid:
         return _as_values(out, order, constant)
 
     def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, in C order.
-
-        Parameters
-        ----------
-        axes : three (q,) arrays, m
-        weights : (n_weights,) array, T
-        order : int
-            Highest derivative.
-        constant : (3,) array, T
-            Added to the field.
-
-        Returns
-        -------
-        FieldValues
-        """
+        """Field and derivatives on the grid spanned by three axes, in C order."""
         if self._is_box_too_empty():
             points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
             return self.evaluate(points, weights, order, constant)

@@ -57,21 +57,7 @@ class InducingGrid:
 
 
 def lay_inducing_grid(points: Points, spacing: float, reach: float) -> InducingGrid:
-    """Nodes of a grid centred over the points' box that are within reach of a point.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        Samples, at least one.
-    spacing : float, m
-        Distance of neighbouring nodes.
-    reach : float, m
-        Largest distance of a node from its nearest sample; at least the corners of each sample's cell are laid.
-
-    Returns
-    -------
-    InducingGrid
-    """
+    """Nodes of a grid centred over the points' box that are within reach of a point."""
     origin = _centred_origin(points, spacing)
     n_steps = int(np.ceil(reach / spacing))
     candidates = _dilated(_occupied_cells(points, origin, spacing), -n_steps, n_steps + 1)
@@ -88,22 +74,7 @@ def lay_inducing_grid(points: Points, spacing: float, reach: float) -> InducingG
 def lay_affordable_grid(
     points: Points, spacing: float, reach_at: Callable[[float], float], max_nodes: int
 ) -> InducingGrid:
-    """Lay a grid with the spacing asked for, or the least wider one that needs no more nodes than allowed.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    spacing : float, m
-        Distance of neighbouring nodes, where the cap allows it.
-    reach_at : function
-        Reach (m) at a spacing (m).
-    max_nodes : int
-        Largest number of nodes.
-
-    Returns
-    -------
-    InducingGrid
-    """
+    """Lay a grid with the spacing asked for, or the least wider one that needs no more nodes than allowed."""
     h = spacing
     while True:
         # Every occupied cell needs a node, a node serves eight cells: says "too many" before laying any.

@@ -61,8 +61,6 @@ class InducingModel:
 
     Attributes
     ----------
-    hyperparameters : Hyperparameters
-    basis : Basis
     kernel : Kernel
         Prior covariance of the field, for unit variance, where the basis alone is not the prior.
     constant_sd : float, T
@@ -99,26 +97,7 @@ class InducingModel:
         jitter: float,
         known_reach: float,
     ) -> "InducingModel":
-        """Factorise the prior of the weights.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-            Samples of the region.
-        hyperparameters : Hyperparameters
-        basis : GaussianGrid
-        kernel : Kernel
-            Of unit variance.
-        constant_sd : float, T
-            0 holds the constant field at zero.
-        jitter : float
-            Added to the diagonal of the inducing points' covariance, relative to the variance.
-        known_reach : float, m
-
-        Returns
-        -------
-        InducingModel
-        """
+        """Factorise the prior of the weights."""
         n = basis.n_weights
         gram = basis.gram()
         factor = np.zeros((n + 3, n + 3), order="F")
@@ -204,7 +183,6 @@ class InducingPosterior:
 
     Attributes
     ----------
-    model : InducingModel
     factor : (m, m) array
         Lower Cholesky factor of the whitened weights' posterior precision.
     white : (m,) array

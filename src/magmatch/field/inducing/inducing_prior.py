@@ -57,18 +57,7 @@ class InducingConfig(BaseModel):
 
 
 class InducingPrior:
-    """Lays inducing points over a survey; cost grows with samples times weights squared.
-
-    Parameters
-    ----------
-    name : str
-        What configuration calls it.
-    kernel : type
-        Covariance of the field.
-    terms : tuple of Term
-        Operator from the weights of a node to the field.
-    config : InducingConfig
-    """
+    """Lays inducing points over a survey; cost grows with samples times weights squared."""
 
     def __init__(
         self, name: str, kernel: type[GaussianKernel], terms: tuple[Term, ...], config: InducingConfig
@@ -82,26 +71,7 @@ class InducingPrior:
         box: Box | None = None,  # noqa: ARG002
         calibrate: bool = True,
     ) -> Hyperparameters:
-        """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        field : (n, 3) array, T
-        box : Box, optional
-            Not used: beyond the inducing points the kernel speaks.
-        calibrate : bool
-            Widen noise and spread as held-out samples ask for.
-
-        Returns
-        -------
-        Hyperparameters
-
-        Raises
-        ------
-        SurveyError
-            Fewer than 4 samples, or NaN.
-        """
+        """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows."""
         check_samples(points, field)
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         if float(field.std(axis=0).max()) < SMALLEST_SD or extent == 0:
@@ -149,29 +119,7 @@ class InducingPrior:
         hyperparameters: Hyperparameters,
         box: Box | None = None,  # noqa: ARG002
     ) -> InducingModel:
-        """Lay inducing points over the surroundings of the points.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        field : (n, 3) array, T
-            Checked only.
-        hyperparameters : Hyperparameters
-            A spacing that takes more inducing points than allowed, or needlessly many, is widened.
-        box : Box, optional
-            Not used.
-
-        Returns
-        -------
-        InducingModel
-
-        Raises
-        ------
-        SurveyError
-            Fewer than 4 samples, or NaN.
-        ValueError
-            The inducing points are too dense for their lengthscale.
-        """
+        """Lay inducing points over the surroundings of the points."""
         check_samples(points, field)
         h, config = hyperparameters, self.config
         grid = self._grid(points, max(h.spacing, config.min_spacing_ratio * h.lengthscale), h.lengthscale)

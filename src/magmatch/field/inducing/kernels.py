@@ -77,13 +77,6 @@ GRADIENT = tuple(Term(a, 0, _alpha((a,)), -1.0) for a in range(3))
 def derivative_plan(terms: tuple[Term, ...], order: int) -> tuple[tuple[Alpha, tuple[Target, ...]], ...]:
     """Every product of Hermite functions that field and derivatives need, and where each one goes.
 
-    Parameters
-    ----------
-    terms : tuple of Term
-        The operator.
-    order : int
-        Highest derivative of the field: 0, 1 or 2.
-
     Returns
     -------
     tuple of (alpha, tuple of Target)
@@ -115,20 +108,7 @@ def weights_per_node(terms: tuple[Term, ...]) -> int:
 
 
 def hermite_functions(t: np.ndarray, highest: int) -> np.ndarray:
-    """Derivatives of ``exp(-t^2/2)``.
-
-    Parameters
-    ----------
-    t : array
-        Dimensionless offsets.
-    highest : int
-        Highest derivative.
-
-    Returns
-    -------
-    (highest + 1, ...) array
-        Entry k is the k-th derivative at t.
-    """
+    """Derivatives of ``exp(-t^2/2)``."""
     # Zero from here on in float64; squares of absurd distances would overflow.
     t = np.clip(t, -_FAR, _FAR)
     out = np.empty((highest + 1, *t.shape))
@@ -147,25 +127,7 @@ def stack_products(
     lengthscale: float,
     shape: tuple[int, int],
 ) -> np.ndarray:
-    """Matrix of field and derivatives at points against weights of nodes, for a kernel of unit variance.
-
-    Parameters
-    ----------
-    product_of : function
-        Gives the (n points, m nodes) product of Hermite functions for an ``alpha``.
-    terms : tuple of Term
-        The operator.
-    order : int
-        Highest derivative.
-    lengthscale : float, m
-    shape : (int, int)
-        Number of points and nodes.
-
-    Returns
-    -------
-    (rows, n, weights per node, m) array
-        Rows as in `N_ROWS`; units 1, 1/m, 1/m^2.
-    """
+    """Matrix of field and derivatives at points against weights of nodes, for a kernel of unit variance."""
     n, m = shape
     plan = derivative_plan(terms, order)
     out = np.zeros((N_ROWS[order], n, weights_per_node(terms), m))
@@ -218,21 +180,7 @@ class GaussianKernel:
             raise ValueError(msg)
 
     def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
-        """Covariance of field (and derivatives) at points with the field at others.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        others : (m, 3) array, m
-        order : int
-            Highest derivative with respect to ``points``: 0, 1 or 2.
-
-        Returns
-        -------
-        (rows n, 3 m) array
-            Component-major: row ``r n + i`` is row r (see `N_ROWS`) of point i, column ``b m + j`` component b
-            at other point j. T^2, T^2/m, T^2/m^2.
-        """
+        """Covariance of field (and derivatives) at points with the field at others."""
         highest = highest_derivative(self.terms, order)
         offsets = ((points[:, None, k] - others[None, :, k]) / self.lengthscale for k in range(3))
         x, y, z = (hermite_functions(t, highest) for t in offsets)
@@ -244,17 +192,7 @@ class GaussianKernel:
         return stacked.reshape(N_ROWS[order] * shape[0], 3 * shape[1])
 
     def at_one_point(self, order: int = 0) -> Matrix:
-        """Prior covariance of field, or of field and gradient, at one point.
-
-        Parameters
-        ----------
-        order : int
-            0: (3, 3), T^2; 1: (12, 12), gradient row-major.
-
-        Returns
-        -------
-        array
-        """
+        """Prior covariance of field, or of field and gradient, at one point."""
         return prior_at_one_point(self, order)
 
 
@@ -296,18 +234,7 @@ class CurlFreeKernel(GaussianKernel):
 
 
 def prior_at_one_point(kernel: Kernel, order: int) -> Matrix:
-    """Covariance of field (and gradient) with itself at one point, for a stationary kernel.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    order : int
-        0 or 1.
-
-    Returns
-    -------
-    (3, 3) or (12, 12) array
-    """
+    """Covariance of field (and gradient) with itself at one point, for a stationary kernel."""
     if order not in (0, 1):
         msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
         raise ValueError(msg)

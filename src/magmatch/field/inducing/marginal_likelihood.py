@@ -50,24 +50,7 @@ def fit_lengthscale(
     bounds: tuple[float, float],
     n_samples: int = 300,
 ) -> LikelihoodFit:
-    """Most probable lengthscale, signal and noise; deterministic.
-
-    Parameters
-    ----------
-    kernel_at : function
-        Kernel of unit signal_sd at a lengthscale.
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-        Not constant.
-    bounds : (float, float), m
-        Smallest and largest lengthscale.
-    n_samples : int
-        How many samples the final comparison uses.
-
-    Returns
-    -------
-    LikelihoodFit
-    """
+    """Most probable lengthscale, signal and noise; deterministic."""
     rows = choose_samples(points, field, n_samples)
     few = rows[:: max(1, len(rows) // _N_COARSE_SAMPLES)]
     lengthscales = np.geomspace(*bounds, _N_COARSE_LENGTHSCALES)
@@ -92,18 +75,7 @@ def fit_lengthscale(
 
 
 def fit_at(kernel: Kernel, points: Points, field: Vectors) -> LikelihoodFit:
-    """Most probable signal and noise for one kernel of unit signal_sd.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-
-    Returns
-    -------
-    LikelihoodFit
-    """
+    """Most probable signal and noise for one kernel of unit signal_sd."""
     unit = float(np.abs(field - field.mean(axis=0)).max())
     y = _contrasts(field / unit if unit > 0 else field).T.ravel()
     n = len(points)
@@ -121,19 +93,7 @@ def fit_at(kernel: Kernel, points: Points, field: Vectors) -> LikelihoodFit:
 
 
 def choose_samples(points: Points, field: Vectors, n_samples: int) -> Indices:
-    """Some samples, spread evenly over the survey's order at random, outliers left out; deterministic.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    n_samples : int
-
-    Returns
-    -------
-    (k,) int array
-        At most ``n_samples`` rows, in random order.
-    """
+    """Some samples, spread evenly over the survey's order at random, outliers left out; deterministic."""
     rng = np.random.default_rng(0)
     n = len(points)
     edges = np.linspace(0, n, min(n, n_samples) + 1).astype(np.int64)
@@ -170,12 +130,6 @@ def _contrasts(values: Matrix) -> Matrix:
 def tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
     """Reduce a symmetric matrix once, so that shifting its diagonal costs next to nothing.
 
-    Parameters
-    ----------
-    gram : (n, n) array
-        Symmetric, ``Q T Q^T``.
-    y : (n,) array
-
     Returns
     -------
     diagonal, off_diagonal : (n,) and (n - 1,) array
@@ -196,11 +150,6 @@ def tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
 
 def tridiagonal_score(diagonal: Scalars, off_diagonal: Scalars, z: Scalars) -> tuple[float, float]:
     """Log-determinant of a tridiagonal matrix, and the quadratic form of its inverse.
-
-    Parameters
-    ----------
-    diagonal, off_diagonal : (n,) and (n - 1,) array
-    z : (n,) array
 
     Returns
     -------

@@ -51,21 +51,7 @@ class RecursiveSparseGP:
     def start(
         cls, kernel: Kernel, inducing_points: Points, noise_sd: float, constant_sd: float = 0.0, jitter: float = 1e-9
     ) -> "RecursiveSparseGP":
-        """Prior belief, before any sample.
-
-        Parameters
-        ----------
-        kernel : Kernel
-        inducing_points : (m, 3) array, m
-        noise_sd : float, T
-        constant_sd : float, T
-        jitter : float
-            Added to the diagonal of ``K_U``, relative to the variance of one component.
-
-        Returns
-        -------
-        RecursiveSparseGP
-        """
+        """Prior belief, before any sample."""
         if not noise_sd > 0:
             msg = f"expected a positive noise_sd, got {noise_sd} T"
             raise ValueError(msg)
@@ -85,18 +71,7 @@ class RecursiveSparseGP:
         return np.asarray(self.gram_factor @ self.white_covariance[:-3, :-3] @ self.gram_factor.T)
 
     def update(self, points: Points, field: Vectors) -> "RecursiveSparseGP":
-        """Belief after one more sample, or a block of them at once.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-            Cost grows with the cube of n: a few hundred at a time.
-        field : (n, 3) array, T
-
-        Returns
-        -------
-        RecursiveSparseGP
-        """
+        """Belief after one more sample, or a block of them at once."""
         A = self._features(points, 0)
         predicted = A @ self.white_mean
         S_bU = A @ self.white_covariance
@@ -108,18 +83,7 @@ class RecursiveSparseGP:
         return replace(self, white_mean=mean, white_covariance=self.white_covariance - half.T @ half)
 
     def mean(self, points: Points, order: int = 0) -> FieldValues:
-        """Posterior mean of field and derivatives.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        order : int
-            Highest derivative: 0, 1 or 2.
-
-        Returns
-        -------
-        FieldValues
-        """
+        """Posterior mean of field and derivatives."""
         n = len(points)
         rows = (self._features(points, order) @ self.white_mean).reshape(N_ROWS[order], n)
         return FieldValues(
@@ -129,30 +93,12 @@ class RecursiveSparseGP:
         )
 
     def sor_covariance(self, points: Points) -> np.ndarray:
-        """Covariance as published (subset of regressors): falls to 0 far from the inducing points.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-
-        Returns
-        -------
-        (n, 3, 3) array, T^2
-        """
+        """Covariance as published (subset of regressors): falls to 0 far from the inducing points."""
         A = self._features(points, 0)
         return _blocks(A, A @ self.white_covariance)
 
     def dtc_covariance(self, points: Points) -> np.ndarray:
-        """Covariance that returns to the prior far from the inducing points: SoR plus ``K** - K*U K_U^-1 KU*``.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-
-        Returns
-        -------
-        (n, 3, 3) array, T^2
-        """
+        """Covariance that returns to the prior far from the inducing points: SoR plus ``K** - K*U K_U^-1 KU*``."""
         A = self._features(points, 0)
         explained = _blocks(A[:, :-3], A[:, :-3])
         return np.asarray(_blocks(A, A @ self.white_covariance) + self.kernel.at_one_point() - explained)

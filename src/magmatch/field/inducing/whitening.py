@@ -8,25 +8,7 @@ from magmatch.typing import Matrix
 
 
 def gram_factor(gram: Matrix, jitter: float) -> Matrix:
-    """Lower Cholesky factor of a Gram matrix of inducing points.
-
-    Parameters
-    ----------
-    gram : (m, m) array
-        Positive semidefinite; overwritten.
-    jitter : float
-        Added to the diagonal, relative to its largest entry.
-
-    Returns
-    -------
-    (m, m) array
-        In Fortran order, upper triangle zero.
-
-    Raises
-    ------
-    ValueError
-        Not positive definite; says at which row and with which smallest eigenvalue.
-    """
+    """Lower Cholesky factor of a Gram matrix of inducing points."""
     largest = float(gram.diagonal().max(initial=0.0))
     gram[np.diag_indices_from(gram)] += jitter * largest
     try:

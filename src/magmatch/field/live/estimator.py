@@ -73,15 +73,6 @@ class FieldEstimator:
 
     Not safe to use from several threads at once.
 
-    Parameters
-    ----------
-    hyperparameters : Hyperparameters, optional
-        Of the spline prior. Chosen from the first samples by default: the `update` that completes them, and each
-        `predict` before, then takes a second or so, and the numbers stay until `choose_hyperparameters`.
-    config : EstimatorConfig, optional
-    clock : callable, optional
-        Seconds; for tests and replays.
-
     Examples
     --------
     >>> estimator = FieldEstimator(Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 100.0))

@@ -22,15 +22,7 @@ N_SUMS = 2341
 
 
 class Block:
-    """Samples of a cube of cells.
-
-    Parameters
-    ----------
-    first : (3,) int array
-        First cell, on the lattice.
-    side : int
-        Cells along an edge.
-    """
+    """Samples of a cube of cells."""
 
     def __init__(self, first: np.ndarray, side: int) -> None:
         self.first, self.side = first, side
@@ -63,21 +55,7 @@ class Block:
         return int(self.seen.nbytes + self.slot.nbytes + self._kept.nbytes + self._sums.nbytes)
 
     def absorb(self, cell: np.ndarray, t: Points, samples: np.ndarray) -> np.ndarray:
-        """Take in samples of this block, one after the other.
-
-        Parameters
-        ----------
-        cell : (n, 3) int array
-            Their cells, on the lattice.
-        t : (n, 3) array
-            Positions in the cells, 0 to 1.
-        samples : (n, 6) array, m, T
-
-        Returns
-        -------
-        (n,) bool array
-            Which lie in cells that held none before.
-        """
+        """Take in samples of this block, one after the other."""
         number = np.ravel_multi_index(tuple((cell - self.first).T), (self.side,) * 3)
         is_new = self.seen[number] == 0
         self._reserve(number)
@@ -105,20 +83,7 @@ class Block:
 
 
 def add_sums(information: SplineInformation, cells: CellGrid, block: Block) -> SplineInformation:
-    """Information in samples of which only the sums are left, besides other information.
-
-    Parameters
-    ----------
-    information : SplineInformation
-        Its arrays are written to.
-    cells : CellGrid
-    block : Block
-
-    Returns
-    -------
-    SplineInformation
-        The sum; samples of cells that are not active say nothing.
-    """
+    """Information in samples of which only the sums are left, besides other information."""
     shape = np.array(cells.cell_index.shape)
     local = block.summed_cells - cells.first
     rows = np.flatnonzero(np.all((local >= 0) & (local < shape), axis=1))

@@ -29,7 +29,6 @@ class LiveRecord:
 
     Attributes
     ----------
-    config : EstimatorConfig
     hyperparameters : Hyperparameters or None
         None before they were chosen; nothing but ``first`` is there then.
     n_chosen : int
@@ -102,13 +101,7 @@ class LiveRecord:
 
     @classmethod
     def read(cls, path: str | Path) -> "LiveRecord":
-        """Read and check a checkpoint.
-
-        Raises
-        ------
-        DataFormatError
-            Not a checkpoint, damaged, or of another version; names the entry.
-        """
+        """Read and check a checkpoint."""
         attributes, arrays = read_archive(path, SCHEMA)
         with naming_entries(path):
             about = attributes["hyperparameters"]

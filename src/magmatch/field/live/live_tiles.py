@@ -33,7 +33,6 @@ class Fit:
 
     Attributes
     ----------
-    posterior : SplinePosterior
     versions : tuple of int
         Of the blocks it was fitted to.
     time : float, s
@@ -46,15 +45,7 @@ class Fit:
 
 
 class LiveTiles:
-    """Blocks of samples and the tiles over them, with fixed hyperparameters.
-
-    Parameters
-    ----------
-    hyperparameters : Hyperparameters
-    tiling : Tiling
-    clock : callable
-        Seconds.
-    """
+    """Blocks of samples and the tiles over them, with fixed hyperparameters."""
 
     def __init__(self, hyperparameters: Hyperparameters, tiling: Tiling, clock: Callable[[], float]) -> None:
         self.hyperparameters, self.tiling, self.clock = hyperparameters, tiling, clock

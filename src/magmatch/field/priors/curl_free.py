@@ -15,12 +15,7 @@ class CurlFreeConfig(InducingConfig):
 
 
 class CurlFreePrior(InducingPrior):
-    """Curl-free exactly; one weight an inducing point.
-
-    Parameters
-    ----------
-    config : CurlFreeConfig, optional
-    """
+    """Curl-free exactly; one weight an inducing point."""
 
     def __init__(self, config: CurlFreeConfig | None = None) -> None:
         super().__init__("curl_free", CurlFreeKernel, GRADIENT, config or CurlFreeConfig())

@@ -10,12 +10,7 @@ class DivergenceFreeConfig(InducingConfig):
 
 
 class DivergenceFreePrior(InducingPrior):
-    """Divergence-free exactly; three weights an inducing point.
-
-    Parameters
-    ----------
-    config : DivergenceFreeConfig, optional
-    """
+    """Divergence-free exactly; three weights an inducing point."""
 
     def __init__(self, config: DivergenceFreeConfig | None = None) -> None:
         super().__init__("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, config or DivergenceFreeConfig())

@@ -49,12 +49,7 @@ class HarmonicConfig(BaseModel):
 
 
 class HarmonicPrior:
-    """Curl-free and divergence-free exactly; right only where no source stands in the region that is asked for.
-
-    Parameters
-    ----------
-    config : HarmonicConfig, optional
-    """
+    """Curl-free and divergence-free exactly; right only where no source stands in the region that is asked for."""
 
     name = "harmonic"
 
@@ -64,27 +59,7 @@ class HarmonicPrior:
     def choose_hyperparameters(
         self, points: Points, field: Vectors, box: Box | None = None, calibrate: bool = True
     ) -> Hyperparameters:
-        """Distance of the layer, signal and noise from the data, and the spread that held-out samples ask for.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        field : (n, 3) array, T
-        box : Box, optional
-            What must be free of sources beside the samples' surroundings.
-        calibrate : bool
-            Widen noise and spread as held-out samples ask for.
-
-        Returns
-        -------
-        Hyperparameters
-            The lengthscale is the layer's distance.
-
-        Raises
-        ------
-        SurveyError
-            Fewer than 4 samples, or NaN.
-        """
+        """Distance of the layer, signal and noise from the data, and the spread that held-out samples ask for."""
         check_samples(points, field)
         ratio = self.config.spacing_ratio
         length = typical_length(points, field)
@@ -123,27 +98,7 @@ class HarmonicPrior:
     def build(
         self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
     ) -> InducingModel:
-        """Lay charges around the points and the box.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m
-        field : (n, 3) array, T
-            Shows where sources stand among the samples or next to them.
-        hyperparameters : Hyperparameters
-            A distance that takes more charges than allowed is widened, with a warning.
-        box : Box, optional
-            What must be free of sources too.
-
-        Returns
-        -------
-        InducingModel
-
-        Raises
-        ------
-        SurveyError
-            Fewer than 4 samples, or NaN.
-        """
+        """Lay charges around the points and the box."""
         check_samples(points, field)
         h = hyperparameters
         if box is None:

@@ -19,18 +19,7 @@ COARSER = 1.25
 
 
 def affordable_spacing(points: Points, hyperparameters: Hyperparameters) -> float:
-    """A spacing, widened until the whole survey can be fitted in bounded time and memory.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    hyperparameters : Hyperparameters
-        With the spacing that would be right; the lengthscale goes with it.
-
-    Returns
-    -------
-    float, m
-    """
+    """A spacing, widened until the whole survey can be fitted in bounded time and memory."""
     h, spacing = hyperparameters, hyperparameters.spacing
     while _operations(points, h, spacing) > _budget(MOST_OPERATIONS, len(points)):
         spacing *= COARSER

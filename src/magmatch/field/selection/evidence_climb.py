@@ -29,7 +29,6 @@ class Top:
 
     Attributes
     ----------
-    tried : Hyperparameters
     hyperparameters : Hyperparameters
         The same but for the noise; nothing was computed there.
     gain : float, nats
@@ -50,39 +49,14 @@ class Top:
 
 
 def climb(search: EvidenceSearch, start: Hyperparameters) -> Top:
-    """Noise, stiffness and lengthscale of the greatest evidence.
-
-    Parameters
-    ----------
-    search : EvidenceSearch
-    start : Hyperparameters
-
-    Returns
-    -------
-    Top
-        To within a step of stiffness and lengthscale.
-    """
+    """Noise, stiffness and lengthscale of the greatest evidence."""
     best = _settled(search, start)
     best = _along(search, best, _steps("stiffness", STIFFNESS))
     return _along(search, best, _steps("lengthscale", LENGTHSCALE))
 
 
 def settle(search: EvidenceSearch, start: Hyperparameters | Top, finer: Step) -> Top:
-    """Spacing and noise of the greatest evidence, lengthscale and stiffness as they are.
-
-    Parameters
-    ----------
-    search : EvidenceSearch
-    start : Hyperparameters or Top
-        The latter where the same search found it.
-    finer : callable
-        Gives the next spacing, None where there is none: spacings only shrink, since coarser splines can but hide
-        what finer ones show.
-
-    Returns
-    -------
-    Top
-    """
+    """Spacing and noise of the greatest evidence, lengthscale and stiffness as they are."""
     # First: finer splines make up for a noise that is too large.
     best = start if isinstance(start, Top) else _settled(search, start)
     return _along(search, best, [finer], GAIN_OF_FINER)

@@ -44,26 +44,7 @@ def noise_slopes(
     square: float,
     n_independent: float,
 ) -> NoiseSlopes:
-    """Derivatives of the evidence at a fit.
-
-    Parameters
-    ----------
-    times_prior : callable
-        Multiplies a vector by ``P0``.
-    factor : CholeskyFactor
-        Of A.
-    weights : (m,) array, T
-        Posterior mean.
-    square : float, T^2
-        S.
-    n_independent : float
-        Measured values, less where several count as one.
-
-    Returns
-    -------
-    NoiseSlopes
-        Deterministic.
-    """
+    """Derivatives of the evidence at a fit."""
     m = len(weights)
     white = 2.0 * np.random.default_rng(0).integers(0, 2, (m, N_PROBES)) - 1
     draws = factor.solve_half(white)

@@ -53,15 +53,7 @@ class Misses:
 
 
 class OtherPasses:
-    """Stretches of a path, left out and predicted from the rest.
-
-    Parameters
-    ----------
-    search : EvidenceSearch
-        Of samples along the path; its precision will do.
-    lengthscale : float, m
-        Over which the field changes.
-    """
+    """Stretches of a path, left out and predicted from the rest."""
 
     def __init__(self, search: EvidenceSearch, lengthscale: float) -> None:
         self._search, points = search, search.points

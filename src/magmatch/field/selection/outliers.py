@@ -49,20 +49,7 @@ LARGEST_SHARE_AT_FIRST = 0.3
 
 
 def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
-    """Samples whose residual is large and unlike those of the samples around.
-
-    Parameters
-    ----------
-    samples : Survey
-        In the model's frame.
-    posterior : Posterior
-        Fitted to all of them alike.
-
-    Returns
-    -------
-    (n,) bool array
-        None where more than 5 % would be out.
-    """
+    """Samples whose residual is large and unlike those of the samples around."""
     points, field = samples.positions, samples.field
     is_out = np.zeros(len(samples), dtype=bool)
     if len(samples) < FEWEST_SAMPLES:
@@ -89,21 +76,7 @@ def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
 
 
 def robust_residuals(posterior: Posterior, points: Points, residual: Vectors, noise: float) -> Vectors:
-    """Residuals of samples once those that stand out no longer pull the map to them: no fit is made again.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Fitted to these samples, among others, all alike.
-    points : (m, 3) array, m
-    residual : (m, 3) array, T
-    noise : float, T
-        Spread of ordinary residuals of one component.
-
-    Returns
-    -------
-    (m, 3) array, T
-    """
+    """Residuals of samples once those that stand out no longer pull the map to them: no fit is made again."""
     influence, left = posterior.influence(points), residual
     for _ in range(ROUNDS):
         # Geman-McClure: what lies far outside hardly counts, so that it cannot hide behind what it did to the fit.
@@ -117,18 +90,6 @@ def reweighted_residuals(influence: Matrix, residual: Vectors, weights: Scalars)
 
     With A the posterior precision in units of the noise, Phi the samples' rows and D = 1 - weights, the basis' new
     weights w' obey ``A (w' - w) = -Phi^T D (b - Phi w')``; with ``C = Phi A^-1 Phi^T`` hence ``r' = r + C D r'``.
-
-    Parameters
-    ----------
-    influence : (3 m, 3 m) array
-        C, as `Posterior.influence` says.
-    residual : (m, 3) array
-    weights : (m,) array
-        New factor on each sample's inverse noise variance, above 0.
-
-    Returns
-    -------
-    (m, 3) array
     """
     D = np.repeat(1 - weights, 3)
     left: Vectors = np.linalg.solve(np.eye(len(D)) - influence * D, residual.ravel()).reshape(-1, 3)

@@ -65,18 +65,7 @@ class Fit:
 
 
 class EvidenceSearch:
-    """Evidence of trial hyperparameters for given samples, each computed once.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    order : (n,) int array
-        Place of each sample along its path; neighbours in it are one apart.
-    precision : numpy type
-        Of the factors: single is twice as fast and shifts the evidence by a tenth; where that would not do, double is
-        taken all the same.
-    """
+    """Evidence of trial hyperparameters for given samples, each computed once."""
 
     def __init__(
         self, points: Points, field: Vectors, order: Indices, precision: type[np.floating] = np.float64

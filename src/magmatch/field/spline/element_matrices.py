@@ -32,18 +32,7 @@ OUTSIDE_DECAY = 0.01
 
 
 def cell_weights(distance: np.ndarray) -> np.ndarray:
-    """Weight of each cell's energy.
-
-    Parameters
-    ----------
-    distance : (c,) array
-        From the nearest occupied cell, in cells.
-
-    Returns
-    -------
-    (c,) array
-        1 up to the first ring of neighbours, less beyond.
-    """
+    """Weight of each cell's energy."""
     return np.asarray(OUTSIDE_DECAY ** np.maximum(distance - 1.0, 0.0))
 
 
@@ -90,19 +79,7 @@ def divergence_matrix() -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def prior_element(relative_lengthscale: float, stiffness: float) -> np.ndarray:
-    """Prior precision of one cell, up to its scale.
-
-    Parameters
-    ----------
-    relative_lengthscale : float
-        a, lengthscale over spacing.
-    stiffness : float
-        Weight of div B = 0 beside the second term of the series.
-
-    Returns
-    -------
-    (64, 64) array
-    """
+    """Prior precision of one cell, up to its scale."""
     half = relative_lengthscale**2 / 2
     E = sum(half**k / factorial(k) * smoothness_matrix(k) for k in range(HIGHEST_TERM + 1))
     return np.asarray(E + stiffness * half**2 / 2 * divergence_matrix())
@@ -114,19 +91,6 @@ def lone_cell_covariance(relative_lengthscale: float, stiffness: float, reach: f
 
     This is what the prior says where a single sample was taken, and so the scale by which `signal_sd` is defined:
     the precision of all cells is ``v / signal_sd^2 E`` with v the field entry of this matrix.
-
-    Parameters
-    ----------
-    relative_lengthscale, stiffness : float
-        As in `prior_element`.
-    reach : float
-        Radius of active cells around an occupied one, in cells.
-
-    Returns
-    -------
-    (9, 9) array
-        Of the 3 field components and the 6 distinct gradient entries times the spacing, averaged over the cell and
-        over the symmetries of the cube.
     """
     offsets = ball_offsets(reach)
     cells = offsets - offsets.min(axis=0)

@@ -37,18 +37,7 @@ SECOND_INDEX = _index_of(THIRD, 3)
 
 
 def derivative_table(order: int) -> np.ndarray:
-    """Derivatives of the potential that the field (order 0), its gradient (1) and second derivatives (2) need.
-
-    Parameters
-    ----------
-    order : int
-        Highest derivative of the field: 0, 1 or 2.
-
-    Returns
-    -------
-    (k, 3) int array
-        Orders of differentiation along x, y and z; k is 3, 9 or 19.
-    """
+    """Derivatives of the potential that the field (order 0), its gradient (1) and second derivatives (2) need."""
     if order not in (0, 1, 2):
         msg = f"expected derivatives of order 0, 1 or 2, got {order}"
         raise ValueError(msg)

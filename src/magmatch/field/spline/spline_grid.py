@@ -30,23 +30,7 @@ _WIDTH = 12
 
 
 def evaluate_on_grid(cells: CellGrid, axes: Axes, weights: Scalars, order: int) -> FieldValues:
-    """Field and derivatives of a spline potential on the grid spanned by three axes.
-
-    Parameters
-    ----------
-    cells : CellGrid
-    axes : three (q,) arrays, m
-        In any order.
-    weights : (m + 3,) array, T
-        Of the splines, then the constant field, which is all there is outside the active cells.
-    order : int
-        Highest derivative: 0, 1 or 2.
-
-    Returns
-    -------
-    FieldValues
-        In C order of the grid.
-    """
+    """Field and derivatives of a spline potential on the grid spanned by three axes."""
     highest = int(derivative_table(order)[-1].sum())
     located = [cells.axis_cells(np.asarray(x, dtype=np.float64), axis) for axis, x in enumerate(axes)]
     ix, iy, iz = (i for i, _ in located)

@@ -70,14 +70,7 @@ class SplineInformation:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SplineModel:
-    """Splines over the cells near given points, with fixed hyperparameters.
-
-    Attributes
-    ----------
-    hyperparameters : Hyperparameters
-    cells : CellGrid
-    elimination : Elimination
-    """
+    """Splines over the cells near given points, with fixed hyperparameters."""
 
     hyperparameters: Hyperparameters
     cells: CellGrid
@@ -168,8 +161,6 @@ class SplinePosterior:
 
     Attributes
     ----------
-    hyperparameters : Hyperparameters
-    cells : CellGrid
     factors : Factors
         Of the posterior precision times the noise variance; the mean does without.
     weights : (m + 3,) array, T

@@ -49,26 +49,7 @@ ZIP_ERRORS = (zipfile.BadZipFile, RuntimeError, EOFError, ValueError, KeyError, 
 def write_archive(
     path: str | Path, schema: str, attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
 ) -> None:
-    """Write arrays and attributes as one file, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced.
-    schema : str
-        Name and version of the layout, ``name/version``.
-    attributes : mapping
-        What JSON can hold.
-    arrays : mapping of float64 arrays
-        By name: lower-case letters and ``_``, then up to three numbers, each behind a dot.
-
-    Raises
-    ------
-    DataFormatError
-        The folder does not exist.
-    ValueError
-        The content is larger than what would be read back.
-    """
+    """Write arrays and attributes as one file, whole or not at all."""
     entries = _zarr_entries(attributes, arrays)
     listing = {
         name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
@@ -116,22 +97,10 @@ def _zarr_entries(attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray
 def read_archive(path: str | Path, schema: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Read what `write_archive` wrote, after checking all of it.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    schema : str
-        Layout expected, ``name/version``.
-
     Returns
     -------
     attributes : dict
     arrays : dict of float64 arrays
-
-    Raises
-    ------
-    DataFormatError
-        No such file, another type of file or layout, a damaged, missing or foreign entry; names the entry.
     """
     content = read_bytes(path, MAX_BYTES + 1)
     _check_outside(path, content)
@@ -328,22 +297,7 @@ def _one_line(error: Exception) -> str:
 
 @contextmanager
 def naming_entries(path: str | Path) -> Iterator[None]:
-    """Turn what goes wrong while a record is made of an archive's content into one error that names the entry.
-
-    Parameters
-    ----------
-    path : path
-        The archive.
-
-    Yields
-    ------
-    None
-
-    Raises
-    ------
-    DataFormatError
-        An attribute is missing, or has a value that no such record has.
-    """
+    """Turn what goes wrong while a record is made of an archive's content into one error that names the entry."""
     try:
         yield
     except KeyError as error:

@@ -112,22 +112,7 @@ class MapRecord:
         yield from self.hyperparameters.as_dict().items()
 
     def restore(self, path: str | Path) -> Posterior:
-        """Posterior of the samples, once it is seen to be the one that was saved.
-
-        Parameters
-        ----------
-        path : path
-            Where the record came from, for messages.
-
-        Returns
-        -------
-        Posterior
-
-        Raises
-        ------
-        DataFormatError
-            The samples cannot be fitted, or what is stored is not their field.
-        """
+        """Posterior of the samples, once it is seen to be the one that was saved."""
         run = _refuse_to_fit if self.tiles else map
         try:
             posterior = fit_posterior(
@@ -166,22 +151,7 @@ class MapRecord:
 
     @classmethod
     def read(cls, path: str | Path) -> "MapRecord":
-        """Read a saved map without fitting it: for its samples alone this is all that is needed.
-
-        Parameters
-        ----------
-        path : path
-            A saved map.
-
-        Returns
-        -------
-        MapRecord
-
-        Raises
-        ------
-        DataFormatError
-            Not a map, damaged, or of another version; names the entry.
-        """
+        """Read a saved map without fitting it: for its samples alone this is all that is needed."""
         attributes, arrays = read_archive(path, SCHEMA)
         for name in ("surveys", "tiles", "T_map_model", "T_domain_model", "config", "hyperparameters"):
             if name not in attributes:

@@ -17,16 +17,7 @@ Share = tuple[int, Indices, list[np.ndarray]]
 
 
 class Blend:
-    """Sum of tiles' values times their shares, by the product rule; what is left of the shares is a constant field.
-
-    Parameters
-    ----------
-    n : int
-        Number of points.
-    order : int
-        Highest derivative.
-    constant : (3,) array, T
-    """
+    """Sum of tiles' values times their shares, by the product rule; the rest of the shares is a constant field."""
 
     def __init__(self, n: int, order: int, constant: Vector3) -> None:
         self.constant = constant

@@ -33,22 +33,6 @@ LOOK_SECONDS, LONELY_SECONDS = 2, 120
 class DaskRunner:
     """Runs the tasks of tiles on Dask workers; a context manager that ends those it started.
 
-    Parameters
-    ----------
-    jobs : int
-        Worker processes to start on this machine; ignored where a scheduler is named.
-    scheduler : str, optional
-        Address of a running scheduler, ``tcp://host:port``, whose workers have this version of magmatch installed.
-
-    Raises
-    ------
-    MissingExtraError
-        Dask is not installed.
-    ConfigurationError
-        No scheduler answers (when the first task comes).
-    TaskError
-        A task fails, or takes several workers down with it (while results are taken).
-
     Examples
     --------
     ``with DaskRunner(jobs=4) as run: field_map = build_map(survey, run=run)``

@@ -14,15 +14,7 @@ MOST_TILES = 64
 
 
 class Recent:
-    """Keeps some things as they were made, and beside them the last few that were asked for.
-
-    Parameters
-    ----------
-    n_bytes : float
-        Of factors, half of them for each.
-    n_kept : int
-        Things asked for, at most.
-    """
+    """Keeps some things as they were made, and beside them the last few that were asked for."""
 
     def __init__(self, n_bytes: float = np.inf, n_kept: int = MOST_TILES) -> None:
         self._n_bytes, self._n_kept, self._lock = n_bytes / 2, n_kept, Lock()

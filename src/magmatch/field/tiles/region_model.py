@@ -35,18 +35,7 @@ class StoredTile:
 
 
 def lay_splines(points: Points, hyperparameters: Hyperparameters) -> SplineModel | TiledModel:
-    """Model of the surroundings of points.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    hyperparameters : Hyperparameters
-
-    Returns
-    -------
-    SplineModel or TiledModel
-        The latter where a single factor would cost more than `MOST_OPERATIONS`.
-    """
+    """Model of the surroundings of points."""
     spacing = hyperparameters.spacing
     n_active, n_box = count_active_cells(points, spacing, hyperparameters.reach, MOST_BOX_CELLS)
     if n_box <= MOST_BOX_CELLS and n_active <= MOST_CELLS:
@@ -89,22 +78,7 @@ def fit_splines(
     stored: Mapping[Index, StoredTile] | None = None,
     run: Runner = map,
 ) -> SplinePosterior | TiledPosterior:
-    """Fit samples, but for tiles whose fit is stored already.
-
-    Parameters
-    ----------
-    model : SplineModel or TiledModel
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    stored : mapping, optional
-        Tiles of an earlier fit; used where their fingerprint shows the very same inputs.
-    run : callable, optional
-        How tasks are run; one after the other by default.
-
-    Returns
-    -------
-    SplinePosterior or TiledPosterior
-    """
+    """Fit samples, but for tiles whose fit is stored already."""
     if not stored and isinstance(model, SplineModel):
         return model.infer_lightly(model.observe(points, field))
     tasks = tasks_of(model, points, field)
@@ -116,19 +90,7 @@ def fit_splines(
 
 
 def tiles_of(posterior: SplinePosterior | TiledPosterior, points: Points, field: Vectors) -> dict[Index, StoredTile]:
-    """What to store of a posterior of these samples, so that it need not be fitted again.
-
-    Parameters
-    ----------
-    posterior : SplinePosterior or TiledPosterior
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-
-    Returns
-    -------
-    dict
-        Tiles by their index.
-    """
+    """What to store of a posterior of these samples, so that it need not be fitted again."""
     tasks = tasks_of(lay_splines(points, posterior.hyperparameters), points, field)
     weights = posterior.tile_weights if isinstance(posterior, TiledPosterior) else [posterior.weights]
     return {i: StoredTile(w, tasks.fingerprint(i)) for i, w in zip(tasks.tiles, weights, strict=True)}

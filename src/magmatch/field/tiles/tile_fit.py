@@ -66,7 +66,6 @@ class TileTask:
 
     Attributes
     ----------
-    hyperparameters : Hyperparameters
     tiling : Tiling or None
         None: one tile holds the whole region.
     index : three ints

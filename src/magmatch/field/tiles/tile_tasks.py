@@ -18,7 +18,6 @@ class TileTasks:
 
     Attributes
     ----------
-    hyperparameters : Hyperparameters
     tiling : Tiling or None
         None: one tile holds the whole region.
     tiles : list of indices

@@ -44,18 +44,7 @@ class TiledDraw:
 
 
 class TiledDraws:
-    """Draws of a posterior, computed tile by tile as points fall into them.
-
-    Parameters
-    ----------
-    tasks : TileTasks
-        What the tiles were fitted from.
-    factored : callable
-        Posterior of a tile by its number.
-    n_draws : int
-    seed : int
-        Decides all noise.
-    """
+    """Draws of a posterior, computed tile by tile as points fall into them."""
 
     def __init__(self, tasks: TileTasks, factored: Callable[[int], SplinePosterior], n_draws: int, seed: int) -> None:
         self.tasks, self.factored, self.n_draws, self.seed = tasks, factored, n_draws, seed
@@ -77,21 +66,7 @@ class TiledDraws:
 def draw_tile(
     task: TileTask, sample_numbers: list[Indices], posterior: SplinePosterior, n_draws: int, seed: int
 ) -> Matrix:
-    """Posterior samples of a tile's weights, from noise that other tiles share.
-
-    Parameters
-    ----------
-    task : TileTask
-    sample_numbers : list of int arrays
-        Names, one part after the other, of the samples in the task: what their noise is drawn by.
-    posterior : SplinePosterior
-        Of the task.
-    n_draws, seed : int
-
-    Returns
-    -------
-    (n_draws, m + 3) array, T
-    """
+    """Posterior samples of a tile's weights, from noise that other tiles share."""
     h, seeds = task.hyperparameters, range(seed, seed + n_draws)
     if any(part.sign < 0 for part in task.parts):
         # What was taken off leaves no noise to share: such tiles draw on their own.
@@ -146,18 +121,7 @@ def _mixed(x: np.ndarray) -> np.ndarray:
 
 
 def normals(seed: int, names: np.ndarray, count: int) -> np.ndarray:
-    """Standard normal numbers that depend on seed and name alone: (n, count).
-
-    Parameters
-    ----------
-    seed : int
-    names : (n,) uint64 array
-    count : int
-
-    Returns
-    -------
-    (n, count) array
-    """
+    """Standard normal numbers that depend on seed and name alone: (n, count)."""
     start = _mixed(names ^ _mixed(np.full(1, seed % 2**64, dtype=np.uint64)))
     out = np.empty((len(names), count))
     fill_normals(start, out)

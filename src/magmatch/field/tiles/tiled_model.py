@@ -46,8 +46,6 @@ class TiledModel:
 
     Attributes
     ----------
-    hyperparameters : Hyperparameters
-    tiling : Tiling
     tiles : list of indices
         In ascending order.
     points : (n, 3) array, m
@@ -78,20 +76,7 @@ class TiledModel:
     def infer(
         self, information: TiledInformation, known: Mapping[Index, Scalars] | None = None, run: Runner = map
     ) -> TiledPosterior:
-        """Posterior given information.
-
-        Parameters
-        ----------
-        information : TiledInformation
-        known : mapping, optional
-            Weights that an earlier fit gave to tiles with the very same inputs; these are not fitted again.
-        run : callable, optional
-            Applies a function to every task, results in order; one after the other by default.
-
-        Returns
-        -------
-        TiledPosterior
-        """
+        """Posterior given information."""
         return self.infer_tasks(self.tasks(information), known or {}, run)
 
     def infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner = map) -> TiledPosterior:

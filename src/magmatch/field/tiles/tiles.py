@@ -145,13 +145,7 @@ class Tiling:
 
 
 class TileKeys:
-    """Finds the number of a tile from its index.
-
-    Parameters
-    ----------
-    tiles : list of indices
-        In ascending order.
-    """
+    """Finds the number of a tile from its index."""
 
     def __init__(self, tiles: list[Index]) -> None:
         table = np.array(tiles, dtype=np.int64).reshape(-1, 3)

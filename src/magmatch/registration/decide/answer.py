@@ -100,23 +100,7 @@ def by_evidence(
 def refined(
     answer: RegistrationResult, base: PreparedMap, target: PreparedMap, best: PoseEvidence, config: DecisionConfig
 ) -> RegistrationResult:
-    """Give an answer the pose that a further refinement found.
-
-    Parameters
-    ----------
-    answer : RegistrationResult
-        Accepted, or degenerate before this refinement.
-    base, target : PreparedMap
-    best : PoseEvidence
-        The refined pose.
-    config : DecisionConfig
-        How free a pose may be.
-
-    Returns
-    -------
-    RegistrationResult
-        Degenerate where the pose turns out to be free in a direction.
-    """
+    """Give an answer the pose that a further refinement found."""
     pose, free = _to_surveys(best.pose.T_base_target, base, target), _free_directions(best, base, target, config)
     answer = replace(
         answer,

@@ -69,24 +69,7 @@ def odds_in_words(log_odds: float | None, lead: float | None) -> str:
 def decide(
     ranked: list[PoseEvidence], is_free: bool, lead: float, chance: float | None, config: DecisionConfig
 ) -> Verdict:
-    """Judge the best of several poses.
-
-    Parameters
-    ----------
-    ranked : list of PoseEvidence
-        Best first; empty where the search found nothing.
-    is_free : bool
-        Whether the best pose has a direction that the data do not fix.
-    lead : float, nats
-        Log evidence of the best pose over the best pose elsewhere (inf where there is none).
-    chance : float or None, nats
-        Log evidence reached in places that do not exist; None where not tried.
-    config : DecisionConfig
-
-    Returns
-    -------
-    Verdict
-    """
+    """Judge the best of several poses."""
     if not ranked:
         return Verdict(Status.UNINFORMATIVE, "no pose to judge: the field has no structure to match")
     best = ranked[0]
@@ -158,20 +141,7 @@ def _refusals(
 
 
 def decide_by_fitness(fitness: float | None, overlap: float, config: DecisionConfig) -> Verdict:
-    """Judge by the published check: mean cross product of aligned vectors under a threshold.
-
-    Parameters
-    ----------
-    fitness : float or None
-        None where no pose was found or nothing overlaps.
-    overlap : float
-        Share of the target's samples inside the base map.
-    config : DecisionConfig
-
-    Returns
-    -------
-    Verdict
-    """
+    """Judge by the published check: mean cross product of aligned vectors under a threshold."""
     if fitness is None:
         return Verdict(Status.UNINFORMATIVE, "too few matching keypoints for a pose; survey closer to iron")
     if overlap < config.min_overlap:

@@ -29,21 +29,7 @@ class Fitness:
 
 
 def mean_misalignment(aligned: Vectors, expected: Vectors) -> float:
-    """Mean norm of the cross product of vectors that should agree, over the mean product of their norms.
-
-    Parameters
-    ----------
-    aligned : (n, 3) array, T
-        Target's vectors in the base's frame.
-    expected : (n, 3) array, T
-        The base's field at the same places.
-
-    Returns
-    -------
-    float
-        0 when all agree in direction, 1 when all are at right angles or opposed (whose cross product is no larger
-        than that of vectors which agree: the printed check would accept a field turned upside down).
-    """
+    """Mean norm of the cross product of vectors that should agree, over the mean product of their norms."""
     product = np.linalg.norm(aligned, axis=1) * np.linalg.norm(expected, axis=1)
     cross = np.linalg.norm(np.cross(aligned, expected), axis=1)
     is_opposed = np.einsum("ni,ni->n", aligned, expected) < 0

@@ -22,38 +22,13 @@ MIN_ODDS = 15.0
 
 
 def features(log_odds: float, chance: float | None, misfit: float, agreeing_share: float) -> np.ndarray:
-    """What the model sees of a pose.
-
-    Parameters
-    ----------
-    log_odds : float, nats
-    chance : float or None, nats
-        Log odds that the search reached in places that do not exist; None where not tried.
-    misfit : float
-        Normalised rms of the cells' mean residuals.
-    agreeing_share : float
-        Of the informative cells.
-
-    Returns
-    -------
-    (4,) array
-    """
+    """What the model sees of a pose."""
     margin = log_odds - max(0.0, chance or 0.0)
     return np.array([1.0, np.arcsinh(max(margin, -50.0) / 10), np.log(np.clip(misfit, 0.5, 20.0)), agreeing_share])
 
 
 def pose_probability(log_odds: float, chance: float | None, misfit: float, agreeing_share: float) -> float:
-    """Probability that a pose is right, were there no other like it.
-
-    Parameters
-    ----------
-    log_odds, chance, misfit, agreeing_share
-        As of `features`.
-
-    Returns
-    -------
-    float
-    """
+    """Probability that a pose is right, were there no other like it."""
     if not np.isfinite(log_odds):
         return 0.0
     z = float(features(log_odds, chance, misfit, agreeing_share) @ WEIGHTS)
@@ -61,20 +36,7 @@ def pose_probability(log_odds: float, chance: float | None, misfit: float, agree
 
 
 def walk_probability(log_odds: float, residual: float, coverage: float) -> float:
-    """Probability that a walk's pose is in the right place, were there no other like it.
-
-    Parameters
-    ----------
-    log_odds : float, nats
-    residual : float
-        Normalised rms residual along the walk.
-    coverage : float
-        Share of the walk inside the base map.
-
-    Returns
-    -------
-    float
-    """
+    """Probability that a walk's pose is in the right place, were there no other like it."""
     if not np.isfinite(log_odds):
         return 0.0
     seen = np.array([1.0, np.arcsinh(log_odds / 10), np.log(np.clip(residual, 0.3, 20.0)), coverage])
@@ -82,18 +44,7 @@ def walk_probability(log_odds: float, residual: float, coverage: float) -> float
 
 
 def shares(log_odds: list[float]) -> list[float]:
-    """How the probability is divided among poses that exclude each other.
-
-    Parameters
-    ----------
-    log_odds : list of float, nats
-        Best first.
-
-    Returns
-    -------
-    list of float
-        Sum to 1.
-    """
+    """How the probability is divided among poses that exclude each other."""
     odds = np.maximum(log_odds, -1e6)
     weights = np.exp((odds - odds[0]) / max(odds[0], MIN_ODDS) / RELATIVE_TEMPERATURE)
     return [float(w) for w in weights / weights.sum()]

@@ -51,26 +51,7 @@ def by_line_evidence(
     config: WalkDecisionConfig,
     lead: float = np.inf,
 ) -> RegistrationResult:
-    """Judge weighed poses of a walk and state the answer in survey frames.
-
-    Parameters
-    ----------
-    base : PreparedMap
-    walk : Walk
-    found : SearchResult
-        Counts of the search.
-    ranked : list of LineEvidence
-        Best first.
-    length : float, m
-        The base's field length.
-    config : WalkDecisionConfig
-    lead : float, nats
-        Over the best pose in any other map.
-
-    Returns
-    -------
-    RegistrationResult
-    """
+    """Judge weighed poses of a walk and state the answer in survey frames."""
     if not ranked:
         reason = (
             "no pose to judge: the walk is shorter than the base's field length, or none of its pairs is in the base"

@@ -44,7 +44,6 @@ class MapIndex:
 
     Attributes
     ----------
-    base : PreparedMap
     walks : WalkIndex
         What walks need besides.
     """
@@ -104,12 +103,7 @@ class MapIndex:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class IndexFile:
-    """An index as it lies on the disk, opened but hardly read.
-
-    Attributes
-    ----------
-    content : MappedArrays
-    """
+    """An index as it lies on the disk, opened but hardly read."""
 
     content: MappedArrays
 
@@ -176,18 +170,7 @@ class IndexFile:
 
 
 def index_map(field_map: FieldMap, config: RegistrationConfig) -> MapIndex:
-    """Compute what any target will ask of a base map.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    config : RegistrationConfig
-
-    Returns
-    -------
-    MapIndex
-        Depends on the map and the settings alone.
-    """
+    """Compute what any target will ask of a base map."""
     base = prepare_base(field_map, config)
     return MapIndex(base, index_base(base, config))
 
@@ -218,23 +201,7 @@ def index_path(map_path: str | Path) -> Path:
 
 
 def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
-    """What an index must have been made of and with to be of use: SHA-256 of map, settings and version.
-
-    Parameters
-    ----------
-    map_path : path
-        A saved map.
-    config : RegistrationConfig
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    DataFormatError
-        Not a saved map.
-    """
+    """What an index must have been made of and with to be of use: SHA-256 of map, settings and version."""
     made_with = {
         "map": fingerprint_archive(map_path),
         "n_draws": config.invariants.n_draws,

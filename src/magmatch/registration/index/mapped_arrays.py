@@ -32,7 +32,6 @@ class MappedArrays:
 
     Attributes
     ----------
-    path : Path
     attributes : dict
         What JSON can hold.
     arrays : dict of arrays
@@ -55,19 +54,7 @@ class MappedArrays:
 def write_mapped(
     path: str | Path, schema: str, attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
 ) -> None:
-    """Write arrays and attributes as one file, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced.
-    schema : str
-        Name and version of the content.
-    attributes : mapping
-        What JSON can hold.
-    arrays : mapping of arrays
-        Of 4- or 8-byte integers or floats.
-    """
+    """Write arrays and attributes as one file, whole or not at all."""
     held = {name: np.ascontiguousarray(a, dtype=a.dtype.newbyteorder("<")) for name, a in arrays.items()}
     listing, offset = {}, 0
     for name, array in held.items():
@@ -83,23 +70,7 @@ def write_mapped(
 
 
 def open_mapped(path: str | Path, schema: str) -> MappedArrays:
-    """Open a file that `write_mapped` wrote.
-
-    Parameters
-    ----------
-    path : path
-    schema : str
-        Content expected.
-
-    Returns
-    -------
-    MappedArrays
-
-    Raises
-    ------
-    DataFormatError
-        No such file, or not what is expected.
-    """
+    """Open a file that `write_mapped` wrote."""
     path = Path(path)
     try:
         about, start = _read_header(path)

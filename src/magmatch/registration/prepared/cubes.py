@@ -11,38 +11,14 @@ _SIDE = 2**21
 
 
 def cube_keys(points: Points, side: float) -> Indices:
-    """One integer per point, equal for points of one cube.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    side : float, m
-
-    Returns
-    -------
-    (n,) int array
-    """
+    """One integer per point, equal for points of one cube."""
     i, j, k = (np.floor(points / side).astype(np.int64).T + _SIDE // 2) % _SIDE
     keys: Indices = (i * _SIDE + j) * _SIDE + k
     return keys
 
 
 def thin(points: Points, distance: float, limit: int) -> Indices:
-    """Rows of one point per cube, the first of each: an even choice whatever the order of the points.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    distance : float, m
-        Side of the cubes.
-    limit : int
-        Most points to keep; the cubes grow until they fit.
-
-    Returns
-    -------
-    (k,) int array
-        Rows to keep, increasing.
-    """
+    """Rows of one point per cube, the first of each: an even choice whatever the order of the points."""
     while True:
         _, first = np.unique(cube_keys(points, distance), return_index=True)
         if len(first) <= limit:
@@ -51,17 +27,6 @@ def thin(points: Points, distance: float, limit: int) -> Indices:
 
 
 def sum_by_cube(rows: Matrix, points: Points, side: float) -> Matrix:
-    """Rows added up over the cubes their points fall into, one row per occupied cube.
-
-    Parameters
-    ----------
-    rows : (n, k) array
-    points : (n, 3) array, m
-    side : float, m
-
-    Returns
-    -------
-    (c, k) array
-    """
+    """Rows added up over the cubes their points fall into, one row per occupied cube."""
     _, index = np.unique(cube_keys(points, side), return_inverse=True)
     return np.stack([np.bincount(index, column) for column in rows.T], axis=1)

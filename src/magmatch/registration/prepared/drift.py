@@ -49,19 +49,7 @@ class Drift:
 
     @classmethod
     def of(cls, survey: Survey, posterior: FieldFunction) -> "Drift":
-        """What is left to last of a stated accuracy, after what samples show to be their own.
-
-        Parameters
-        ----------
-        survey : Survey
-            Samples in the order in which they were taken.
-        posterior : FieldFunction
-            Their map, in the same frame.
-
-        Returns
-        -------
-        Drift
-        """
+        """What is left to last of a stated accuracy, after what samples show to be their own."""
         positions, pose_sd = survey.positions, survey.pose_sd
         if not (pose_sd > 0 and has_path_order(positions)):
             return cls(pose_sd, 0.0, np.zeros(len(positions), dtype=np.int64), np.zeros((1, 1)))
@@ -73,21 +61,7 @@ class Drift:
         return cls(pose_sd, lasting_sd, stretch, np.exp(-cdist(ends, ends) / STRETCHES_PER_LENGTH))
 
     def score_covariance(self, weighted: np.ndarray, gradient: Tensors, rows: Indices) -> Matrix:
-        """Covariance of the sum of the samples' scores through their positions.
-
-        Parameters
-        ----------
-        weighted : (n, 3, p) array
-            Jacobian of each residual times its weight.
-        gradient : (n, 3, 3) array, T/m
-            Of the field at the samples: how residuals change with positions.
-        rows : (n,) int array
-            Which samples.
-
-        Returns
-        -------
-        (p, p) array
-        """
+        """Covariance of the sum of the samples' scores through their positions."""
         p = weighted.shape[2]
         if not self.lasting_sd:
             return np.zeros((p, p))
@@ -102,36 +76,12 @@ class Drift:
 
 
 def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
-    """Variance of one field component through positions that are off, T^2.
-
-    Parameters
-    ----------
-    gradient : (n, 3, 3) array, T/m
-    position_variance : float, m^2
-        Of each coordinate.
-
-    Returns
-    -------
-    (n,) array
-    """
+    """Variance of one field component through positions that are off, T^2."""
     return np.asarray(position_variance / 3 * gradient_norm(gradient) ** 2)
 
 
 def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) -> float:
-    """Variance of position errors that neighbours on a path do not share, where it can be seen.
-
-    Parameters
-    ----------
-    positions : (n, 3) array, m; field : (n, 3) array, T
-        Along the path.
-    posterior : FieldFunction
-        Their map.
-
-    Returns
-    -------
-    float, m^2
-        Of each coordinate: what makes the difference of neighbouring residuals grow with the gradient.
-    """
+    """Variance of position errors that neighbours on a path do not share, where it can be seen."""
     n = len(positions) - 1
     first = np.unique(np.linspace(0, n - 1, min(n, MOST_PAIRS)).astype(np.int64))
     # Most samples are in two pairs.

@@ -90,13 +90,6 @@ class PathNoise:
     def most_likely_factor(self, chi2: float, n_free: int) -> tuple[float, float]:
         """Factor on the covariance that explains one walk best, given how walks differ.
 
-        Parameters
-        ----------
-        chi2 : float
-            Squared whitened residuals.
-        n_free : int
-            Their number less the fitted parameters.
-
         Returns
         -------
         factor : float
@@ -109,19 +102,7 @@ class PathNoise:
         return float(np.exp(log_factor[best])), float(found[best])
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
-        """Covariance of one component: all but the drift; (..., n, n), T^2.
-
-        Parameters
-        ----------
-        distance : (..., n, n) array, m
-            Between the bins.
-        map_sd : (..., n) array, T
-            The map's own spread at the bins.
-
-        Returns
-        -------
-        (..., n, n) array
-        """
+        """Covariance of one component: all but the drift; (..., n, n), T^2."""
         C = self.misfit_sd**2 * np.exp(-distance / self.misfit_length) + self.constant_sd**2
         map_sd = self.map_factor * map_sd
         C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / self.map_length) ** 2)
@@ -129,17 +110,7 @@ class PathNoise:
         return np.asarray(C)
 
     def full(self, distance: Matrix, map_sd: Scalars, gradient: Tensors, field: Vectors) -> Matrix:
-        """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2.
-
-        Parameters
-        ----------
-        distance, map_sd
-            As in `isotropic`.
-        gradient : (..., n, 3, 3) array, T/m
-            Of the map, at the bins.
-        field : (..., n, 3) array, T
-            At the bins, in the same axes.
-        """
+        """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2."""
         n = distance.shape[-1]
         turns = skew(field.reshape(-1, 3)).reshape(*field.shape, 3)
         # Both a shift and a turn of the walker's frame move the field linearly: one matrix per bin.
@@ -162,20 +133,7 @@ class Stretch:
 
 
 def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generator) -> PathNoise:
-    """Most likely covariance of residuals for a walk through a map.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    length : float, m
-        Its field length.
-    rng : numpy Generator
-        Draws that give the spread of the map without the stretches.
-
-    Returns
-    -------
-    PathNoise
-    """
+    """Most likely covariance of residuals for a walk through a map."""
     h = field_map.hyperparameters
     guess = PathNoise(
         misfit_sd=h.noise_sd,
@@ -196,20 +154,7 @@ def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generato
 
 
 def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generator) -> list[Stretch]:
-    """Leave out some stretches of the survey's path at a time and predict them from the rest.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-    length : float, m
-        Its field length.
-    rng : numpy Generator
-
-    Returns
-    -------
-    list of Stretch
-        Those that the rest of the survey still knows.
-    """
+    """Leave out some stretches of the survey's path at a time and predict them from the rest."""
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     number = (path_walked(samples.positions) / (STRETCH_LENGTH * length)).astype(np.int64)
     found = []
@@ -243,17 +188,7 @@ def _predict(
 
 
 def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
-    """Parameters that explain the stretches' residuals best, held loosely near a guess.
-
-    Parameters
-    ----------
-    guess : PathNoise
-    stretches : list of Stretch
-
-    Returns
-    -------
-    PathNoise
-    """
+    """Parameters that explain the stretches' residuals best, held loosely near a guess."""
     # Here, since it takes longer to import than a room to register, and only an index asks for it.
     from scipy.optimize import minimize
 

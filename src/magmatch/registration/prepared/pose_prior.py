@@ -241,21 +241,7 @@ class PosePrior:
 def pose_prior(
     config: PosePriorConfig, T_base_model: RigidTransform, T_target_model: RigidTransform, volume: float
 ) -> PosePrior:
-    """State a prior between the model frames of two surveys.
-
-    Parameters
-    ----------
-    config : PosePriorConfig
-        In survey frames.
-    T_base_model, T_target_model : RigidTransform
-        Take model coordinates to those of either survey.
-    volume : float, m^3
-        Of the region in which the target may lie.
-
-    Returns
-    -------
-    PosePrior
-    """
+    """State a prior between the model frames of two surveys."""
     T, is_aligned = config.transform(), config.is_gravity_aligned
     return PosePrior(
         volume=volume,

@@ -31,8 +31,6 @@ class PreparedMap:
 
     Attributes
     ----------
-    field_map : FieldMap
-    T_map_model : RigidTransform
     posterior : FieldFunction
         The map's field.
     samples : (n, 3) array, m
@@ -47,7 +45,6 @@ class PreparedMap:
         Spread of the gradient's norm under the posterior.
     invariants, invariant_sd : (k, 6) arrays
         See `magmatch.features.invariants`.
-    raster : Raster
     lengthscale : float, m
         Distance over which the field changes by as much as it varies (see `field_length`): the scale of all steps,
         cells and tolerances. The prior's own lengthscale says how smooth the field is, not how far it reaches.
@@ -125,18 +122,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
 
 
 def field_length(values: FieldValues) -> float:
-    """Distance over which a field changes by as much as it varies: its spread over its gradient.
-
-    Parameters
-    ----------
-    values : FieldValues
-        Field and gradient at points all over the map.
-
-    Returns
-    -------
-    float, m
-        Medians, so that one magnet does not decide. Equals the lengthscale of a squared-exponential field.
-    """
+    """Distance over which a field changes by as much as it varies: its spread over its gradient."""
     deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
     g2 = gradient_norm(_lawful_gradient(values)) ** 2
     return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))

@@ -72,10 +72,6 @@ class Raster:
     def lookup(self, points: Points) -> tuple[Vectors, Scalars, Tensors, Mask]:
         """Field, spread and gradient at points, by trilinear interpolation.
 
-        Parameters
-        ----------
-        points : (n, 3) array, m, model frame
-
         Returns
         -------
         field : (n, 3) array, T
@@ -91,22 +87,7 @@ class Raster:
 
 
 def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Raster:
-    """Evaluate a map on a grid laid along its own model axes.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-        Map to look up.
-    spacing : float, m
-        Distance of grid points; widened where the region would need more than `MAX_POINTS`, narrowed where the
-        map knows only a thin layer.
-    draws : sequence of weights
-        Posterior samples that give the spread (see ``posterior.draw_weights``).
-
-    Returns
-    -------
-    Raster
-    """
+    """Evaluate a map on a grid laid along its own model axes."""
     samples = field_map.survey.transformed(field_map.T_map_model.inv()).positions
     while True:
         raster = _rasterize(field_map, samples, spacing, draws)

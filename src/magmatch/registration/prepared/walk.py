@@ -103,18 +103,7 @@ def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
 
 
 def line_share(positions: Points, radius: float) -> float:
-    """Share of the samples whose neighbours within a radius lie along a line.
-
-    Parameters
-    ----------
-    positions : (n, 3) array, m
-    radius : float, m
-
-    Returns
-    -------
-    float
-        Between 0 and 1.
-    """
+    """Share of the samples whose neighbours within a radius lie along a line."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, min(len(positions), 100)).astype(np.int64))]
     is_line = []
     for near in cKDTree(positions).query_ball_point(some, radius):

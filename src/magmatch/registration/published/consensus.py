@@ -47,7 +47,6 @@ class Consensus:
 
     Attributes
     ----------
-    T_base_target : RigidTransform
     cost : float
         Mean truncated cost over all correspondences, 0 (all agree) to 1 (none does).
     is_inlier : (c,) bool array
@@ -130,10 +129,6 @@ def consistent_samples(pairs: _Pairs, config: ConsensusConfig, rng: np.random.Ge
 
     A rigid transform keeps distances, so what this drops could not have had all its members as inliers; nor could a
     sample whose points nearly coincide have fixed a rotation.
-
-    Returns
-    -------
-    (h, sample_size) int array
     """
     n, size = len(pairs.base), config.sample_size
     drawn = rng.integers(0, n, (config.n_samples, size))
@@ -150,14 +145,6 @@ def consistent_samples(pairs: _Pairs, config: ConsensusConfig, rng: np.random.Ge
 
 def fit_rigid(pairs: _Pairs, samples: np.ndarray, weights: np.ndarray) -> tuple[Tensors, Vectors]:
     """Least-squares rigid transforms of points and directions together.
-
-    Parameters
-    ----------
-    pairs : _Pairs
-    samples : (h, m) int array
-        Correspondences that each transform is fitted to.
-    weights : (h, m) array
-        Not negative.
 
     Returns
     -------

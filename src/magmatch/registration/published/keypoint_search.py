@@ -32,22 +32,7 @@ class KeypointSearchConfig(BaseModel):
 def keypoint_search(
     base_map: FieldMap, target_map: FieldMap, config: KeypointSearchConfig, rng: np.random.Generator
 ) -> SearchResult:
-    """Find poses under which many keypoints of two maps coincide.
-
-    Parameters
-    ----------
-    base_map, target_map : FieldMap
-        Each in its own survey's frame.
-    config : KeypointSearchConfig
-    rng : numpy Generator
-        Draws the samples of MSAC.
-
-    Returns
-    -------
-    SearchResult
-        Distinct poses in survey frames (``T_base_target``), best first; the score is the mean gain of the truncated
-        cost, 0 (nothing agrees) to 1.
-    """
+    """Find poses under which many keypoints of two maps coincide."""
     features_config = comparable(base_map, target_map, config.features)
     half_range = shared_range([base_map, target_map], features_config)
     base = extract_features(base_map, features_config, half_range)

@@ -78,12 +78,10 @@ class ChangedPose:
 
     Attributes
     ----------
-    pose : RefinedPose
     log_ratio : float, nats
         How much likelier the samples are as the base's field and this change than as a sparse field of their own.
     noise : float
         Variance of what both leave, in units of what noise and the base's spread state; at least 1.
-    shell : SourceShell
     weights : (m,) array
         Charges that stand for what changed.
     """
@@ -109,7 +107,6 @@ class _Samples:
         Of the target's samples.
     positions : (n, 3) array, m; field : (n, 3) array, T; map_sd : (n,) array, T
         Target's model frame; the base's spread there.
-    shell : SourceShell
     charges : (3 n, m) array, T
     weight : (3 n,) array, 1/T^2
         One over the variance that noise and the base's spread state.
@@ -156,25 +153,7 @@ def refine_beside_changes(
     config: ChangeConfig,
     rng: np.random.Generator,
 ) -> ChangedPose | None:
-    """Refine a pose together with a sparse field of moved sources, by Gauss-Newton.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    pose : RefinedPose
-        Start; its sensor parameters are estimated anew under the same prior.
-    agrees : (n,) bool array
-        The target's samples to use.
-    prior : PosePrior
-    config : ChangeConfig
-    rng : numpy Generator
-        Picks the samples where there are more than needed.
-
-    Returns
-    -------
-    ChangedPose or None
-        None where too few samples are left.
-    """
+    """Refine a pose together with a sparse field of moved sources, by Gauss-Newton."""
     samples = _choose_samples(base, target, pose.T_base_target, agrees, config, rng)
     if samples is None:
         return None

@@ -225,17 +225,6 @@ def compare(
 ) -> tuple[Direction, ...]:
     """Residuals, weights and Jacobians of both directions at a pose.
 
-    Parameters
-    ----------
-    base, target : PreparedMap
-    T_base_target : RigidTransform
-        Model frame to model frame.
-    center : (3,) array, m
-        Centre of the perturbation, target's model frame.
-    sensor : SensorModel
-    rows : pair of int arrays
-        Samples of the target and of the base to use.
-
     Returns
     -------
     tuple of Direction
@@ -299,15 +288,6 @@ def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> n
 
 def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
     """Weight of each residual, and by how much its part of the likelihood bends less than that.
-
-    Parameters
-    ----------
-    residual2 : (n,) array, T^2
-        Squared norms.
-    map_sd : (n,) array, T
-        Of the map that was looked up.
-    noise_sd : float, T
-        Of the samples.
 
     Returns
     -------

@@ -25,15 +25,6 @@ def anneal_poses(
 ) -> tuple[Tensors, Points, Scalars]:
     """Refine poses while the inaccuracy that is granted to them shrinks.
 
-    Parameters
-    ----------
-    rotations, anchors_base, anchor_rows, anchors_target, sample_rows, evidence, base, outlier_share
-        As in `magmatch.registration.search.scoring.score_poses`.
-    schedule : (k, 2) array
-        Granted standard deviation of rotation (rad) and translation (m), one row per step.
-    damping : float
-        Weight of staying put, relative to the granted inaccuracy.
-
     Returns
     -------
     rotations : (h, 3, 3) array

@@ -65,21 +65,7 @@ def invariant_search(
     config: InvariantSearchConfig,
     rng: np.random.Generator,
 ) -> SearchResult:
-    """Find the poses under which the base's field explains the target's samples best.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    prior : PosePrior
-    config : InvariantSearchConfig
-    rng : numpy Generator
-        Draws anchors and the samples that judge poses.
-
-    Returns
-    -------
-    SearchResult
-        Distinct poses in model frames (``T_basemodel_targetmodel``), best first.
-    """
+    """Find the poses under which the base's field explains the target's samples best."""
     anchors = choose_anchors(target, config.n_anchors, rng)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
@@ -204,13 +190,7 @@ def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: i
 def distinct_poses(
     rotations: Tensors, centers: Points, scores: Scalars, angle: float, distance: float, limit: int
 ) -> Indices:
-    """Best poses that differ from every better one by an angle (rad) or by the place of the centre (m).
-
-    Returns
-    -------
-    (k,) int array
-        Rows, best first.
-    """
+    """Best poses that differ from every better one by an angle (rad) or by the place of the centre (m)."""
     order = np.argsort(-scores, kind="stable")
     kept = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, limit)
     return np.asarray(order[kept], dtype=np.int64)

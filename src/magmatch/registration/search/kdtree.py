@@ -40,16 +40,7 @@ class NeighbourTree:
 
     @classmethod
     def of(cls, points: np.ndarray) -> "NeighbourTree":
-        """Divide points at their medians until leaves are small.
-
-        Parameters
-        ----------
-        points : (n, d) array
-
-        Returns
-        -------
-        NeighbourTree
-        """
+        """Divide points at their medians until leaves are small."""
         points = np.asarray(points, dtype=np.float32)
         n, depth = len(points), 0
         while n >> depth > LEAF:
@@ -69,12 +60,6 @@ class NeighbourTree:
 
     def query(self, targets: np.ndarray, k: int) -> tuple[Indices, Matrix]:
         """Rows of the k nearest points of each target, nearest first, and their squared distances.
-
-        Parameters
-        ----------
-        targets : (t, d) array
-        k : int
-            At most the number of points.
 
         Returns
         -------

@@ -89,21 +89,7 @@ class PairTable:
 
 
 def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: PairSearchConfig) -> PairTable:
-    """List the base's pairs of points; one table serves any number of walks.
-
-    Parameters
-    ----------
-    base : PreparedMap
-    length : float, m
-        Its field length.
-    noise_sd : float, T
-        Of one field component between two walks through one place.
-    config : PairSearchConfig
-
-    Returns
-    -------
-    PairTable
-    """
+    """List the base's pairs of points; one table serves any number of walks."""
     is_known = base.raster.lookup(base.points)[3]
     x, b, G = base.points[is_known], base.point_field[is_known], base.point_gradient[is_known]
     rows, pairs = _pairs(x, config, length)
@@ -127,24 +113,7 @@ def pair_search(
     config: PairSearchConfig,
     rng: np.random.Generator,
 ) -> SearchResult:
-    """Find the poses under which the base's field explains a walk best.
-
-    Parameters
-    ----------
-    base : PreparedMap
-    table : PairTable
-        Of the base.
-    walk : Walk
-    prior : PosePrior
-    config : PairSearchConfig
-    rng : numpy Generator
-        Draws the walk's pairs.
-
-    Returns
-    -------
-    SearchResult
-        Distinct poses (``T_basemodel_walk``), best first.
-    """
+    """Find the poses under which the base's field explains a walk best."""
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return SearchResult()

@@ -44,25 +44,6 @@ def poses_beside_changes(
 
     A dense refinement of all cells follows the sources that moved; the search's own poses, which a share of the
     samples may contradict, are nearer to where the rest agrees.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    starts : list of RigidTransform
-        Poses of the search, model frame to model frame.
-    best : PoseEvidence
-        The best refined one.
-    model : RefinedPose
-        The best one for sensors that are alike.
-    unrelated : UnrelatedField
-    prior : PosePrior
-    config : ChangeConfig
-    seed : int
-
-    Returns
-    -------
-    list of PoseEvidence
-        Best first; none where residuals show no change, or no change explains them.
     """
     if not config.is_enabled or not config.max_misfit < best.misfit < np.inf:
         return []

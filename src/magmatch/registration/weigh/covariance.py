@@ -23,18 +23,6 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
     ``A^-1 (sum g g^T) A^-1``, A the curvature of its log-likelihood, with g summed over cells; the directions share
     noise (one survey's samples made the map that the other is compared with), so their covariances are added rather
     than their information.
-
-    Parameters
-    ----------
-    pose : RefinedPose
-    cell_side : float, m
-        Side of the cells within which errors are taken as one.
-
-    Returns
-    -------
-    (6 + k, 6 + k) array or None
-        Pose first (rotation, rad; then translation, m; target's model axes, about ``pose.center``), then bias (T) and
-        gain; None where the data leave a direction entirely free.
     """
     prior = pose.known_before
     total = np.zeros_like(prior)
@@ -55,19 +43,7 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
 
 
 def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
-    """Least covariance that is nowhere below either of two, along the axes in which both are diagonal.
-
-    Parameters
-    ----------
-    covariance : (6, 6) array
-        Positive semidefinite, as the other.
-    other : (6, 6) array
-
-    Returns
-    -------
-    (6, 6) array
-        The first where the other is smaller in every direction.
-    """
+    """Least covariance that is nowhere below either of two, along the axes in which both are diagonal."""
     floor = np.maximum(SMALLEST_SPREAD * np.diag(other), np.finfo(float).tiny)
     scale = np.sqrt(np.maximum(np.diag(covariance), floor))
     spread, along = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -81,17 +57,7 @@ def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
 
 
 def drift_covariance(pose: RefinedPose) -> Covariance6:
-    """Covariance of a pose that follows the drift which each survey states of its own positions.
-
-    Parameters
-    ----------
-    pose : RefinedPose
-
-    Returns
-    -------
-    (6, 6) array
-        Of the perturbation about the pose's centre; rotation first (rad, m), target's model axes.
-    """
+    """Covariance of a pose that follows the drift which each survey states of its own positions."""
     total = np.zeros_like(pose.known_before)
     for direction in pose.directions:
         # An error bends both, a sample's pull and what holds against it: weights answer weights.
@@ -102,22 +68,7 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
 
 
 def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform) -> Covariance6:
-    """Covariance of xi in ``T_true = T_estimate Exp(xi)``, target's survey frame.
-
-    Parameters
-    ----------
-    covariance : (6, 6) array
-        About ``center_model``, target's model axes.
-    center_model : (3,) array, m
-        Centre of the perturbation, target's model frame.
-    T_survey_model : RigidTransform
-        Takes the target's model coordinates to its survey coordinates.
-
-    Returns
-    -------
-    (6, 6) array
-        Rotation first (rad, m).
-    """
+    """Covariance of xi in ``T_true = T_estimate Exp(xi)``, target's survey frame."""
     R = rotation_matrix(T_survey_model)
     center = T_survey_model.apply(center_model)
     M = np.zeros((6, 6))
@@ -138,19 +89,6 @@ def free_directions(
     max_sd_translation: float,
 ) -> tuple[DegenerateDirection, ...]:
     """Directions in which the pose is worse known than allowed, with words in base axes.
-
-    Parameters
-    ----------
-    covariance : (6, 6) array
-        About ``center_model``, target's model axes.
-    center_model : (3,) array, m
-        Centre of the perturbation, target's model frame.
-    T_survey_model : RigidTransform
-        Takes the target's model coordinates to its survey coordinates.
-    R_base_target : (3, 3) array
-        Rotation of the estimate, survey frames.
-    max_sd_rotation, max_sd_translation : float, rad and m
-        Largest standard deviations allowed.
 
     Returns
     -------

@@ -24,21 +24,7 @@ _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 def decoys(base: PreparedMap, prior: PosePrior) -> Iterator[tuple[PreparedMap, PosePrior]]:
-    """Lawful fields of the same statistics as a map's, none of which is anywhere.
-
-    Parameters
-    ----------
-    base : PreparedMap
-    prior : PosePrior
-        Of poses in that map.
-
-    Yields
-    ------
-    base : PreparedMap
-        The map's mirror image, its field reversed, and both; ``field_map`` stays the original's.
-    prior : PosePrior
-        With the vertical mirrored as well.
-    """
+    """Lawful fields of the same statistics as a map's, none of which is anywhere."""
     for is_mirrored, sign in DECOYS:
         axes = _MIRROR if is_mirrored else np.ones(3)
         decoy = replace(

@@ -28,7 +28,6 @@ class PoseEvidence:
 
     Attributes
     ----------
-    pose : RefinedPose
     covariance : (6, 6) array or None
         About the pose's centre, target's model axes: as far as the fields' comparison leaves the pose free.
     overlap : float
@@ -200,22 +199,7 @@ def compare_cells(
     field: Vectors,
     unrelated: UnrelatedField,
 ) -> CellComparison:
-    """Residuals of the target's cells under a pose.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    T_base_target : RigidTransform
-        Model frame to model frame.
-    field : (n, 3) array, T
-        The target's samples, corrected, target's model frame.
-    unrelated : UnrelatedField
-        Holds the cells.
-
-    Returns
-    -------
-    CellComparison
-    """
+    """Residuals of the target's cells under a pose."""
     cells = unrelated.cells
     expected, sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
     residual = rotate_vectors(field, T_base_target) - expected
@@ -228,13 +212,6 @@ def agreeing_cells(
     seen: CellComparison, unrelated: UnrelatedField, shares: Sequence[float] = UNCHANGED_SHARES
 ) -> tuple[Indices, float, float]:
     """Cells that the base explains, where something has changed in the others.
-
-    Parameters
-    ----------
-    seen : CellComparison
-    unrelated : UnrelatedField
-    shares : sequence of float
-        That may be taken.
 
     Returns
     -------

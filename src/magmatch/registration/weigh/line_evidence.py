@@ -106,25 +106,7 @@ def weigh_walk(
     prior: PosePrior,
     config: LineConfig,
 ) -> list[LineEvidence]:
-    """Refine poses of a walk and order them by their evidence.
-
-    Parameters
-    ----------
-    base : PreparedMap
-    walk : Walk
-    starts : list of RigidTransform
-        Base model frame from the walk's frame.
-    noise : PathNoise
-    length : float, m
-        The base's field length.
-    prior : PosePrior
-    config : LineConfig
-
-    Returns
-    -------
-    list of LineEvidence
-        Best first; poses that leave the base map are dropped.
-    """
+    """Refine poses of a walk and order them by their evidence."""
     if not starts or len(walk) < config.min_bins:
         return []
     distance = cdist(walk.positions, walk.positions)

@@ -26,21 +26,7 @@ from magmatch.typing import Covariance6, Matrix, Points, Vectors
 def map_covariance(
     base: PreparedMap, target: PreparedMap, pose: RefinedPose, config: RefinementConfig, seed: int
 ) -> Covariance6:
-    """Covariance of a pose through the maps' own uncertainty alone.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    pose : RefinedPose
-        With a direction of comparison at least.
-    config : RefinementConfig
-    seed : int
-
-    Returns
-    -------
-    (6, 6) array
-        Of the perturbation about the pose's centre; rotation first (rad, m), target's model axes.
-    """
+    """Covariance of a pose through the maps' own uncertainty alone."""
     T, rng = pose.T_base_target, np.random.default_rng(seed)
     forward, backward = look_up(base, target, T, pose.sensor, some_rows(base, target, config, rng))
     information = information_of(pose.directions) + pose.known_before

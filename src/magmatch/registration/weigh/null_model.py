@@ -73,7 +73,6 @@ class UnrelatedField:
 
     Attributes
     ----------
-    cells : CellMeans
     field : (c, 3) array, T
         Mean field of each cell.
     covariance : (c, c) array, T^2
@@ -96,14 +95,6 @@ class UnrelatedField:
         The cells' field and residual are taken apart into the independent modes of the unrelated field, smooth ones
         first. A mode counts by how far its residual stays below what the unrelated field would have there, and
         never less than an outlier does; modes too faint to rise above the residuals count nothing.
-
-        Parameters
-        ----------
-        residual : (r, 3) array, T
-            What the base leaves of the cells in ``rows``.
-        extra : (r,) array, T^2
-            Further variance of each cell (the base map's spread).
-        rows : (r,) int array
 
         Returns
         -------
@@ -140,17 +131,7 @@ def _strength_here(power: Scalars, b2: Scalars) -> float:
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
-    """Cut samples into cubic cells; where there are too many, an even choice of them.
-
-    Parameters
-    ----------
-    positions : (n, 3) array, m
-    side : float, m
-
-    Returns
-    -------
-    CellMeans
-    """
+    """Cut samples into cubic cells; where there are too many, an even choice of them."""
     _, cell, counts = np.unique(cube_keys(positions, side), return_inverse=True, return_counts=True)
     chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_CELLS)).astype(np.int64))
     renamed = np.full(len(counts), -1)
@@ -160,22 +141,7 @@ def average_cells(positions: Points, side: float) -> CellMeans:
 
 
 def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> UnrelatedField:
-    """Most likely smooth random field for the target's cells.
-
-    Parameters
-    ----------
-    cells : CellMeans
-    field : (c, 3) array, T
-        Mean field of each cell.
-    noise : (c,) array, T^2
-        Variance of one component of each mean.
-    lengthscale : float, m
-        Of the target's map.
-
-    Returns
-    -------
-    UnrelatedField
-    """
+    """Most likely smooth random field for the target's cells."""
     distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
     variance = max(float(field.var(axis=0).mean()), float(noise.min()))
     best, covariance = -np.inf, np.zeros_like(distance2)
