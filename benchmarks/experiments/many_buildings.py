@@ -106,7 +106,7 @@ def judge(atlas: mm.Atlas, target: mm.Survey, name: str, rng: np.random.Generato
     T_base_target = random_transform(rng)
     moved = target.transformed(T_base_target.inv())
     if is_absent:
-        atlas = replace(atlas, sheets=tuple(sheet for sheet in atlas.sheets if sheet.name != name))
+        atlas = replace(atlas, entries=tuple(entry for entry in atlas.entries if entry.name != name))
     start, start_cpu = time.perf_counter(), time.process_time()
     result = mm.localize(atlas, moved)
     seconds, cpu = time.perf_counter() - start, time.process_time() - start_cpu
@@ -150,14 +150,14 @@ def main() -> None:
     indexed = time.perf_counter()
     atlas = mm.open_atlas(arguments.folder)
     print(f"indexed in {indexed - start:.1f} s, opened again in {time.perf_counter() - indexed:.2f} s")
-    atlas = replace(atlas, sheets=atlas.sheets[: arguments.buildings - 1] + atlas.sheets[-1:])
+    atlas = replace(atlas, entries=atlas.entries[: arguments.buildings - 1] + atlas.entries[-1:])
     for length in map(float, arguments.lengths.split(",")):
         rng = np.random.default_rng([arguments.seed, int(length)])
         run = partial(judge, rng=rng, is_absent=arguments.absent)
         walk = walks[f"test-floor{arguments.floor}"]
         real = [run(atlas, s, "cea.map") for s in stretches(walk, length, arguments.tries, rng)]
         report(f"CEA floor {arguments.floor}", length, real) if real else None
-        numbers = rng.choice(len(atlas.sheets) - 1, min(arguments.simulated, len(atlas.sheets) - 1), replace=False)
+        numbers = rng.choice(len(atlas.entries) - 1, min(arguments.simulated, len(atlas.entries) - 1), replace=False)
         made = [run(atlas, simulated_target(int(k), length, rng), f"building-{k:03d}.map") for k in numbers]
         report("simulated", length, made) if made else None
 

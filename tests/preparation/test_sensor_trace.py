@@ -10,7 +10,7 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.field.tiles.region_model import fit_operations
 from magmatch.geometry import random_transform
 from magmatch.preparation import sensor_trace
-from magmatch.preparation.sensor_trace import SHOWN, offset_evidence
+from magmatch.preparation.sensor_trace import MIN_EVIDENCE, offset_evidence
 
 
 def evidence(survey):
@@ -21,7 +21,7 @@ def evidence(survey):
 def test_a_raw_log_shows_its_sensor_and_a_clean_one_does_not(carrier, request):
     clean, raw, _ = request.getfixturevalue(carrier)
     assert evidence(clean) < 0
-    assert evidence(raw) > 2 * SHOWN
+    assert evidence(raw) > 2 * MIN_EVIDENCE
 
 
 @pytest.mark.parametrize("size", [2e-6, 8e-6])
@@ -30,7 +30,7 @@ def test_hard_iron_alone_is_shown_along_any_axis(hand_held, size):
     h = choose_spline_hyperparameters(clean.positions, clean.field)
     for axis in np.eye(3):
         offset = clean.orientations.apply(np.tile(size * axis, (len(clean), 1)))
-        assert offset_evidence(replace(clean, field=clean.field + offset), h) > SHOWN
+        assert offset_evidence(replace(clean, field=clean.field + offset), h) > MIN_EVIDENCE
 
 
 def test_offset_along_an_axis_that_never_turns_is_not_shown(robot):
@@ -39,7 +39,7 @@ def test_offset_along_an_axis_that_never_turns_is_not_shown(robot):
     h = choose_spline_hyperparameters(clean.positions, clean.field)
     vertical = np.array([0.0, 0.0, 30e-6])
     there = replace(clean, field=clean.field + clean.orientations.apply(np.tile(vertical, (len(clean), 1))))
-    assert offset_evidence(there, h) < SHOWN
+    assert offset_evidence(there, h) < MIN_EVIDENCE
 
 
 def test_the_frame_of_the_survey_does_not_matter(hand_held):
@@ -59,6 +59,6 @@ def test_costly_maps_are_asked_with_wider_splines_or_not_at_all(hand_held, monke
     h = choose_spline_hyperparameters(raw.positions, raw.field)
     least = fit_operations(raw.positions, replace(h, spacing=sensor_trace.WIDER[-1] * h.spacing))
     monkeypatch.setattr(sensor_trace, "MOST_OPERATIONS", 1.01 * least)
-    assert offset_evidence(raw, h) > SHOWN
+    assert offset_evidence(raw, h) > MIN_EVIDENCE
     monkeypatch.setattr(sensor_trace, "MOST_OPERATIONS", 0.0)
     assert offset_evidence(raw, h) == -np.inf

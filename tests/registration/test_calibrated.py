@@ -10,7 +10,7 @@ from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import transform_error
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.registration.calibrated import Calibrated, in_words, surer, undone
+from magmatch.registration.calibrated import Calibrated, better_supported, in_words, without_sensor_errors
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import index_map
 from magmatch.registration.register import register, register_keeping_maps
@@ -72,12 +72,12 @@ def test_the_target_that_was_used_comes_back_for_pictures(raw, found):
 
 def test_what_was_undone_can_be_undone_again_from_the_result(raw, found):
     _, target, result = found
-    again = undone(raw[0], result.sensor, "target")
+    again = without_sensor_errors(raw[0], result.sensor, "target")
     # The map leaves out what contradicts the rest.
     rows = np.isin(again.times, target.survey.times)
     np.testing.assert_allclose(again.field[rows], target.survey.field, rtol=0, atol=1e-15)
-    assert undone(raw[0], result.sensor, "base") is raw[0]
-    assert undone(raw[0], None, "target") is raw[0]
+    assert without_sensor_errors(raw[0], result.sensor, "base") is raw[0]
+    assert without_sensor_errors(raw[0], None, "target") is raw[0]
 
 
 def test_a_raw_base_is_calibrated_whatever_form_it_comes_in(pair, raw):
@@ -136,7 +136,7 @@ def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
         return RegistrationResult(status, "", pair.T_base_target, evidence={"log_odds": log_odds})
 
     first, second = answer(*as_given), answer(*calibrated)
-    chosen = surer(first, second, {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))})
+    chosen = better_supported(first, second, {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))})
     assert (chosen is first) == (taken == "as given")
     assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})
 

@@ -22,7 +22,7 @@ MAX_LOADED = 20
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Sheet:
+class AtlasEntry:
     """One map of an atlas.
 
     Attributes
@@ -49,42 +49,42 @@ class Atlas:
 
     Attributes
     ----------
-    sheets : tuple of Sheet
+    entries : tuple of Sheet
         In the order of their names.
     config : RegistrationConfig
         What the indexes were made with.
     """
 
     folder: Path
-    sheets: tuple[Sheet, ...]
+    entries: tuple[AtlasEntry, ...]
     config: RegistrationConfig
     _loaded: dict[Path, MapIndex] = field(default_factory=dict)
 
     @property
     def volume(self) -> float:
         """Volume of all regions together, m^3."""
-        return sum(sheet.index.volume for sheet in self.sheets)
+        return sum(entry.index.volume for entry in self.entries)
 
-    def load(self, sheet: Sheet) -> MapIndex:
+    def load(self, entry: AtlasEntry) -> MapIndex:
         """Give a map with its index, from memory where it is there.
 
         Parameters
         ----------
-        sheet : Sheet
+        entry : Sheet
 
         Returns
         -------
         MapIndex
         """
-        index = self._loaded.pop(sheet.path, None)
+        index = self._loaded.pop(entry.path, None)
         if index is None:
-            field_map = FieldMap.load(sheet.path)
+            field_map = FieldMap.load(entry.path)
             try:
-                index = sheet.index.load(field_map)
+                index = entry.index.load(field_map)
             except DataFormatError as error:
                 log.info("%s; indexing it again", error)
-                index = make_index(sheet.path, self.config, field_map)
-        self._loaded[sheet.path] = index
+                index = make_index(entry.path, self.config, field_map)
+        self._loaded[entry.path] = index
         while len(self._loaded) > MAX_LOADED:
             self._loaded.pop(next(iter(self._loaded)))
         return index
@@ -125,8 +125,8 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
     for number, path in enumerate(stale, 1):
         log.info("indexing %s (%d of %d)", path.name, number, len(stale))
         opened[path] = _kept(path, config)
-    sheets = [Sheet(path, index, index.table()) for path, index in opened.items() if index is not None]
-    return Atlas(folder, tuple(sheets), config)
+    entries = [AtlasEntry(path, index, index.table()) for path, index in opened.items() if index is not None]
+    return Atlas(folder, tuple(entries), config)
 
 
 def is_atlas(path: str | Path) -> bool:

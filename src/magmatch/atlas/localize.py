@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from magmatch._version import __version__
-from magmatch.atlas.atlas import Atlas, Sheet
+from magmatch.atlas.atlas import Atlas, AtlasEntry
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.calibrated import attempted, calibrate, surer
+from magmatch.registration.calibrated import attempted, better_supported, calibrate
 from magmatch.registration.clock import Stopwatch
 from magmatch.registration.prepared.walk import choose_search, walk_of
 from magmatch.registration.register import prepare_target, settle_walk, survey_of
@@ -68,13 +68,13 @@ def localize_keeping_map(
         What `localize` gives.
     """
     clock, config, survey = Stopwatch(), atlas.config, survey_of(target)
-    length = float(np.median([sheet.table.length for sheet in atlas.sheets]))
+    length = float(np.median([entry.table.length for entry in atlas.entries]))
     search = choose_search(survey, length) if config.search == "auto" else config.search
     if search == "pairs":
         answer = localize_walk(atlas, survey, seed, clock)
     else:
         target, answer = localize_map(atlas, target, survey, seed, clock)
-    found = (atlas.load(sheet).field_map.survey for sheet in atlas.sheets if sheet.name == answer.base)
+    found = (atlas.load(entry).field_map.survey for entry in atlas.entries if entry.name == answer.base)
     answer = replace(
         answer,
         seconds=clock.seconds(),
@@ -89,22 +89,22 @@ def localize_keeping_map(
 def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> RegistrationResult:
     """Ask all maps for votes, search the likeliest in full, judge the best pose of all."""
     config = atlas.config
-    log.info("asking %d maps", len(atlas.sheets))
-    tables = [sheet.table for sheet in atlas.sheets]
+    log.info("asking %d maps", len(atlas.entries))
+    tables = [entry.table for entry in atlas.entries]
     votes = clock.time("votes", count_votes, tables, survey, config.walks.search, seed)
 
-    likely = shortlist(atlas.sheets, votes)
+    likely = shortlist(atlas.entries, votes)
     # The same bins for all: only then can their densities be compared.
-    walk = walk_of(survey, float(np.median([sheet.table.length for sheet in likely])))
+    walk = walk_of(survey, float(np.median([entry.table.length for entry in likely])))
 
-    def search(sheet: Sheet) -> WeighedWalk:
-        index, rng = clock.time("load", atlas.load, sheet), np.random.default_rng(seed)
-        log.info("searching %s", sheet.name)
+    def search(entry: AtlasEntry) -> WeighedWalk:
+        index, rng = clock.time("load", atlas.load, entry), np.random.default_rng(seed)
+        log.info("searching %s", entry.name)
         return clock.time("walk", search_walk, index.walks, walk, config.walks, rng, config.prior, atlas.volume)
 
-    weighed = {sheet: search(sheet) for sheet in likely}
+    weighed = {entry: search(entry) for entry in likely}
     leads = _leads(weighed)
-    answers = {sheet: judge_walk(weighed[sheet], config.walks, leads[sheet]) for sheet in leads}
+    answers = {entry: judge_walk(weighed[entry], config.walks, leads[entry]) for entry in leads}
     first, answer = next(iter(answers.items()))
     answers[first] = settle_walk(weighed[first].index, survey, answer, config, seed, clock)
     return _with_alternatives(answers)
@@ -122,7 +122,7 @@ def localize_map(
     again = attempted(_localize_map, atlas, side.survey, seed, clock)
     if again is None:
         return found
-    better = surer(answer, again[1], {"target": side})
+    better = better_supported(answer, again[1], {"target": side})
     return found if better is answer else (again[0], better)
 
 
@@ -132,42 +132,42 @@ def _localize_map(
     """Score a few poses in every map, search the likeliest in full, judge the best pose of all."""
     config = atlas.config
     prepared = prepare_target(target, config, seed, clock)
-    log.info("asking %d maps", len(atlas.sheets))
-    bases = (clock.time("load", atlas.load, sheet).base for sheet in atlas.sheets)
+    log.info("asking %d maps", len(atlas.entries))
+    bases = (clock.time("load", atlas.load, entry).base for entry in atlas.entries)
     votes = clock.time("votes", count_agreement, bases, prepared, config, seed)
 
-    def search(sheet: Sheet) -> WeighedMap:
-        log.info("searching %s", sheet.name)
-        base = clock.time("load", atlas.load, sheet).base
+    def search(entry: AtlasEntry) -> WeighedMap:
+        log.info("searching %s", entry.name)
+        base = clock.time("load", atlas.load, entry).base
         return search_map(base, prepared, config, seed, clock, atlas.volume)
 
-    weighed = {sheet: search(sheet) for sheet in shortlist(atlas.sheets, votes)}
+    weighed = {entry: search(entry) for entry in shortlist(atlas.entries, votes)}
     leads = _leads(weighed)
-    answers = {sheet: judge_map(weighed[sheet], config, seed, leads[sheet]) for sheet in leads}
+    answers = {entry: judge_map(weighed[entry], config, seed, leads[entry]) for entry in leads}
     return prepared.field_map, _with_alternatives(answers)
 
 
-def shortlist(sheets: tuple[Sheet, ...], votes: Scalars) -> list[Sheet]:
+def shortlist(entries: tuple[AtlasEntry, ...], votes: Scalars) -> list[AtlasEntry]:
     """Maps worth a full search, likeliest first: a few always, and those nearly as likely as the first."""
     order = np.argsort(-votes, kind="stable")[:MAX_SHORTLIST]
     enough = SHORTLIST_SHARE * votes[order[0]]
-    return [sheets[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
+    return [entries[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
 
 
-def _leads(weighed: Mapping[Sheet, WeighedWalk] | Mapping[Sheet, WeighedMap]) -> dict[Sheet, float]:
+def _leads(weighed: Mapping[AtlasEntry, WeighedWalk] | Mapping[AtlasEntry, WeighedMap]) -> dict[AtlasEntry, float]:
     """Lead of each map's best pose over that of any other map, best first."""
-    ranked = sorted(weighed, key=lambda sheet: -weighed[sheet].log_density)
-    first, *others = (weighed[sheet].log_density for sheet in ranked)
-    leads = {sheet: weighed[sheet].log_density - first for sheet in ranked}
+    ranked = sorted(weighed, key=lambda entry: -weighed[entry].log_density)
+    first, *others = (weighed[entry].log_density for entry in ranked)
+    leads = {entry: weighed[entry].log_density - first for entry in ranked}
     return leads | {ranked[0]: first - others[0] if others and np.isfinite(others[0]) else np.inf}
 
 
-def _with_alternatives(judged: dict[Sheet, RegistrationResult]) -> RegistrationResult:
+def _with_alternatives(judged: dict[AtlasEntry, RegistrationResult]) -> RegistrationResult:
     """State the answer of the best map, and beside a refusal the best pose of each other map; best first."""
     (best, answer), *others = judged.items()
     if answer.is_accepted:
         return replace(answer, base=best.name)
-    elsewhere = tuple(replace(r.alternatives[0], base=sheet.name) for sheet, r in others if r.alternatives)
+    elsewhere = tuple(replace(r.alternatives[0], base=entry.name) for entry, r in others if r.alternatives)
     return replace(
         answer, base=best.name if answer.alternatives else None, alternatives=answer.alternatives + elsewhere
     )

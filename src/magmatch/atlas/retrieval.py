@@ -13,7 +13,7 @@ from numba import njit
 
 from magmatch.data.survey import Survey
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
@@ -89,7 +89,7 @@ def _best_score(
     judges = judging_samples(target.points[anchors], target, N_JUDGES, rng)
     scores = score_poses(
         R, base.points[neighbours.ravel()], rows, target.points[anchors], judges, weigh_samples(base, target), base,
-        config.sd_rotation, config.sd_translation * min(base.lengthscale, target.lengthscale), config.outlier_share,
+        config.sd_rotation, config.sd_translation * common_length(base, target), config.outlier_share,
     )  # fmt: skip
     return max(float(scores.max()), 0.0)
 

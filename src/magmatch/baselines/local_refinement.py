@@ -18,7 +18,7 @@ from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.refinement import refine
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
-from magmatch.registration.weigh.evidence import unrelated_field, weigh_pose
+from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
 
 
 class GicpConfig(BaseModel):
@@ -58,7 +58,7 @@ def register_by_refinement(
     T_model = base.T_map_model.inv() * start * target.T_map_model
     prior = PosePrior(base.raster.volume)
     pose = refine(base, target, T_model, prior, config.refinement, np.random.default_rng(seed))
-    evidence = weigh_pose(base, target, pose, unrelated_field(base, target), prior)
+    evidence = weigh_pose(base, target, pose, null_model_of(base, target), prior)
     return by_evidence(base, target, SearchResult((Candidate(T_model, 0.0),)), [evidence], config.decision)
 
 

@@ -24,7 +24,7 @@ def register_in_folder(
 
     atlas = open_atlas(folder, settings)
     used, result = localize_keeping_map(atlas, target, seed=seed)
-    named = [sheet for sheet in atlas.sheets if sheet.name == result.base]
+    named = [entry for entry in atlas.entries if entry.name == result.base]
     return atlas.load(named[0]).field_map if named else None, used, result
 
 

@@ -20,12 +20,12 @@ from magmatch.typing import Indices, Points
 N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.25, 3.4), 4e9
 # Nats for one direction of the sensor's frame that are worth a calibration, which has the last word. Error-free logs
 # stay below 0; hard iron of 1.5 to 30 uT reaches 4 to 95 where places are passed more than once.
-SHOWN = 3.0
+MIN_EVIDENCE = 3.0
 
 
 def turns_with_sensor(survey: Survey, hyperparameters: Hyperparameters) -> bool:
     """Whether readings show so much of their sensor that a calibration is worth its time; see `offset_evidence`."""
-    return offset_evidence(survey, hyperparameters) >= SHOWN
+    return offset_evidence(survey, hyperparameters) >= MIN_EVIDENCE
 
 
 @single_threaded

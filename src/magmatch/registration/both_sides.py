@@ -19,7 +19,7 @@ from magmatch.registration.refine.refinement import refine
 from magmatch.registration.refine.sensors import levels_to_try
 from magmatch.registration.register_walk import WalkIndex
 from magmatch.registration.result import RegistrationResult, Status
-from magmatch.registration.weigh.evidence import unrelated_field, weigh_pose
+from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
 from magmatch.registration.weigh.map_covariance import map_covariance
 
 log = logging.getLogger(__name__)
@@ -42,7 +42,7 @@ def refine_from_both_sides(
     # Along a line, sensors that differ and a pose that is off look alike: they differ as little as configured.
     level = levels_to_try(config.refinement.sensor)[0]
     pose = refine(base, target, start, prior, config.refinement, np.random.default_rng(seed), level)
-    best = weigh_pose(base, target, pose, unrelated_field(base, target), prior)
+    best = weigh_pose(base, target, pose, null_model_of(base, target), prior)
     if best.covariance is None:
         return answer
     best = replace(best, covariance=best.covariance + map_covariance(base, target, pose, config.refinement, seed))

@@ -44,12 +44,12 @@ class Calibrated:
     survey: Survey
     sensor: SensorModel
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
         return {"time_offset": self.sensor.time_offset, **self.sensor.as_dict()}
 
 
-def undone(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
+def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
     """A survey without what a result says was undone of its sensor.
 
     Parameters
@@ -92,8 +92,8 @@ def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
 
 
 def _models(sensor: Mapping[str, Any] | None) -> dict[str, SensorModel]:
-    told = (sensor or {}).get("calibrated") or {}
-    return {side: replace(SensorModel.from_dict(one), time_offset=one["time_offset"]) for side, one in told.items()}
+    stated = (sensor or {}).get("calibrated") or {}
+    return {side: replace(SensorModel.from_dict(one), time_offset=one["time_offset"]) for side, one in stated.items()}
 
 
 def _words(model: SensorModel) -> str:
@@ -108,7 +108,7 @@ def _words(model: SensorModel) -> str:
     return ", ".join(words for words, is_told in parts.items() if is_told) or "nothing"
 
 
-def surer(
+def better_supported(
     as_given: RegistrationResult, calibrated: RegistrationResult, sides: Mapping[str, Calibrated]
 ) -> RegistrationResult:
     """Choose between two answers: an accepted one before a refusal, and calibrated where both are accepted.
@@ -132,8 +132,8 @@ def surer(
         is_surer = _log_odds(calibrated) > _log_odds(as_given)
     if not is_surer:
         return as_given
-    told = {name: side.told() for name, side in sides.items()}
-    return replace(calibrated, sensor={**(calibrated.sensor or {}), "calibrated": told})
+    stated = {name: side.as_dict() for name, side in sides.items()}
+    return replace(calibrated, sensor={**(calibrated.sensor or {}), "calibrated": stated})
 
 
 def _log_odds(answer: RegistrationResult) -> float:

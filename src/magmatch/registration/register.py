@@ -12,7 +12,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
-from magmatch.registration.calibrated import attempted, calibrate, surer
+from magmatch.registration.calibrated import attempted, better_supported, calibrate
 from magmatch.registration.clock import Stopwatch
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.decide.answer import by_fitness
@@ -157,7 +157,7 @@ def _surer_when_calibrated(
     again = attempted(_registered, new_base, target, samples, config, seed, clock)
     if again is None:
         return found
-    answer = surer(as_given, again[2], sides)
+    answer = better_supported(as_given, again[2], sides)
     return found if answer is as_given else (again[0], again[1], answer)
 
 
@@ -173,7 +173,7 @@ def register_by_field(
     prepared = base.base if isinstance(base, MapIndex) else clock.time("prepare", prepare_base, base, config)
     search, as_walk = config.search, None
     if search == "auto":
-        search = choose_search(samples, prepared.lengthscale)
+        search = choose_search(samples, prepared.correlation_length)
     if search == "pairs":
         log.info("searching for the walk by pairs of points")
         walks = base.walks if isinstance(base, MapIndex) else clock.time("index", index_base, prepared, config)

@@ -21,13 +21,13 @@ from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.weigh.change_search import poses_beside_changes
 from magmatch.registration.weigh.covariance import enclosing
 from magmatch.registration.weigh.decoys import decoys
-from magmatch.registration.weigh.evidence import PoseEvidence, unrelated_field, weigh_pose
+from magmatch.registration.weigh.evidence import PoseEvidence, null_model_of, weigh_pose
 from magmatch.registration.weigh.map_covariance import map_covariance
 
 log = logging.getLogger(__name__)
 
 # Poses that differ by less, in standard deviations, are one.
-TOGETHER = 0.5
+SAME_OPTIMUM_SDS = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -100,15 +100,15 @@ def judge_map(weighed: WeighedMap, config: RegistrationConfig, seed: int, lead: 
     RegistrationResult
     """
 
-    def judge(chance: float | None) -> RegistrationResult:
+    def judge(decoy_evidence: float | None) -> RegistrationResult:
         w = weighed
-        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, lead, chance)
+        return by_evidence(w.base, w.target, w.found, w.ranked, config.decision, lead, decoy_evidence)
 
     answer = judge(None)
     # A rough pose leaves little to chance, and a mirror has none.
     is_searched = config.search != "keypoints" and weighed.prior.T_base_target is None
     if answer.is_accepted and is_searched and weighed.log_density < config.decision.certain_log_evidence:
-        answer = judge(_best_by_chance(weighed, config, seed))
+        answer = judge(_decoy_evidence(weighed, config, seed))
     return _beyond_residuals(answer, weighed, config, seed) if answer.is_accepted else answer
 
 
@@ -129,7 +129,7 @@ def _beyond_residuals(
     return replace(answer, covariance=covariance_of(whole, weighed.target))
 
 
-def _best_by_chance(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> float:
+def _decoy_evidence(weighed: WeighedMap, config: RegistrationConfig, seed: int) -> float:
     """Log evidence that the same search reaches in places that do not exist."""
     log.info("searching places that do not exist")
     reached, is_beside_change = -np.inf, weighed.ranked[0].is_beside_change
@@ -166,12 +166,12 @@ def _refine_and_rank(
     """Refine the best candidates and order them by their evidence."""
     settings = config.refinement
     starts: list[RigidTransform] = [c.T_base_target for c in found.candidates]
-    unrelated = unrelated_field(base, target)
+    null_model = null_model_of(base, target)
     tightest, *wider = levels_to_try(settings.sensor)
 
     def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
-        return weigh_pose(base, target, pose, unrelated, prior)
+        return weigh_pose(base, target, pose, null_model, prior)
 
     ranking = settings.for_ranking()
     ranked = [weigh(start, ranking, tightest) for start in starts[: settings.n_candidates]]
@@ -189,7 +189,9 @@ def _refine_and_rank(
         best = weigh(ranked[0].pose.T_base_target, ranking, level)
         if best.log_evidence > ranked[0].log_evidence + settings.sensor.min_gain:
             ranked[0] = best
-    beside = poses_beside_changes(base, target, starts, ranked[0], best_alike, unrelated, prior, config.changes, seed)
+    beside = poses_beside_changes(
+        base, target, starts, ranked[0], best_alike, null_model, prior, config.changes, seed
+    )
     if beside:
         return beside
     # Starts that came to rest where the best did are no rivals of it.
@@ -210,4 +212,4 @@ def _rest_together(one: PoseEvidence, other: PoseEvidence) -> bool:
     if one.covariance is None:
         return False
     step = step_between(one.pose, other.pose)
-    return bool(step @ np.linalg.solve(one.covariance, step) < TOGETHER**2 * len(step))
+    return bool(step @ np.linalg.solve(one.covariance, step) < SAME_OPTIMUM_SDS**2 * len(step))

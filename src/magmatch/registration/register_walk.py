@@ -48,7 +48,7 @@ class WalkIndex:
 
 def index_walks(base: PreparedMap, config: WalkConfig, rng: np.random.Generator) -> WalkIndex:
     """Learn the residuals' covariance and list the base's pairs of points, once for all walks."""
-    length = base.lengthscale
+    length = base.correlation_length
     noise = learn_path_noise(base.field_map, length, rng)
     return WalkIndex(base, length, noise, tabulate_pairs(base, length, noise.total_sd, config.search))
 

@@ -132,7 +132,7 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
     return np.stack([np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T], axis=1)
 
 
-def sheet(field_map: FieldMap, cut: Cut, quantity: str, limits: tuple[float, float]) -> tuple[Matrix, Mask]:
+def entry(field_map: FieldMap, cut: Cut, quantity: str, limits: tuple[float, float]) -> tuple[Matrix, Mask]:
     """Colours of a map on a cut, and where it knows the field.
 
     Returns

@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.errors import MissingExtraError
-from magmatch.viz.exhibit import Exhibit, Part, box_of, shaded, sheet
+from magmatch.viz.exhibit import Exhibit, Part, box_of, entry, shaded
 from magmatch.viz.plotting import UT_PER_TESLA, magnitude_ut
 from magmatch.viz.slices import Cut, cut_through
 
@@ -84,7 +84,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: Exhibit, part: Part) -> Non
     if part.field_map is None:
         return
     cut = cut_through(part.survey.positions)
-    colors, is_known = sheet(part.field_map, cut, "field magnitude", shown.limits)
+    colors, is_known = entry(part.field_map, cut, "field magnitude", shown.limits)
     faces = _faces(cut, is_known)
     if len(faces):
         mesh = rr.Mesh3D(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import MissingExtraError
-from magmatch.viz.exhibit import Exhibit, Part, box_of, shaded, sheet
+from magmatch.viz.exhibit import Exhibit, Part, box_of, entry, shaded
 from magmatch.viz.plotting import magnitude_ut
 from magmatch.viz.slices import cut_normal_to, cut_through
 
@@ -180,7 +180,7 @@ def _add_cut(server: Any, shown: Exhibit, part: Part) -> None:
         normal = "xyz".index(axis.value)
         height = float(low[normal] + share.value * (high[normal] - low[normal]))
         cut = cut_normal_to(p, normal, height)
-        colors, is_known = sheet(field_map, cut, quantity.value, shown.limits)
+        colors, is_known = entry(field_map, cut, quantity.value, shown.limits)
         image = np.concatenate([colors, 255.0 * is_known[:, None]], axis=1).astype(np.uint8)
         a, b, _ = cut.axes
         axes = np.stack([np.eye(3)[a], np.eye(3)[b], np.cross(np.eye(3)[a], np.eye(3)[b])], axis=1)

@@ -23,10 +23,10 @@ def test_more_evidence_of_a_walk_is_never_less_probable(low, high, residual, cov
     assert walk_probability(-np.inf, residual, coverage) == 0
 
 
-@given(log_odds=odds, chance=st.floats(-50, 200), misfit=st.floats(0.2, 30))
-def test_what_chance_reaches_and_residuals_nothing_explains_speak_against_a_pose(log_odds, chance, misfit):
+@given(log_odds=odds, decoy_evidence=st.floats(-50, 200), misfit=st.floats(0.2, 30))
+def test_what_chance_reaches_and_residuals_nothing_explains_speak_against_a_pose(log_odds, decoy_evidence, misfit):
     p = pose_probability(log_odds, None, misfit, 0.9)
-    assert 0 <= pose_probability(log_odds, chance, misfit, 0.9) <= p <= 1
+    assert 0 <= pose_probability(log_odds, decoy_evidence, misfit, 0.9) <= p <= 1
     assert pose_probability(log_odds, None, 2 * misfit, 0.9) <= p
 
 

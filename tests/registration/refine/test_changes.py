@@ -12,7 +12,7 @@ from magmatch.registration.refine.changes import ChangeConfig, refine_beside_cha
 from magmatch.registration.refine.refinement import RefinementConfig, perturbation, refine
 from magmatch.registration.weigh import change_search
 from magmatch.registration.weigh.change_search import poses_beside_changes
-from magmatch.registration.weigh.evidence import agreeing_cells, compare_cells, unrelated_field, weigh_pose
+from magmatch.registration.weigh.evidence import agreeing_cells, compare_cells, null_model_of, weigh_pose
 
 FLAT = PosePrior(10.0)
 # One candidate, in a small room.
@@ -45,9 +45,9 @@ def ordinary(moved):
 @pytest.fixture(scope="module")
 def beside(moved, ordinary):
     base, target, T_model, _ = moved
-    unrelated = unrelated_field(base, target)
-    seen = compare_cells(base, target, T_model, target.sample_field, unrelated)
-    agrees = unrelated.cells.holds(agreeing_cells(seen, unrelated)[0])
+    null_model = null_model_of(base, target)
+    seen = compare_cells(base, target, T_model, target.sample_field, null_model)
+    agrees = null_model.cells.holds(agreeing_cells(seen, null_model)[0])
     return refine_beside_changes(
         base, target, replace(ordinary, T_base_target=T_model), agrees, FLAT, CONFIG, np.random.default_rng(0)
     )
@@ -85,10 +85,10 @@ def test_a_wrong_pose_is_no_likelier_beside_a_change_than_a_field_of_its_own(mov
 
 def test_cells_that_agree_are_those_where_little_changed(moved):
     base, target, T_model, change_at = moved
-    unrelated = unrelated_field(base, target)
-    seen = compare_cells(base, target, T_model, target.sample_field, unrelated)
-    rows, _, price = agreeing_cells(seen, unrelated)
-    size = np.linalg.norm(unrelated.cells.mean(change_at(target.samples)), axis=1)
+    null_model = null_model_of(base, target)
+    seen = compare_cells(base, target, T_model, target.sample_field, null_model)
+    rows, _, price = agreeing_cells(seen, null_model)
+    size = np.linalg.norm(null_model.cells.mean(change_at(target.samples)), axis=1)
     others = np.setdiff1d(seen.rows, rows)
     assert len(others)
     assert price > 0
@@ -97,10 +97,10 @@ def test_cells_that_agree_are_those_where_little_changed(moved):
 
 def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit(moved, ordinary):
     base, target, T_model, _ = moved
-    unrelated = unrelated_field(base, target)
-    whole = weigh_pose(base, target, ordinary, unrelated, FLAT)
+    null_model = null_model_of(base, target)
+    whole = weigh_pose(base, target, ordinary, null_model, FLAT)
     assert whole.misfit > CONFIG.max_misfit
-    best = poses_beside_changes(base, target, [T_model], whole, ordinary, unrelated, FLAT, CONFIG, 0)[0]
+    best = poses_beside_changes(base, target, [T_model], whole, ordinary, null_model, FLAT, CONFIG, 0)[0]
     assert best.is_beside_change
     assert best.misfit < 1.0
     assert best.unchanged < 1.0
@@ -109,11 +109,11 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit(move
 
 def test_more_cells_than_agree_tell_beside_the_change(moved, ordinary, monkeypatch):
     base, target, T_model, _ = moved
-    unrelated = unrelated_field(base, target)
-    whole = weigh_pose(base, target, ordinary, unrelated, FLAT)
+    null_model = null_model_of(base, target)
+    whole = weigh_pose(base, target, ordinary, null_model, FLAT)
 
     def best():
-        return poses_beside_changes(base, target, [T_model], whole, ordinary, unrelated, FLAT, CONFIG, 0)[0]
+        return poses_beside_changes(base, target, [T_model], whole, ordinary, null_model, FLAT, CONFIG, 0)[0]
 
     wide = best()
     monkeypatch.setattr(change_search, "WIDER_SHARES", ())
@@ -128,10 +128,10 @@ def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):
     rng = np.random.default_rng(0)
     base, target = (prepare(m, 4, rng) for m in make_exact_pair(5, T_base_target))
     T_model = base.T_map_model.inv() * T_base_target * target.T_map_model
-    unrelated = unrelated_field(base, target)
+    null_model = null_model_of(base, target)
     pose = refine(base, target, T_model, FLAT, REFINEMENT, rng)
-    best = weigh_pose(base, target, pose, unrelated, FLAT)
-    assert poses_beside_changes(base, target, [T_model], best, pose, unrelated, FLAT, CONFIG, 0) == []
+    best = weigh_pose(base, target, pose, null_model, FLAT)
+    assert poses_beside_changes(base, target, [T_model], best, pose, null_model, FLAT, CONFIG, 0) == []
 
 
 def test_too_few_samples_that_agree_give_no_pose(moved, ordinary):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.refine.refinement import STUDENT_DOF, Lookup, _direction
+from magmatch.registration.refine.refinement import STUDENT_DOF, Lookup, _residual_block
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 
 
@@ -15,7 +15,7 @@ def test_curvature_is_that_of_the_student_likelihood():
     zeros, noise_sd = np.zeros((40, 3)), 2.0  # the residuals' variance is then a quarter of the noise's: 1
     lookup = Lookup(np.arange(40), zeros, zeros, residual, np.tile(np.eye(3), (40, 1, 1)), zeros, np.zeros(40))
     none = Drift(0.0, 0.0, np.zeros(40, dtype=np.int64), np.zeros((1, 1)))
-    found = _direction(lookup, noise_sd, none, np.zeros(3), identical_sensors(SensorConfig(mode="none"), -1))
+    found = _residual_block(lookup, noise_sd, none, np.zeros(3), identical_sensors(SensorConfig(mode="none"), -1))
 
     def loss(r):
         return 0.5 * (STUDENT_DOF + 3) * np.log1p((r**2).sum(axis=-1) / STUDENT_DOF)

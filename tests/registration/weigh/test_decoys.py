@@ -11,7 +11,7 @@ from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.refinement import refine
 from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.weigh.decoys import decoys
-from magmatch.registration.weigh.evidence import unrelated_field, weigh_pose
+from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
 
 CONFIG = PRESETS["default"]
 FLAT = PosePrior(volume=10.0)
@@ -58,7 +58,7 @@ def test_their_raster_and_samples_show_their_own_field(prepared, places):
 
 def test_a_target_is_found_in_its_place_and_in_none_of_the_decoys(prepared, places):
     base, target = prepared
-    null = unrelated_field(base, target)
+    null = null_model_of(base, target)
 
     def best(place):
         rng = np.random.default_rng(0)

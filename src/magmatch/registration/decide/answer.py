@@ -17,7 +17,7 @@ from magmatch.registration.decide.decision import (
 )
 from magmatch.registration.decide.fitness import Fitness, mean_misalignment
 from magmatch.registration.decide.probability import pose_probability, shares
-from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.sensors import TIED_SD
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
 from magmatch.registration.search.candidate import SearchResult
@@ -38,7 +38,7 @@ def by_evidence(
     ranked: list[PoseEvidence],
     config: DecisionConfig,
     lead: float = np.inf,
-    chance: float | None = None,
+    decoy_evidence: float | None = None,
 ) -> RegistrationResult:
     """Judge refined poses by their cells and state the answer in survey frames.
 
@@ -52,7 +52,7 @@ def by_evidence(
     config : DecisionConfig
     lead : float, nats
         Over the best pose in any other map.
-    chance : float or None, nats
+    decoy_evidence : float or None, nats
         Log evidence that the search reaches in places that do not exist (see `decoys`); None where not tried.
 
     Returns
@@ -60,16 +60,16 @@ def by_evidence(
     RegistrationResult
     """
     if not ranked:
-        verdict = decide(ranked, False, np.inf, chance, config)
+        verdict = decide(ranked, False, np.inf, decoy_evidence, config)
         return RegistrationResult(verdict.status, verdict.reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
-    rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * min(base.lengthscale, target.lengthscale))]
+    rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * common_length(base, target))]
     elsewhere = best.log_evidence - lead
     lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
     free = _free_directions(best, base, target, config)
-    verdict = decide(ranked, bool(free) or best.covariance is None, lead, chance, config)
-    probabilities = _probabilities(best, rivals, elsewhere, chance)
+    verdict = decide(ranked, bool(free) or best.covariance is None, lead, decoy_evidence, config)
+    probabilities = _probabilities(best, rivals, elsewhere, decoy_evidence)
     is_accepted = verdict.status is Status.ACCEPTED
     return RegistrationResult(
         status=verdict.status,
@@ -85,7 +85,7 @@ def by_evidence(
             Alternative(T, probability, log_odds=e.log_evidence)
             for T, probability, e in zip(poses, probabilities, [best, *rivals], strict=True)
         ),
-        evidence=_statistics(best, lead, chance),
+        evidence=_statistics(best, lead, decoy_evidence),
         degenerate_directions=free,
         sensor=_sensor(best, target),
         residual=best.residual if np.isfinite(best.residual) else None,
@@ -165,20 +165,20 @@ def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionCon
 
 
 def _probabilities(
-    best: PoseEvidence, rivals: list[PoseEvidence], elsewhere: float, chance: float | None
+    best: PoseEvidence, rivals: list[PoseEvidence], elsewhere: float, decoy_evidence: float | None
 ) -> list[float]:
     """Of the best pose and its rivals; what another map holds counts as one more."""
-    explained = pose_probability(best.log_evidence, chance, best.misfit, best.good_share)
+    explained = pose_probability(best.log_evidence, decoy_evidence, best.misfit, best.good_share)
     odds = [best.log_evidence, *(e.log_evidence for e in rivals)]
     return [explained * share for share in shares([*odds, elsewhere])[: len(odds)]]
 
 
-def _statistics(best: PoseEvidence, lead: float, chance: float | None) -> dict[str, float | None]:
+def _statistics(best: PoseEvidence, lead: float, decoy_evidence: float | None) -> dict[str, float | None]:
     """What decided, as numbers."""
     return {
         "log_odds": best.log_evidence,
         "lead": lead if np.isfinite(lead) else None,
-        "decoy_log_odds": chance if chance is not None and np.isfinite(chance) else None,
+        "decoy_log_odds": decoy_evidence if decoy_evidence is not None and np.isfinite(decoy_evidence) else None,
         "misfit": best.misfit,
         "unexplained": best.unexplained,
         "agreeing_share": best.good_share,
@@ -204,7 +204,7 @@ def _free_directions(
         target.T_map_model,
         rotation_matrix(_to_surveys(best.pose.T_base_target, base, target)),
         config.max_sd_rotation,
-        config.max_sd_translation * min(base.lengthscale, target.lengthscale),
+        config.max_sd_translation * common_length(base, target),
     )
 
 
@@ -244,9 +244,9 @@ def _sensor(best: PoseEvidence, target: PreparedMap) -> dict[str, Any] | None:
 
 def _links(target: PreparedMap, T_base_target: RigidTransform, best: PoseEvidence) -> Links:
     """Distinct target samples that the base explains, and where the answer puts them."""
-    if not best.pose.directions:
+    if not best.pose.blocks:
         return Links(np.zeros((0, 3)), np.zeros((0, 3)))
-    forward = best.pose.directions[0]
+    forward = best.pose.blocks[0]
     rows = np.flatnonzero(forward.residual2 < 12.0)
     rows = rows[np.linspace(0, len(rows) - 1, min(MAX_LINKS, len(rows))).astype(int)]
     p_target = transform_points(forward.positions[rows], target.T_map_model)

@@ -67,7 +67,7 @@ def odds_in_words(log_odds: float | None, lead: float | None) -> str:
 
 
 def decide(
-    ranked: list[PoseEvidence], is_free: bool, lead: float, chance: float | None, config: DecisionConfig
+    ranked: list[PoseEvidence], is_free: bool, lead: float, decoy_evidence: float | None, config: DecisionConfig
 ) -> Verdict:
     """Judge the best of several poses."""
     if not ranked:
@@ -77,11 +77,11 @@ def decide(
         Status.ACCEPTED,
         f"{best.n_good} of {best.n_informative} informative cells agree, {odds_in_words(best.log_evidence, lead)}",
     )
-    return next(_refusals(best, is_free, lead, chance, config), accepted)
+    return next(_refusals(best, is_free, lead, decoy_evidence, config), accepted)
 
 
 def _refusals(
-    best: PoseEvidence, is_free: bool, lead: float, chance: float | None, config: DecisionConfig
+    best: PoseEvidence, is_free: bool, lead: float, decoy_evidence: float | None, config: DecisionConfig
 ) -> Iterator[Verdict]:
     """Reasons against the best pose, the most telling first."""
     if best.overlap < config.min_overlap:
@@ -122,11 +122,11 @@ def _refusals(
             f"{config.max_misfit:.1f}): too much has moved, or different places",
         )
     needed = config.min_decoy_lead + config.misfit_price * float(np.log(max(best.misfit, 1.0)))
-    if chance is not None and best.log_evidence < chance + needed:
+    if decoy_evidence is not None and best.log_evidence < decoy_evidence + needed:
         yield Verdict(
             Status.INCONSISTENT,
             f"the best pose has {best.log_evidence:.0f} nats of evidence, and mirror images of the base, which are "
-            f"nowhere, reach {chance:.0f} (needs {needed:.0f} more): probably chance; "
+            f"nowhere, reach {decoy_evidence:.0f} (needs {needed:.0f} more): probably chance; "
             "survey a larger common area",
         )
     needed = max(config.min_lead, config.min_relative_lead * best.log_evidence)

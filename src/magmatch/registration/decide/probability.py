@@ -21,17 +21,17 @@ RELATIVE_TEMPERATURE = 1 / 12
 MIN_ODDS = 15.0
 
 
-def features(log_odds: float, chance: float | None, misfit: float, agreeing_share: float) -> np.ndarray:
+def features(log_odds: float, decoy_evidence: float | None, misfit: float, agreeing_share: float) -> np.ndarray:
     """What the model sees of a pose."""
-    margin = log_odds - max(0.0, chance or 0.0)
+    margin = log_odds - max(0.0, decoy_evidence or 0.0)
     return np.array([1.0, np.arcsinh(max(margin, -50.0) / 10), np.log(np.clip(misfit, 0.5, 20.0)), agreeing_share])
 
 
-def pose_probability(log_odds: float, chance: float | None, misfit: float, agreeing_share: float) -> float:
+def pose_probability(log_odds: float, decoy_evidence: float | None, misfit: float, agreeing_share: float) -> float:
     """Probability that a pose is right, were there no other like it."""
     if not np.isfinite(log_odds):
         return 0.0
-    z = float(features(log_odds, chance, misfit, agreeing_share) @ WEIGHTS)
+    z = float(features(log_odds, decoy_evidence, misfit, agreeing_share) @ WEIGHTS)
     return float(1 / (1 + np.exp(-z)))
 
 

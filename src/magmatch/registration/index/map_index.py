@@ -31,7 +31,7 @@ from magmatch.registration.search.pair_search import PairTable
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.index/2"
+SCHEMA = "magmatch.index/3"
 SUFFIX = ".index"
 # Arrays of `PreparedMap` and of `PairTable` that are stored as they are.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
@@ -86,7 +86,7 @@ class MapIndex:
             arrays["draws"] = np.stack(draws)
         attributes: dict[str, Any] = {
             "key": key,
-            "lengthscale": base.lengthscale,
+            "correlation_length": base.correlation_length,
             "noise_sd": base.noise_sd,
             "raster": {
                 "origin": [float(x) for x in raster.origin],
@@ -152,7 +152,7 @@ class IndexFile:
             samples=survey.positions,
             sample_field=survey.field,
             raster=self._raster(),
-            lengthscale=about["lengthscale"],
+            correlation_length=about["correlation_length"],
             noise_sd=about["noise_sd"],
             drift=Drift.of(survey, field_map.posterior),
             draws=cache(partial(_draws, arrays.get("draws"), field_map, about["n_draws"])),

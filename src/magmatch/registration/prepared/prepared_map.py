@@ -45,9 +45,9 @@ class PreparedMap:
         Spread of the gradient's norm under the posterior.
     invariants, invariant_sd : (k, 6) arrays
         See `magmatch.features.invariants`.
-    lengthscale : float, m
-        Distance over which the field changes by as much as it varies (see `field_length`): the scale of all steps,
-        cells and tolerances. The prior's own lengthscale says how smooth the field is, not how far it reaches.
+    correlation_length : float, m
+        Distance over which the field changes by as much as it varies: the scale of all steps, cells and tolerances.
+        The prior's own lengthscale says how smooth the field is, not how far it reaches.
     noise_sd : float, T
     drift : Drift
         How its samples' positions may be off.
@@ -67,7 +67,7 @@ class PreparedMap:
     invariants: Matrix
     invariant_sd: Matrix
     raster: Raster
-    lengthscale: float
+    correlation_length: float
     noise_sd: float
     drift: Drift
     draws: Callable[[], Sequence[Any]]
@@ -92,15 +92,15 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     survey = field_map.survey.transformed(field_map.T_map_model.inv())
     posterior = field_map.posterior
     some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
-    lengthscale = field_length(posterior.evaluate(some, order=1))
-    points = survey.positions[thin(survey.positions, lengthscale / 8, limit=4000)]
+    correlation_length = correlation_length_of(posterior.evaluate(some, order=1))
+    points = survey.positions[thin(survey.positions, correlation_length / 8, limit=4000)]
     mean = posterior.evaluate(points, order=1)
     weights = list(posterior.draw_weights(n_draws, rng))
     draws = [posterior.evaluate(points, 1, w) for w in weights]
-    gradient = _lawful_gradient(mean)
+    gradient = _harmonic_gradient(mean)
     invariants = rotation_invariants(mean.field, gradient)
-    spread = [rotation_invariants(d.field, _lawful_gradient(d)) - invariants for d in draws]
-    gradient_spread = [gradient_norm(_lawful_gradient(d) - gradient) for d in draws]
+    spread = [rotation_invariants(d.field, _harmonic_gradient(d)) - invariants for d in draws]
+    gradient_spread = [gradient_norm(_harmonic_gradient(d) - gradient) for d in draws]
     return PreparedMap(
         field_map=field_map,
         T_map_model=field_map.T_map_model,
@@ -113,20 +113,25 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         gradient_sd=np.sqrt(np.mean(np.square(gradient_spread), axis=0)),
         invariants=invariants,
         invariant_sd=np.sqrt(np.mean(np.square(spread), axis=0)),
-        raster=rasterize(field_map, lengthscale / 4, weights),
-        lengthscale=lengthscale,
+        raster=rasterize(field_map, correlation_length / 4, weights),
+        correlation_length=correlation_length,
         noise_sd=field_map.hyperparameters.noise_sd,
         drift=Drift.of(survey, posterior),
         draws=lambda: weights,
     )
 
 
-def field_length(values: FieldValues) -> float:
+def common_length(base: PreparedMap, target: PreparedMap) -> float:
+    """The shorter of two correlation lengths, m: the scale of what a pair is compared by."""
+    return min(base.correlation_length, target.correlation_length)
+
+
+def correlation_length_of(values: FieldValues) -> float:
     """Distance over which a field changes by as much as it varies: its spread over its gradient."""
     deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
-    g2 = gradient_norm(_lawful_gradient(values)) ** 2
+    g2 = gradient_norm(_harmonic_gradient(values)) ** 2
     return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))
 
 
-def _lawful_gradient(values: FieldValues) -> Tensors:
+def _harmonic_gradient(values: FieldValues) -> Tensors:
     return traceless_symmetric(gradient_of(values))

@@ -18,14 +18,14 @@ from magmatch.field.values import gradient_of
 from magmatch.geometry import transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import (
     MAX_SHIFT,
     MAX_TURN,
     MIN_SAMPLES,
-    Direction,
     Lookup,
     RefinedPose,
+    ResidualBlock,
     perturbation,
     residual_jacobian,
 )
@@ -38,9 +38,9 @@ FAINTEST = 1e-10
 # Charges whose prior variance has fallen below this share of the strongest one's are left out from then on.
 FADED = 1e-5
 # The charges that are left were chosen by the same data: what the pose's covariance must grow by for that (measured).
-CHOSEN = 16.0
+SELECTION_INFLATION = 16.0
 # Updates of the strengths of a field that the base has nothing to do with, and how little its constant is known, T.
-N_UNRELATED = 20
+N_NULL = 20
 CONSTANT_SD = 1e-4
 # Updates of the charges' strengths per step of the pose.
 N_STRENGTHS = 4
@@ -157,7 +157,7 @@ def refine_beside_changes(
     samples = _choose_samples(base, target, pose.T_base_target, agrees, config, rng)
     if samples is None:
         return None
-    lengthscale = min(base.lengthscale, target.lengthscale)
+    lengthscale = common_length(base, target)
     longest = np.repeat([MAX_TURN, MAX_SHIFT * lengthscale], 3)
     gram = samples.charges.T @ (samples.weight[:, None] * samples.charges)
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
@@ -176,9 +176,9 @@ def refine_beside_changes(
         estimate = _solve(lookup, samples, gram, pose, prior, estimate)
         if is_close:
             break
-    direction = _direction(lookup, samples, gram, pose, estimate, target.drift)
+    block = _residual_block(lookup, samples, gram, pose, estimate, target.drift)
     known = prior.rows(pose.T_base_target, pose.center)[0]
-    refined = replace(pose, prior_information=known, directions=(direction,))
+    refined = replace(pose, prior_information=known, blocks=(block,))
     weights = np.zeros(len(gram))
     weights[estimate.charges] = estimate.values[k:]
     return ChangedPose(refined, _log_ratio(lookup, samples, gram, estimate), estimate.noise, samples.shell, weights)
@@ -198,7 +198,7 @@ def _choose_samples(
         return None
     y, map_sd = target.samples[rows], map_sd[rows]
     weight = np.repeat(1 / (target.noise_sd**2 + map_sd**2), 3)
-    distance = config.distance * min(base.lengthscale, target.lengthscale)
+    distance = config.distance * common_length(base, target)
     shell = lay_shell(y, distance, distance / 2, config.n_charges)
     # From component-major rows to a row per sample and component.
     charges = np.moveaxis(shell.design(y).reshape(3, len(y), -1), 0, 1).reshape(3 * len(y), -1)
@@ -291,16 +291,16 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
     v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
     before, noise, power = np.eye(3) / CONSTANT_SD**2, 4.0, float(b @ Wb)
     strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))
-    for _ in range(N_UNRELATED):
+    for _ in range(N_NULL):
         lasting = np.concatenate([[True] * 3, strengths > FADED * strengths.max()])
         A, v, strengths = A[np.ix_(lasting, lasting)], v[lasting], strengths[lasting[3:]]
         _, _, strengths, noise = _update(A, v, np.zeros_like(v), before, strengths, noise, power, len(b))
     return explained - _log_likelihood(A, v, before, strengths, noise, power, len(b))
 
 
-def _direction(
+def _residual_block(
     lookup: Lookup, samples: _Samples, gram: Matrix, pose: RefinedPose, estimate: _Estimate, drift: Drift
-) -> Direction:
+) -> ResidualBlock:
     """What the samples say of pose and sensor when the charges are free to answer every change of them."""
     n, k, left = len(lookup.positions), 6 + len(pose.sensor_sd), estimate.charges
     charges = samples.charges[:, left]
@@ -310,11 +310,11 @@ def _direction(
     free = J - charges @ np.linalg.solve(stiff, charges.T @ (weight[:, None] * J))
     rest = lookup.residual.ravel() - charges @ estimate.values[k:]
     WJ = weight[:, None] * free
-    information = WJ.T @ J / CHOSEN
-    return Direction(
+    information = WJ.T @ J / SELECTION_INFLATION
+    return ResidualBlock(
         information=information,
         curvature=information,
-        scores=(WJ * rest[:, None]).reshape(n, 3, k).sum(axis=1) / np.sqrt(CHOSEN),
+        scores=(WJ * rest[:, None]).reshape(n, 3, k).sum(axis=1) / np.sqrt(SELECTION_INFLATION),
         positions=lookup.positions,
         residual2=(rest**2).reshape(n, 3).sum(axis=1) * samples.weight[::3],
         drift=drift.score_covariance(WJ.reshape(n, 3, k), lookup.gradient, samples.rows),

@@ -21,7 +21,7 @@ from magmatch.geometry import rotate_vectors, skew, transform_points
 from magmatch.registration.prepared.cubes import sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
@@ -68,7 +68,7 @@ class RefinementConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Direction:
+class ResidualBlock:
     """One direction of comparison at the optimum: a map looked up at the other survey's samples.
 
     Attributes
@@ -112,7 +112,7 @@ class RefinedPose:
         Prior standard deviations that the sensor's parameters were given.
     prior_information : (6, 6) array
         What was known of the pose beforehand, about the centre.
-    directions : tuple of Direction
+    blocks : tuple of Direction
         What each direction of comparison says; empty where the maps hardly overlap.
     """
 
@@ -121,7 +121,7 @@ class RefinedPose:
     sensor: SensorModel
     sensor_sd: np.ndarray
     prior_information: Matrix
-    directions: tuple[Direction, ...]
+    blocks: tuple[ResidualBlock, ...]
 
     @property
     def known_before(self) -> Matrix:
@@ -164,16 +164,16 @@ def refine(
     else:
         T, sensor = start, identical_sensors(config.sensor, level)
         sd = prior_sd(config.sensor, level, sensor.n_parameters)
-    lengthscale = min(base.lengthscale, target.lengthscale)
+    lengthscale = common_length(base, target)
     for _ in range(config.n_steps):
-        directions = compare(base, target, T, center, sensor, rows)
-        if not directions:
+        blocks = compare(base, target, T, center, sensor, rows)
+        if not blocks:
             break
-        v = -np.sum([d.scores.sum(axis=0) for d in directions], axis=0)
+        v = -np.sum([d.scores.sum(axis=0) for d in blocks], axis=0)
         # What the likelihood bends by: with the weights alone in its place, steps fall short by a third.
-        A = np.sum([d.curvature for d in directions], axis=0)
+        A = np.sum([d.curvature for d in blocks], axis=0)
         # Neighbouring residuals are not independent; unscaled they would override any prior.
-        excess = overdispersion(directions, 2 * lengthscale)
+        excess = overdispersion(blocks, 2 * lengthscale)
         A, v = A / excess, v / excess
         known, slope, _ = prior.rows(T, center)
         A[:6, :6] += known
@@ -200,16 +200,16 @@ def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
     return np.concatenate([moved.rotation.as_rotvec(), moved.apply(before.center) - before.center])
 
 
-def information_of(directions: tuple[Direction, ...]) -> Matrix:
+def information_of(blocks: tuple[ResidualBlock, ...]) -> Matrix:
     """Information of both directions together: (6 + k, 6 + k)."""
-    A: Matrix = np.sum([d.information for d in directions], axis=0)
+    A: Matrix = np.sum([d.information for d in blocks], axis=0)
     return A
 
 
-def overdispersion(directions: tuple[Direction, ...], side: float) -> float:
+def overdispersion(blocks: tuple[ResidualBlock, ...], side: float) -> float:
     """By how much cell-wise sums of the gradient scatter more than independent samples would (at least 1)."""
-    A = information_of(directions)
-    clusters = np.concatenate([sum_by_cube(d.scores, d.positions, side) for d in directions])
+    A = information_of(blocks)
+    clusters = np.concatenate([sum_by_cube(d.scores, d.positions, side) for d in blocks])
     meat = clusters.T @ clusters
     ratio = np.trace(np.linalg.lstsq(A, meat, rcond=1e-10)[0]) / len(A)
     return max(1.0, float(ratio))
@@ -222,7 +222,7 @@ def compare(
     center: Vector3,
     sensor: SensorModel,
     rows: tuple[Indices, Indices],
-) -> tuple[Direction, ...]:
+) -> tuple[ResidualBlock, ...]:
     """Residuals, weights and Jacobians of both directions at a pose.
 
     Returns
@@ -233,7 +233,9 @@ def compare(
     forward, backward = look_up(base, target, T_base_target, sensor, rows)
     sides = (forward, target), (backward, base)
     return tuple(
-        _direction(side, of.noise_sd, of.drift, center, sensor) for side, of in sides if len(side.sd) >= MIN_SAMPLES
+        _residual_block(side, of.noise_sd, of.drift, center, sensor)
+        for side, of in sides
+        if len(side.sd) >= MIN_SAMPLES
     )
 
 
@@ -304,13 +306,15 @@ def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tup
     return weight, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
 
 
-def _direction(lookup: Lookup, noise_sd: float, drift: Drift, center: Vector3, sensor: SensorModel) -> Direction:
+def _residual_block(
+    lookup: Lookup, noise_sd: float, drift: Drift, center: Vector3, sensor: SensorModel
+) -> ResidualBlock:
     J = residual_jacobian(lookup, center, sensor)
     r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
     weight, bend = student_weights(r2, lookup.sd, noise_sd)
     rows = J.reshape(-1, J.shape[2])
     weighted = rows * np.repeat(weight, 3)[:, None]
-    return Direction(
+    return ResidualBlock(
         information=weighted.T @ rows,
         curvature=(weighted * np.repeat(bend, 3)[:, None]).T @ rows,
         scores=(weighted * lookup.residual.reshape(-1, 1)).reshape(J.shape).sum(axis=1),

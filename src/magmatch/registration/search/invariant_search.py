@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
-from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.annealing import anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
@@ -75,7 +75,7 @@ def invariant_search(
     pb, pt = base.points[neighbours.ravel()], target.points[anchors]
     evidence = weigh_samples(base, target)
     rows = judging_samples(pt, target, config.n_score_samples, rng)
-    lengthscale = min(base.lengthscale, target.lengthscale)
+    lengthscale = common_length(base, target)
     sd = np.array([config.sd_rotation, config.sd_translation * lengthscale])
     center, slack = target.samples.mean(axis=0), (config.sd_rotation, config.sd_translation * lengthscale)
     R, pb, anchor_rows = prior.narrow((R, pb, anchor_rows), pt, center, slack, rng)
@@ -165,7 +165,9 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
     """
     n = len(target.samples)
     rows = rng.integers(0, n, (len(anchors), n_samples))
-    _near_first(anchors, target.samples, rng.permutation(n), (2 * target.lengthscale) ** 2, n_samples // 2, rows)
+    _near_first(
+        anchors, target.samples, rng.permutation(n), (2 * target.correlation_length) ** 2, n_samples // 2, rows
+    )
     return rows
 
 

@@ -27,10 +27,10 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
     prior = pose.known_before
     total = np.zeros_like(prior)
     n_used = 0
-    for direction in pose.directions:
-        clusters = sum_by_cube(direction.scores, direction.positions, cell_side)
+    for block in pose.blocks:
+        clusters = sum_by_cube(block.scores, block.positions, cell_side)
         n_cells = len(clusters)
-        curvature = direction.curvature + prior
+        curvature = block.curvature + prior
         if n_cells < MIN_CELLS or np.linalg.cond(_balanced(curvature[:6, :6])) > 1e12:
             continue
         clusters = clusters - clusters.mean(axis=0)
@@ -59,10 +59,10 @@ def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
 def drift_covariance(pose: RefinedPose) -> Covariance6:
     """Covariance of a pose that follows the drift which each survey states of its own positions."""
     total = np.zeros_like(pose.known_before)
-    for direction in pose.directions:
+    for block in pose.blocks:
         # An error bends both, a sample's pull and what holds against it: weights answer weights.
-        bread = np.linalg.pinv(_regular(direction.information + pose.known_before), hermitian=True)
-        total += bread @ direction.drift @ bread
+        bread = np.linalg.pinv(_regular(block.information + pose.known_before), hermitian=True)
+        total += bread @ block.drift @ bread
     covariance: Covariance6 = ((total + total.T) / 2)[:6, :6]
     return covariance
 

@@ -10,10 +10,10 @@ from scipy.special import gammaln
 
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
-from magmatch.registration.weigh.null_model import UnrelatedField, average_cells, fit_unrelated_field
+from magmatch.registration.weigh.null_model import NullModel, average_cells, fit_null_model
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Scalars, Vectors
 
 # Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
@@ -74,12 +74,12 @@ class PoseEvidence:
         return self.n_good / self.n_informative if self.n_informative else 0.0
 
 
-def unrelated_field(base: PreparedMap, target: PreparedMap) -> UnrelatedField:
+def null_model_of(base: PreparedMap, target: PreparedMap) -> NullModel:
     """Null hypothesis of a pair: what the target's cells look like on their own."""
-    cells = average_cells(target.samples, min(base.lengthscale, target.lengthscale))
+    cells = average_cells(target.samples, common_length(base, target))
     noise_variance = base.noise_sd**2 + target.noise_sd**2
     noise = noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE)
-    return fit_unrelated_field(cells, cells.mean(target.sample_field), noise, target.lengthscale)
+    return fit_null_model(cells, cells.mean(target.sample_field), noise, target.correlation_length)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,7 +109,7 @@ def weigh_pose(
     base: PreparedMap,
     target: PreparedMap,
     pose: RefinedPose,
-    unrelated: UnrelatedField,
+    null_model: NullModel,
     prior: PosePrior,
     change: Change | None = None,
 ) -> PoseEvidence:
@@ -119,7 +119,7 @@ def weigh_pose(
     ----------
     base, target : PreparedMap
     pose : RefinedPose
-    unrelated : UnrelatedField
+    null_model : UnrelatedField
         Null hypothesis of this pair.
     prior : PosePrior
     change : Change, optional
@@ -132,25 +132,25 @@ def weigh_pose(
     field = pose.sensor.correct(target.sample_field)
     if change is not None:
         field = field - change.field
-    seen = compare_cells(base, target, pose.T_base_target, field, unrelated)
-    joint = joint_covariance(pose, 2 * min(base.lengthscale, target.lengthscale))
+    seen = compare_cells(base, target, pose.T_base_target, field, null_model)
+    joint = joint_covariance(pose, 2 * common_length(base, target))
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
         return PoseEvidence(pose, covariance, overlap, 0, 0, 0, -np.inf, 1.0, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
-    log_ratio, unexplained = unrelated.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
+    log_ratio, unexplained = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
     if change is not None:
         log_ratio = change.log_ratio
-    r2, variance = (seen.residual[rows] ** 2).sum(axis=1), unrelated.noise[rows] + seen.map_variance[rows]
+    r2, variance = (seen.residual[rows] ** 2).sum(axis=1), null_model.noise[rows] + seen.map_variance[rows]
     # A sensor that must differ implausibly speaks against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
-    n2 = ((unrelated.field[rows] - unrelated.field.mean(axis=0)) ** 2).sum(axis=1)
+    n2 = ((null_model.field[rows] - null_model.field.mean(axis=0)) ** 2).sum(axis=1)
     # What noise and map state, or what the residuals show: both together would count one error twice.
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
     is_informative = n2 > 9 * V
-    sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else unrelated.cells.holds(rows))]
+    sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
     return PoseEvidence(
         pose,
         covariance,
@@ -197,10 +197,10 @@ def compare_cells(
     target: PreparedMap,
     T_base_target: RigidTransform,
     field: Vectors,
-    unrelated: UnrelatedField,
+    null_model: NullModel,
 ) -> CellComparison:
     """Residuals of the target's cells under a pose."""
-    cells = unrelated.cells
+    cells = null_model.cells
     expected, sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
     residual = rotate_vectors(field, T_base_target) - expected
     rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > 0.99)
@@ -209,7 +209,7 @@ def compare_cells(
 
 
 def agreeing_cells(
-    seen: CellComparison, unrelated: UnrelatedField, shares: Sequence[float] = UNCHANGED_SHARES
+    seen: CellComparison, null_model: NullModel, shares: Sequence[float] = UNCHANGED_SHARES
 ) -> tuple[Indices, float, float]:
     """Cells that the base explains, where something has changed in the others.
 
@@ -222,13 +222,13 @@ def agreeing_cells(
     price : float, nats
         What it costs to say which cells they are.
     """
-    chi2 = (seen.residual**2).sum(axis=1) / (unrelated.noise + seen.map_variance)
+    chi2 = (seen.residual**2).sum(axis=1) / (null_model.noise + seen.map_variance)
     ordered, n = seen.rows[np.argsort(chi2[seen.rows], kind="stable")], len(seen.rows)
     best: tuple[Indices, float, float] = (seen.rows, -np.inf, 0.0)
     for share in shares if n else ():
         rows = np.sort(ordered[: max(1, round(share * n))])
         price = float(gammaln(n + 1) - gammaln(len(rows) + 1) - gammaln(n - len(rows) + 1))
-        log_ratio, _ = unrelated.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
+        log_ratio, _ = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
         if log_ratio - price > best[1]:
             best = rows, log_ratio - price, price
     return best

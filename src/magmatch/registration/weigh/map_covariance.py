@@ -29,7 +29,7 @@ def map_covariance(
     """Covariance of a pose through the maps' own uncertainty alone."""
     T, rng = pose.T_base_target, np.random.default_rng(seed)
     forward, backward = look_up(base, target, T, pose.sensor, some_rows(base, target, config, rng))
-    information = information_of(pose.directions) + pose.known_before
+    information = information_of(pose.blocks) + pose.known_before
     # The base's field enters the residual with a minus, the target's with a plus.
     of_base = [-rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T))]
     of_target = _errors(target, backward.positions)

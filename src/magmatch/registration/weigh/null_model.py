@@ -68,7 +68,7 @@ class CellMeans:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class UnrelatedField:
+class NullModel:
     """Covariance of the cells' field under the null hypothesis.
 
     Attributes
@@ -140,7 +140,7 @@ def average_cells(positions: Points, side: float) -> CellMeans:
     return CellMeans(means.cell, means.counts, means.mean(positions))
 
 
-def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> UnrelatedField:
+def fit_null_model(cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> NullModel:
     """Most likely smooth random field for the target's cells."""
     distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
     variance = max(float(field.var(axis=0).mean()), float(noise.min()))
@@ -152,7 +152,7 @@ def fit_unrelated_field(cells: CellMeans, field: Vectors, noise: Scalars, length
         log_likelihood = _with_free_constant(field, K, noise + roughness**2 * variance)
         if log_likelihood > best:
             best, covariance, rough = log_likelihood, K, roughness**2 * variance
-    return UnrelatedField(cells, field, covariance, noise, rough)
+    return NullModel(cells, field, covariance, noise, rough)
 
 
 def _with_free_constant(values: Vectors, K: Matrix, noise: Scalars) -> float:
