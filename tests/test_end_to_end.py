@@ -5,9 +5,11 @@ import pytest
 
 import magmatch as mm
 from magmatch.geometry import log_se3, random_transform, transform_error
+from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
-from magmatch.registration.index.map_index import index_map
-from magmatch.registration.register_walk import WalkConfig, register_walk
+from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.strategy import weigh_poses
+from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.simulation.config import SimulationConfig
 
 pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
@@ -67,10 +69,10 @@ def test_a_walk_along_the_path_of_another_is_refined_from_both_sides():
     pair = mm.simulate("corridor", 302)
     result = mm.register(pair.base, pair.target)
     assert result.is_accepted
-    assert "walk" in result.seconds
-    index = index_map(mm.build_map(pair.base), PRESETS["default"])
+    index = prepare_index(mm.build_map(pair.base), PRESETS["default"])
     assert not index.walks.noise.is_learned  # one pass only
-    one_sided = register_walk(index.walks, pair.target, WalkConfig(), np.random.default_rng(0))
+    strategy = WalkStrategy(pair.target, pair.target, PRESETS["default"], 0, Clock())
+    one_sided = strategy.decide(weigh_poses(strategy, index, Clock()))
     truth, center = pair.T_base_target, pair.target.centroid
     (far, turned), (near, hardly) = (transform_error(r.T_base_target, truth, center) for r in (one_sided, result))
     assert near < min(0.15, far / 2)

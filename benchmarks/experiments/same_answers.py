@@ -151,9 +151,11 @@ def run(folder: Path, answers: Path, like: str, part: str) -> None:
             continue
         base, target = (load(folder / f"{name}.{side}.npz") for side in ("base", "target"))
         start = time.perf_counter()
-        result = mm.register(base, target, config_of(how))
+        try:
+            document = mm.register(base, target, config_of(how)).to_dict()
+        except Exception as error:
+            document = dict.fromkeys(KEYS) | {"status": "fault", "reason": repr(error)}
         seconds = time.perf_counter() - start
-        document = result.to_dict()
         row = {"name": f"{name}/{how}", **{key: exact(document[key]) for key in KEYS}, "took": round(seconds, 3)}
         with answers.open("a") as stream:
             stream.write(json.dumps(row) + "\n")

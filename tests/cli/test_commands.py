@@ -260,7 +260,7 @@ def test_demo_finds_the_truth_and_draws_it(run, tmp_path):
 def test_demo_works_without_the_picture(place, run, tmp_path, monkeypatch):
     result = RegistrationResult.load(place / "result.json")
     monkeypatch.setattr("magmatch.registration.register.register_keeping_maps", lambda *_, **__: (None, None, result))
-    monkeypatch.setattr("magmatch.registration.register.as_map", lambda *_: None)
+    monkeypatch.setattr("magmatch.registration.maps.as_map", lambda *_: None)
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     outcome = run("demo", "--out", tmp_path / "demo")
     assert outcome.code == 0

@@ -113,7 +113,7 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
         Settings that decide by fitness alone (preset ``paper``), which cannot compare maps.
     """
     config, folder = config or PRESETS["default"], Path(folder)
-    if config.decision.rule == "fitness":
+    if config.search == "keypoints":
         msg = "a folder of maps as the base: these settings decide by fitness, which does not compare maps"
         raise ConfigurationError(msg)
     paths = list(maps_in(folder))

@@ -4,23 +4,24 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from magmatch._version import __version__
 from magmatch.atlas.atlas import Atlas, AtlasEntry
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.calibrated import attempted, better_supported, calibrate
-from magmatch.registration.clock import Stopwatch
-from magmatch.registration.prepared.walk import choose_search, walk_of
-from magmatch.registration.register import prepare_target, settle_walk, survey_of
-from magmatch.registration.register_map import WeighedMap, judge_map, search_map
-from magmatch.registration.register_walk import WeighedWalk, judge_walk, search_walk
+from magmatch.registration.clock import Clock
+from magmatch.registration.map_strategy import MapStrategy
+from magmatch.registration.maps import survey_of
+from magmatch.registration.prepared.walk import choose_search
+from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.serialization import describe_input
-from magmatch.threads import single_threaded
+from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate
+from magmatch.registration.strategy import Strategy, Weighed, decide, weigh_poses
+from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch.threads import one_blas_thread
 from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)
@@ -49,7 +50,6 @@ def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> Regis
     return localize_keeping_map(atlas, target, seed=seed)[1]
 
 
-@single_threaded
 def localize_keeping_map(
     atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0
 ) -> tuple[Survey | FieldMap, RegistrationResult]:
@@ -67,84 +67,72 @@ def localize_keeping_map(
     result : RegistrationResult
         What `localize` gives.
     """
-    clock, config, survey = Stopwatch(), atlas.config, survey_of(target)
+    clock, config, survey = Clock(), atlas.config, survey_of(target)
     length = float(np.median([entry.table.length for entry in atlas.entries]))
     search = choose_search(survey, length) if config.search == "auto" else config.search
-    if search == "pairs":
-        answer = localize_walk(atlas, survey, seed, clock)
-    else:
-        target, answer = localize_map(atlas, target, survey, seed, clock)
+    with one_blas_thread():
+        if search == "pairs":
+            used, answer = target, _localize_walk(atlas, target, survey, seed, clock)
+        else:
+            used, answer = _localize_map(atlas, target, survey, seed, clock)
     found = (atlas.load(entry).field_map.survey for entry in atlas.entries if entry.name == answer.base)
-    answer = replace(
-        answer,
-        seconds=clock.seconds(),
-        config=config.model_dump(mode="json"),
-        version=__version__,
-        seed=seed,
-        inputs=tuple(describe_input(s) for s in (*found, survey)),
-    )
-    return target, answer
+    return used, stamped(answer, (*found, survey), config, seed, clock)
 
 
-def localize_walk(atlas: Atlas, survey: Survey, seed: int, clock: Stopwatch) -> RegistrationResult:
-    """Ask all maps for votes, search the likeliest in full, judge the best pose of all."""
-    config = atlas.config
+def _localize_walk(
+    atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Clock
+) -> RegistrationResult:
+    """Ask all maps for votes, then compare the likeliest with the walk."""
     log.info("asking %d maps", len(atlas.entries))
-    tables = [entry.table for entry in atlas.entries]
-    votes = clock.time("votes", count_votes, tables, survey, config.walks.search, seed)
-
+    with clock("votes"):
+        votes = count_votes([entry.table for entry in atlas.entries], survey, atlas.config.walks.search, seed)
     likely = shortlist(atlas.entries, votes)
     # The same bins for all: only then can their densities be compared.
-    walk = walk_of(survey, float(np.median([entry.table.length for entry in likely])))
-
-    def search(entry: AtlasEntry) -> WeighedWalk:
-        index, rng = clock.time("load", atlas.load, entry), np.random.default_rng(seed)
-        log.info("searching %s", entry.name)
-        return clock.time("walk", search_walk, index.walks, walk, config.walks, rng, config.prior, atlas.volume)
-
-    weighed = {entry: search(entry) for entry in likely}
-    leads = _leads(weighed)
-    answers = {entry: judge_walk(weighed[entry], config.walks, leads[entry]) for entry in leads}
-    first, answer = next(iter(answers.items()))
-    answers[first] = settle_walk(weighed[first].index, survey, answer, config, seed, clock)
-    return _with_alternatives(answers)
-
-
-def localize_map(
-    atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Stopwatch
-) -> tuple[FieldMap, RegistrationResult]:
-    """The surer answer for a target as it is, and calibrated where its readings turn with its sensor."""
-    found = target_map, answer = _localize_map(atlas, target, seed, clock)
-    side = clock.time("calibrate", calibrate, target_map, survey) if atlas.config.calibrate else None
-    if side is None:
-        return found
-    log.info("searching once more, calibrated")
-    again = attempted(_localize_map, atlas, side.survey, seed, clock)
-    if again is None:
-        return found
-    better = better_supported(answer, again[1], {"target": side})
-    return found if better is answer else (again[0], better)
+    length = float(np.median([entry.table.length for entry in likely]))
+    return _best_of(atlas, likely, WalkStrategy(target, survey, atlas.config, seed, clock, length), clock)
 
 
 def _localize_map(
-    atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Stopwatch
+    atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Clock
 ) -> tuple[FieldMap, RegistrationResult]:
-    """Score a few poses in every map, search the likeliest in full, judge the best pose of all."""
-    config = atlas.config
-    prepared = prepare_target(target, config, seed, clock)
+    """The better supported answer: for a target as it is, and calibrated where its readings turn with its sensor."""
+    found = _compare_map(atlas, target, seed, clock)
+    if not atlas.config.calibrate:
+        return found
+    with clock("calibrate"):
+        calibrated = calibrate(found[0], survey)
+    if calibrated is None:
+        return found
+    log.info("searching once more, calibrated")
+    again = attempted(_compare_map, atlas, calibrated.survey, seed, clock)
+    return better_supported(found, again, {"target": calibrated})
+
+
+def _compare_map(
+    atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Clock
+) -> tuple[FieldMap, RegistrationResult]:
+    """Score a few poses in every map, then compare the likeliest with the target's map."""
+    strategy = MapStrategy.of(target, atlas.config, seed, clock)
     log.info("asking %d maps", len(atlas.entries))
-    bases = (clock.time("load", atlas.load, entry).base for entry in atlas.entries)
-    votes = clock.time("votes", count_agreement, bases, prepared, config, seed)
+    with clock("votes"):
+        bases = (atlas.load(entry).base for entry in atlas.entries)
+        votes = count_agreement(bases, strategy.prepared, atlas.config, seed)
+    return strategy.target, _best_of(atlas, shortlist(atlas.entries, votes), strategy, clock)
 
-    def search(entry: AtlasEntry) -> WeighedMap:
+
+def _best_of(
+    atlas: Atlas, likely: list[AtlasEntry], strategy: Strategy[Any, Any, Any], clock: Clock
+) -> RegistrationResult:
+    """Weigh poses in each map and decide on the best of all; it pays for a search through the whole atlas."""
+    weighed = {}
+    for entry in likely:
         log.info("searching %s", entry.name)
-        base = clock.time("load", atlas.load, entry).base
-        return search_map(base, prepared, config, seed, clock, atlas.volume)
-
-    weighed = {entry: search(entry) for entry in shortlist(atlas.entries, votes)}
+        with clock("load"):
+            base = atlas.load(entry)
+        weighed[entry] = weigh_poses(strategy, base, clock, atlas.volume)
     leads = _leads(weighed)
-    answers = {entry: judge_map(weighed[entry], config, seed, leads[entry]) for entry in leads}
-    return prepared.field_map, _with_alternatives(answers)
+    answers = {e: decide(strategy, replace(weighed[e], lead=lead), clock) for e, lead in leads.items()}
+    return _with_alternatives(answers)
 
 
 def shortlist(entries: tuple[AtlasEntry, ...], votes: Scalars) -> list[AtlasEntry]:
@@ -154,7 +142,7 @@ def shortlist(entries: tuple[AtlasEntry, ...], votes: Scalars) -> list[AtlasEntr
     return [entries[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
 
 
-def _leads(weighed: Mapping[AtlasEntry, WeighedWalk] | Mapping[AtlasEntry, WeighedMap]) -> dict[AtlasEntry, float]:
+def _leads(weighed: Mapping[AtlasEntry, Weighed[Any, Any, Any]]) -> dict[AtlasEntry, float]:
     """Lead of each map's best pose over that of any other map, best first."""
     ranked = sorted(weighed, key=lambda entry: -weighed[entry].log_density)
     first, *others = (weighed[entry].log_density for entry in ranked)

@@ -17,8 +17,8 @@ from magmatch.errors import MissingExtraError
 from magmatch.features.config import FeatureConfig
 from magmatch.features.extract import extract_features, shared_range
 from magmatch.field.map import FieldMap
-from magmatch.registration.published.keypoint_search import comparable
 from magmatch.registration.published.matching import MatchingConfig, match_features
+from magmatch.registration.published.method import comparable
 from magmatch.registration.result import RegistrationResult
 
 

@@ -5,9 +5,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
-from magmatch.registration.decide.answer import by_fitness
-from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.decide.fitness import alignment_fitness
+from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
 
@@ -34,7 +33,7 @@ def judged(
     RegistrationResult
     """
     if found is None or not np.isfinite(found.as_matrix()).all():
-        return by_fitness(SearchResult(n_correspondences=n_correspondences), None, DecisionConfig(rule="fitness"))
+        return by_fitness(SearchResult(n_correspondences=n_correspondences), None, FitnessConfig())
     search = SearchResult((Candidate(found, 0.0),), n_correspondences=n_correspondences, n_inliers=n_inliers)
     fitness = alignment_fitness(base_map, target_map.survey, found)
-    return by_fitness(search, fitness, DecisionConfig(rule="fitness"))
+    return by_fitness(search, fitness, FitnessConfig())

@@ -38,7 +38,8 @@ def demo(
     check_folder(out)
     from magmatch.data.read import read_survey
     from magmatch.registration.config import PRESETS
-    from magmatch.registration.register import as_map, register_keeping_maps
+    from magmatch.registration.maps import as_map
+    from magmatch.registration.register import register_keeping_maps
 
     with as_file(files("magmatch.data") / "samples" / "office") as folder:
         base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
@@ -50,7 +51,8 @@ def demo(
     try:
         from magmatch.viz.report import write_report
 
-        write_report(out / "report.html", base_map, as_map(mapped, settings), result, f"magmatch demo --seed {seed}")
+        target_map, command = as_map(mapped, settings.field), f"magmatch demo --seed {seed}"
+        write_report(out / "report.html", base_map, target_map, result, command)
     except MissingExtraError as error:
         report = None
         say(f"No picture: {error}")

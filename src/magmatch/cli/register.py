@@ -89,11 +89,11 @@ def register(
     if out is not None:
         result.save(out)
     if report is not None:
-        from magmatch.registration.register import as_map
+        from magmatch.registration.maps import as_map
         from magmatch.viz.report import write_report
 
         # Of a folder where no map fits there is nothing to draw, but all the words.
-        target_map = None if base_map is None else as_map(mapped, settings)
+        target_map = None if base_map is None else as_map(mapped, settings.field)
         write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
     if json:
         put(as_json(result.to_dict()))

@@ -44,7 +44,7 @@ def with_sensor(config: "RegistrationConfig", sensor: str) -> "RegistrationConfi
     """State what to estimate between the two magnetometers, where it is not left to the configuration."""
     if sensor == "auto":
         return config
-    if not config.refinement.is_enabled and sensor != "none":
+    if config.search == "keypoints" and sensor != "none":
         msg = f"--sensor {sensor}: these settings do not refine the pose, so none is estimated; say auto or none"
         raise ConfigurationError(msg)
     return type(config).model_validate(_over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))

@@ -105,14 +105,14 @@ def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
 def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
     """A survey's map as the registration made it, since residuals and cuts need one; the survey where none can be."""
     from magmatch.errors import SurveyError
-    from magmatch.registration.calibrated import without_sensor_errors
     from magmatch.registration.config import RegistrationConfig
-    from magmatch.registration.register import as_map, survey_of
+    from magmatch.registration.maps import as_map, survey_of
+    from magmatch.registration.sensor_calibration import without_sensor_errors
 
     as_given = survey_of(item)
     used = without_sensor_errors(as_given, result.sensor, side)
     try:
-        return as_map(item if used is as_given else used, RegistrationConfig.model_validate(result.config))
+        return as_map(item if used is as_given else used, RegistrationConfig.model_validate(result.config).field)
     except (SurveyError, ValidationError):
         return item
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 def tell_result(result: "RegistrationResult", out: Path | None = None, report: Path | None = None) -> str:
     """Tell a registration in a few lines."""
-    from magmatch.registration.calibrated import in_words as calibration_words
+    from magmatch.registration.sensor_calibration import in_words as calibration_words
 
     lines = [f"{'Accepted' if result.is_accepted else f'Not accepted ({result.status})'}: {result.reason}"]
     lines += [] if result.base is None else [f"Map: {result.base}"]

@@ -77,7 +77,7 @@ class Preset:
     def __call__(self, task: Task) -> RegistrationResult:
         """Register the pair; a target that is a walk needs no map, so only the published method is given one."""
         base, target = task.build(task.base, self.config.field), task.target
-        if self.config.decision.rule == "fitness":
+        if self.config.search == "keypoints":
             return register(base, task.build(target, self.config.field), self.config, seed=task.seed)
         return register(base, target, self.config, seed=task.seed)
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import refined
+from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.registration.prepared.pose_prior import pose_prior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import refine
 from magmatch.registration.refine.sensors import levels_to_try
-from magmatch.registration.register_walk import WalkIndex
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
 from magmatch.registration.weigh.map_covariance import map_covariance

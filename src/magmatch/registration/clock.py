@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Seconds per stage of one registration."""
+"""Seconds per stage of one registration: ``with clock("search"): ...``."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from time import perf_counter
-from typing import ParamSpec, TypeVar
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 
-class Stopwatch:
+class Clock:
     """Adds up the wall time of named stages."""
 
     def __init__(self) -> None:
         self._start = perf_counter()
         self._stages: dict[str, float] = {}
 
-    def time(self, stage: str, step: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run a step and add its time to a stage."""
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Add the time of what runs inside to a stage."""
         start = perf_counter()
         try:
-            return step(*args, **kwargs)
+            yield
         finally:
             self._stages[stage] = self._stages.get(stage, 0.0) + perf_counter() - start
 

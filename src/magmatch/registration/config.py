@@ -7,12 +7,24 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.field.config import FieldConfig
 from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.walk_answer import WalkDecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
-from magmatch.registration.published.keypoint_search import KeypointSearchConfig
+from magmatch.registration.published.method import PublishedConfig
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinementConfig
-from magmatch.registration.register_walk import WalkConfig
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
+from magmatch.registration.search.pair_search import PairSearchConfig
+from magmatch.registration.weigh.line_evidence import LineConfig
+
+
+class WalkConfig(BaseModel):
+    """Everything that shapes the registration of a walk, stage by stage."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    search: PairSearchConfig = Field(default_factory=PairSearchConfig)
+    evidence: LineConfig = Field(default_factory=LineConfig)
+    decision: WalkDecisionConfig = Field(default_factory=WalkDecisionConfig)
 
 
 class RegistrationConfig(BaseModel):
@@ -24,7 +36,7 @@ class RegistrationConfig(BaseModel):
     field: FieldConfig = Field(default_factory=FieldConfig)
     # 'invariants': a frame and a descriptor at every point; 'pairs': pairs of points, for a walk that is a line and
     # has no gradient across itself; 'auto': pairs for short lines, invariants otherwise and where pairs refuse;
-    # 'keypoints': the published detector, HOV and MSAC.
+    # 'keypoints': the published method, which reads `field` and `keypoints` alone.
     search: Literal["auto", "invariants", "pairs", "keypoints"] = "auto"
     invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
     # Where readings turn with their sensor, calibrate it as `magmatch prepare` does, register once more, and keep
@@ -33,7 +45,7 @@ class RegistrationConfig(BaseModel):
     # What is known of the pose beforehand.
     prior: PosePriorConfig = Field(default_factory=PosePriorConfig)
     walks: WalkConfig = Field(default_factory=WalkConfig)
-    keypoints: KeypointSearchConfig = Field(default_factory=KeypointSearchConfig)
+    keypoints: PublishedConfig = Field(default_factory=PublishedConfig)
     refinement: RefinementConfig = Field(default_factory=RefinementConfig)
     # What moved between the surveys.
     changes: ChangeConfig = Field(default_factory=ChangeConfig)
@@ -42,13 +54,10 @@ class RegistrationConfig(BaseModel):
 
 PRESETS: dict[str, RegistrationConfig] = {
     "default": RegistrationConfig(),
-    # The published method with the corrections of docs/theory.md: every sample used, no dense refinement, decided by
-    # fitness alone.
+    # The published method with the corrections of docs/theory.md, every sample used.
     "paper": RegistrationConfig(
         field=FieldConfig(prior="divergence_free", leave_out_outliers=False),
         search="keypoints",
         calibrate=False,
-        refinement=RefinementConfig(is_enabled=False),
-        decision=DecisionConfig(rule="fitness"),
     ),
 }

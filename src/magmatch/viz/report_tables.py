@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.calibrated import in_words as calibration_words
 from magmatch.registration.result import RegistrationResult
+from magmatch.registration.sensor_calibration import in_words as calibration_words
 from magmatch.viz.certainty import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure, poses_figure
 from magmatch.viz.page import Section, details, figure_row, note, paragraph, subheading, table, to_copy

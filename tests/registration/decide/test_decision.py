@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.both_sides import needs_both_sides
-from magmatch.registration.decide.decision import DecisionConfig, decide, decide_by_fitness
+from magmatch.registration.decide.decision import DecisionConfig, decide
 from magmatch.registration.decide.walk_answer import WalkDecisionConfig, _refusals
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.result import RegistrationResult, Status
@@ -84,19 +84,6 @@ def test_reason_names_the_number_that_decided():
     verdict = decide([evidence(overlap=0.01)], False, np.inf, None, CONFIG)
     assert "1%" in verdict.reason
     assert "5%" in verdict.reason
-
-
-@pytest.mark.parametrize(
-    ("fitness", "overlap", "status"),
-    [
-        (None, 0.0, Status.UNINFORMATIVE),
-        (0.01, 0.01, Status.NO_OVERLAP),
-        (0.9, 0.9, Status.INCONSISTENT),
-        (0.01, 0.9, Status.ACCEPTED),
-    ],
-)
-def test_published_rule_looks_at_fitness_alone(fitness, overlap, status):
-    assert decide_by_fitness(fitness, overlap, CONFIG).status is status
 
 
 @pytest.mark.parametrize(

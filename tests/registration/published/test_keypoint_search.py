@@ -12,9 +12,9 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.decide.fitness import alignment_fitness
-from magmatch.registration.published.keypoint_search import KeypointSearchConfig, comparable, keypoint_search
+from magmatch.registration.published.method import PublishedConfig, comparable, keypoint_search
 
-CONFIG = KeypointSearchConfig()
+CONFIG = PublishedConfig()
 T_BASE_TARGET = random_transform(np.random.default_rng(11))
 FIELD = FieldConfig(prior="divergence_free", lengthscale=0.6, signal_sd=2e-5, noise_sd=0.6e-6, spacing=0.45)
 

@@ -9,14 +9,19 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
+from magmatch.registration.clock import Clock
+from magmatch.registration.config import RegistrationConfig, WalkConfig
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.index.walk_index import index_walks
 from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.prepared.walk import bin_along_path, choose_search, walk_of
 from magmatch.registration.refine.refinement import perturbation
-from magmatch.registration.register_walk import WalkConfig, index_walks, register_walk
 from magmatch.registration.result import Status
 from magmatch.registration.search.pair_search import pair_search
+from magmatch.registration.strategy import weigh_poses
+from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.line_evidence import weigh_walk
 
 NOISE_SD = 0.3e-6
@@ -43,7 +48,14 @@ def rooms(make_exact_pair):
 @pytest.fixture(scope="module")
 def index(rooms):
     rng = np.random.default_rng(0)
-    return index_walks(prepare(rooms[0], 8, rng), WalkConfig(), rng)
+    return index_walks(prepare(rooms[0], 8, rng), WalkConfig().search, rng)
+
+
+def register_walk(index, target, seed=0, prior=None):
+    """What the base's side alone says of a walk."""
+    config = RegistrationConfig(prior=prior or PosePriorConfig())
+    strategy = WalkStrategy(target, target, config, seed, Clock())
+    return strategy.decide(weigh_poses(strategy, MapIndex(index.base, lambda: index), Clock()))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -51,7 +63,7 @@ def test_a_walk_is_found_wherever_its_frame_lies(rooms, index, seed):
     rng = np.random.default_rng(seed)
     T = random_transform(rng)
     target = walk_in(rooms[0], rng).transformed(T.inv())
-    result = register_walk(index, target, WalkConfig(), rng)
+    result = register_walk(index, target)
     assert result.status is Status.ACCEPTED, result.reason
     distance, angle = transform_error(result.T_base_target, T, target.centroid)
     assert distance < 0.03
@@ -72,7 +84,7 @@ def test_the_truth_is_among_the_first_poses_of_the_search(rooms, index):
 def test_a_walk_in_another_room_is_refused(rooms, index, seed):
     rng = np.random.default_rng(seed)
     target = walk_in(rooms[1], rng).transformed(random_transform(rng))
-    result = register_walk(index, target, WalkConfig(), rng)
+    result = register_walk(index, target)
     assert result.status is not Status.ACCEPTED
     assert result.T_base_target is None
     assert result.reason
@@ -81,7 +93,7 @@ def test_a_walk_in_another_room_is_refused(rooms, index, seed):
 def test_a_walk_shorter_than_any_pair_is_refused_with_a_reason(rooms, index):
     rng = np.random.default_rng(1)
     short = walk_in(rooms[0], rng, CORNERS[:1] + np.array([[0, 0, 0], [0.2, 0.0, 0.0]]))
-    result = register_walk(index, short, WalkConfig(), rng)
+    result = register_walk(index, short)
     assert result.status is Status.UNINFORMATIVE
     assert "walk" in result.reason
 
@@ -91,12 +103,12 @@ def test_a_rough_pose_makes_a_short_walk_enough(rooms, index):
     rng = np.random.default_rng(3)
     T = random_transform(rng)
     target = walk_in(rooms[0], rng, np.array([[0.5, 0.6, 0.3], [1.1, 0.7, 0.25]])).transformed(T.inv())
-    alone = register_walk(index, target, WalkConfig(), np.random.default_rng(0))
+    alone = register_walk(index, target, 0)
     assert not alone.is_accepted
     rough = T * perturbation(np.array([0.04, -0.03, 0.03, 0.06, -0.05, 0.05]), target.centroid)
     numbers = (*map(float, rough.translation), *map(float, rough.rotation.as_quat()))
     prior = PosePriorConfig(pose=numbers, sd_translation=0.05, sd_rotation=0.03)
-    result = register_walk(index, target, WalkConfig(), np.random.default_rng(0), prior)
+    result = register_walk(index, target, prior=prior)
     assert result.is_accepted, result.reason
     distance, angle = transform_error(result.T_base_target, T, target.centroid)
     assert distance < 0.05
@@ -107,14 +119,14 @@ def test_a_walk_far_from_a_wrong_rough_pose_is_refused(rooms, index):
     rng = np.random.default_rng(4)
     target = walk_in(rooms[0], rng)
     prior = PosePriorConfig(pose=(0.9, -0.8, 0.3, 0.0, 0.0, 0.7071, 0.7071), sd_translation=0.2, sd_rotation=0.1)
-    assert not register_walk(index, target, WalkConfig(), rng, prior).is_accepted
+    assert not register_walk(index, target, prior=prior).is_accepted
 
 
 def test_a_walk_is_found_among_the_headings_that_gravity_leaves(rooms, index):
     rng = np.random.default_rng(6)
     T = RigidTransform.from_components([3.0, -2.0, 0.5], Rotation.from_euler("z", 200, degrees=True))
     prior = PosePriorConfig(is_gravity_aligned=True)
-    result = register_walk(index, walk_in(rooms[0], rng).transformed(T.inv()), WalkConfig(), rng, prior)
+    result = register_walk(index, walk_in(rooms[0], rng).transformed(T.inv()), prior=prior)
     assert result.is_accepted, result.reason
     assert (T.rotation.inv() * result.T_base_target.rotation).magnitude() < 0.02
 
@@ -123,12 +135,12 @@ def test_a_walk_through_a_uniform_field_is_refused(index):
     rng = np.random.default_rng(2)
     x = path(CORNERS)
     uniform = Survey(x, np.array([20e-6, 0.0, -45e-6]) + NOISE_SD * rng.standard_normal(x.shape))
-    assert register_walk(index, uniform, WalkConfig(), rng).status is not Status.ACCEPTED
+    assert register_walk(index, uniform).status is not Status.ACCEPTED
 
 
 def test_the_same_seed_gives_the_same_answer(rooms, index):
     target = walk_in(rooms[0], np.random.default_rng(5))
-    one, other = (register_walk(index, target, WalkConfig(), np.random.default_rng(9)) for _ in range(2))
+    one, other = (register_walk(index, target, 9) for _ in range(2))
     np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
 
 
@@ -212,7 +224,9 @@ def test_bins_follow_the_path_and_do_not_join_separate_passes():
         assert np.ptp(there_and_back[rows == k], axis=0).max() < 0.25
 
 
-def test_the_field_length_of_a_map_does_not_depend_on_its_frame(rooms):
+def test_the_correlation_length_of_a_map_does_not_depend_on_its_frame(rooms):
     T = random_transform(np.random.default_rng(3))
-    lengths = [prepare(m, 4, np.random.default_rng(0)).lengthscale for m in (rooms[0], rooms[0].transformed(T))]
+    lengths = [
+        prepare(m, 4, np.random.default_rng(0)).correlation_length for m in (rooms[0], rooms[0].transformed(T))
+    ]
     assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)

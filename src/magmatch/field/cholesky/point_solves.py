@@ -75,7 +75,7 @@ def joint_covariances(factor: CholeskyFactor, unknowns: np.ndarray, rows: np.nda
     n, n_rows, _ = rows.shape
     out = np.zeros((n, n_rows, n, n_rows))
     for points, part in half_solves(factor, unknowns, rows):
-        columns = part.reshape(len(part), -1)
+        columns = part.reshape(len(part), len(points) * n_rows)  # also where a front eliminates nothing
         block = (columns.T @ columns).reshape(len(points), n_rows, len(points), n_rows)
         out[points[:, None], :, points] += block.transpose(0, 2, 1, 3)
     return out.reshape(n * n_rows, n * n_rows)

@@ -12,10 +12,9 @@ from magmatch.registration.decide.decision import (
     DEGENERATE_REASON,
     DecisionConfig,
     decide,
-    decide_by_fitness,
     odds_in_words,
 )
-from magmatch.registration.decide.fitness import Fitness, mean_misalignment
+from magmatch.registration.decide.fitness import mean_misalignment
 from magmatch.registration.decide.probability import pose_probability, shares
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.sensors import TIED_SD
@@ -126,41 +125,6 @@ def refined(
         T_base_target=None,
         covariance=None,
         alternatives=(Alternative(pose, answer.probability, log_odds=answer.evidence["log_odds"]),),
-    )
-
-
-def by_fitness(found: SearchResult, fitness: Fitness | None, config: DecisionConfig) -> RegistrationResult:
-    """State the answer of the published method: the best consensus, judged by its fitness.
-
-    Parameters
-    ----------
-    found : SearchResult
-        In survey frames.
-    fitness : Fitness or None
-        None where no pose was found.
-    config : DecisionConfig
-
-    Returns
-    -------
-    RegistrationResult
-        Covariance and probability are None: the published method gives neither.
-    """
-    overlap = fitness.overlap if fitness else 0.0
-    value = fitness.value if fitness else None
-    verdict = decide_by_fitness(value, overlap, config)
-    is_accepted = verdict.status is Status.ACCEPTED
-    poses = [c.T_base_target for c in found.candidates]
-    return RegistrationResult(
-        status=verdict.status,
-        reason=verdict.reason,
-        T_base_target=poses[0] if is_accepted else None,
-        overlap=overlap,
-        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
-        fitness=value,
-        n_inliers=found.n_inliers,
-        n_keypoints=found.n_keypoints,
-        n_correspondences=found.n_correspondences,
-        links=found.links,
     )
 
 

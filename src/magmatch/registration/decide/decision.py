@@ -3,7 +3,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,8 +18,6 @@ class DecisionConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # 'evidence': independent cells for and against; 'fitness': the published check alone.
-    rule: Literal["evidence", "fitness"] = "evidence"
     # Fewest samples' share inside the base map.
     min_overlap: float = Field(default=0.05, ge=0, le=1)
     # Fewest informative cells that agree, and their share among the informative ones.
@@ -46,8 +43,6 @@ class DecisionConfig(BaseModel):
     # Largest standard deviation of the pose in its worst direction: rad, and in lengthscales.
     max_sd_rotation: float = Field(default=0.06, gt=0)
     max_sd_translation: float = Field(default=0.3, gt=0)
-    # Published check: largest mean sine-weighted misalignment of aligned vectors (see fitness.py).
-    max_fitness: float = Field(default=0.1, gt=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,17 +133,3 @@ def _refusals(
         )
     if is_free:
         yield Verdict(Status.DEGENERATE, DEGENERATE_REASON)
-
-
-def decide_by_fitness(fitness: float | None, overlap: float, config: DecisionConfig) -> Verdict:
-    """Judge by the published check: mean cross product of aligned vectors under a threshold."""
-    if fitness is None:
-        return Verdict(Status.UNINFORMATIVE, "too few matching keypoints for a pose; survey closer to iron")
-    if overlap < config.min_overlap:
-        return Verdict(Status.NO_OVERLAP, f"only {overlap:.0%} of the target falls inside the base map")
-    if fitness > config.max_fitness:
-        return Verdict(
-            Status.INCONSISTENT,
-            f"fitness {fitness:.3g} is above {config.max_fitness:.3g}: aligned vectors do not agree",
-        )
-    return Verdict(Status.ACCEPTED, f"fitness {fitness:.3g} is below {config.max_fitness:.3g}")

@@ -8,6 +8,7 @@ makes it stale. Nothing is lost by deleting it.
 import hashlib
 import json
 import logging
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -21,11 +22,11 @@ from magmatch.field.map import FieldMap
 from magmatch.field.storage.archive import fingerprint_archive
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.mapped_arrays import MappedArrays, open_mapped, write_mapped
+from magmatch.registration.index.walk_index import WalkIndex, index_walks
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.prepared_map import PreparedMap, prepare
 from magmatch.registration.prepared.raster import Raster
-from magmatch.registration.register_walk import WalkIndex, index_walks
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.pair_search import PairTable
 
@@ -44,12 +45,23 @@ class MapIndex:
 
     Attributes
     ----------
-    walks : WalkIndex
-        What walks need besides.
+    base : PreparedMap
+    make_walks : callable
+        Gives what walks need besides, the same each time; it takes seconds where it is not read from a file.
     """
 
     base: PreparedMap
-    walks: WalkIndex
+    make_walks: Callable[[], WalkIndex]
+
+    @property
+    def walks(self) -> WalkIndex:
+        """What walks need besides, computed when first asked for."""
+        return self.make_walks()
+
+    @property
+    def length(self) -> float:
+        """The base's correlation length, m."""
+        return self.base.correlation_length
 
     @property
     def field_map(self) -> FieldMap:
@@ -159,7 +171,8 @@ class IndexFile:
             **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
         )
         table = self.table()
-        return MapIndex(base, WalkIndex(base, table.length, PathNoise(**about["noise"]), table))
+        walks = WalkIndex(base, table.length, PathNoise(**about["noise"]), table)
+        return MapIndex(base, lambda: walks)
 
     def _raster(self) -> Raster:
         arrays, about = self.content.arrays, self.content.attributes["raster"]
@@ -169,15 +182,12 @@ class IndexFile:
         )  # fmt: skip
 
 
-def index_map(field_map: FieldMap, config: RegistrationConfig) -> MapIndex:
-    """Compute what any target will ask of a base map."""
-    base = prepare_base(field_map, config)
-    return MapIndex(base, index_base(base, config))
-
-
-def prepare_base(field_map: FieldMap, config: RegistrationConfig) -> PreparedMap:
-    """Evaluate a base map; whatever the seed of a registration, so that a kept index gives the same answer."""
-    return prepare(field_map, config.invariants.n_draws, _base_rng())
+def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapIndex:
+    """What any target will ask of a base map; whatever the seed, so that a kept index gives the same answer."""
+    if isinstance(base, MapIndex):
+        return base
+    prepared = prepare(base, config.invariants.n_draws, _base_rng())
+    return MapIndex(prepared, cache(lambda: index_walks(prepared, config.walks.search, _base_rng())))
 
 
 def _base_rng() -> np.random.Generator:
@@ -187,11 +197,6 @@ def _base_rng() -> np.random.Generator:
 def _draws(kept: np.ndarray | None, field_map: FieldMap, n_draws: int) -> list[Any]:
     """Posterior samples as they were kept; of a map in tiles, drawn again where they are asked for."""
     return list(field_map.posterior.draw_weights(n_draws, _base_rng()) if kept is None else np.array(kept))
-
-
-def index_base(base: PreparedMap, config: RegistrationConfig) -> WalkIndex:
-    """Compute what walks ask of a base map besides; whatever the seed."""
-    return index_walks(base, config.walks, np.random.default_rng(0))
 
 
 def index_path(map_path: str | Path) -> Path:
@@ -253,7 +258,7 @@ def make_index(map_path: str | Path, config: RegistrationConfig, field_map: Fiel
     MapIndex
     """
     key = index_key(map_path, config)
-    index = index_map(field_map or FieldMap.load(map_path), config)
+    index = prepare_index(field_map or FieldMap.load(map_path), config)
     try:
         index.save(index_path(map_path), key)
     except OSError as error:

@@ -38,8 +38,6 @@ class RefinementConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # Off in preset 'paper': the published method ends with consensus.
-    is_enabled: bool = True
     # Samples per survey. A room's 3,000 all tell: with 1,200 of them errors grow by a fifth, at 15 % overlap by half.
     n_samples: int = Field(default=4000, ge=MIN_SAMPLES)
     # Most Newton steps; they end when one moves the estimate by less than this many of its standard deviations.

@@ -64,6 +64,11 @@ class PoseEvidence:
     is_beside_change: bool = False
 
     @property
+    def log_density(self) -> float:
+        """Comparable between bases, nats."""
+        return self.log_evidence
+
+    @property
     def whole_covariance(self) -> Covariance6 | None:
         """What the comparison leaves free, and how far the surveys' own drift may have taken the pose along."""
         return None if self.covariance is None else self.covariance + drift_covariance(self.pose)

@@ -4,7 +4,7 @@
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -15,10 +15,15 @@ from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
+from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.result import RegistrationResult
+from magmatch.threads import side_by_side
 
 P = ParamSpec("P")
 T = TypeVar("T")
+# Map of the base, the target as it was used, and the answer.
+Found = tuple[FieldMap, Survey | FieldMap, RegistrationResult]
+Answered = TypeVar("Answered", bound=tuple[Any, ...])
 
 log = logging.getLogger(__name__)
 
@@ -108,32 +113,79 @@ def _words(model: SensorModel) -> str:
     return ", ".join(words for words, is_told in parts.items() if is_told) or "nothing"
 
 
-def better_supported(
-    as_given: RegistrationResult, calibrated: RegistrationResult, sides: Mapping[str, Calibrated]
-) -> RegistrationResult:
+@dataclass(frozen=True, eq=False, slots=True)
+class CalibratedPair:
+    """What is registered once more: base, target and its samples, each side calibrated where it shows its sensor."""
+
+    base: Survey | FieldMap | MapIndex
+    target: Survey | FieldMap
+    samples: Survey
+    sides: Mapping[str, Calibrated]
+
+    def attempt(
+        self, compare: Callable[Concatenate[Any, Any, Survey, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> T | None:
+        """Compare base and target; None where that fails: then the first answer stands."""
+        log.info("registering once more, calibrated")
+        return attempted(compare, self.base, self.target, self.samples, *args, **kwargs)
+
+
+def calibrate_sensors(base: Survey | FieldMap | MapIndex, found: Found, samples: Survey) -> CalibratedPair | None:
+    """Calibrate base and target where their readings turn with their sensor; None where neither's do.
+
+    Parameters
+    ----------
+    base : Survey, FieldMap or MapIndex
+        As given.
+    found : tuple
+        Map of the base, target and answer of the registration as given.
+    samples : Survey
+        All of the target's.
+    """
+    base_map, target, _ = found
+    asked = {"base": (base_map, base if isinstance(base, Survey) else base_map.survey)}
+    # A walk that no map was made of is too short to tell.
+    asked |= {"target": (target, samples)} if isinstance(target, FieldMap) else {}
+    calibrated = side_by_side(lambda side: calibrate(*asked[side]), asked)
+    sides = {side: one for side, one in zip(asked, calibrated, strict=True) if one is not None}
+    if not sides:
+        return None
+    again: Survey | FieldMap | MapIndex = base_map if isinstance(base, Survey) else base
+    if "base" in sides:
+        again = sides["base"].survey
+    if "target" in sides:
+        samples = target = sides["target"].survey
+    return CalibratedPair(again, target, samples, sides)
+
+
+def better_supported(as_given: Answered, calibrated: Answered | None, sides: Mapping[str, Calibrated]) -> Answered:
     """Choose between two answers: an accepted one before a refusal, and calibrated where both are accepted.
 
     Parameters
     ----------
-    as_given, calibrated : RegistrationResult
-        Of surveys as they are, and calibrated.
+    as_given, calibrated : tuple
+        The answer comes last; what was used for it, before. None where calibration failed.
     sides : dict of str to Calibrated
         What was calibrated for the second: ``base``, ``target`` or both.
 
     Returns
     -------
-    RegistrationResult
-        Of two refusals the one with higher log odds; the second says what was undone.
+    tuple
+        Of two refusals the one with higher log odds; the second says what was corrected.
     """
-    if as_given.is_accepted or calibrated.is_accepted:
+    if calibrated is None:
+        return as_given
+    first, second = as_given[-1], calibrated[-1]
+    if first.is_accepted or second.is_accepted:
         # What turns with the sensor is no place's field, however well it may agree.
-        is_surer = calibrated.is_accepted
+        is_better = second.is_accepted
     else:
-        is_surer = _log_odds(calibrated) > _log_odds(as_given)
-    if not is_surer:
+        is_better = _log_odds(second) > _log_odds(first)
+    if not is_better:
         return as_given
     stated = {name: side.as_dict() for name, side in sides.items()}
-    return replace(calibrated, sensor={**(calibrated.sensor or {}), "calibrated": stated})
+    answer = replace(second, sensor={**(second.sensor or {}), "calibrated": stated})
+    return cast("Answered", (*calibrated[:-1], answer))
 
 
 def _log_odds(answer: RegistrationResult) -> float:

@@ -10,11 +10,11 @@ from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import transform_error
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.registration.calibrated import Calibrated, better_supported, in_words, without_sensor_errors
 from magmatch.registration.config import PRESETS
-from magmatch.registration.index.map_index import index_map
+from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.register import register, register_keeping_maps
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.sensor_calibration import Calibrated, better_supported, in_words, without_sensor_errors
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
@@ -82,7 +82,7 @@ def test_what_was_undone_can_be_undone_again_from_the_result(raw, found):
 
 def test_a_raw_base_is_calibrated_whatever_form_it_comes_in(pair, raw):
     base = build_map(raw[0])
-    results = [register(form, pair.base) for form in (base, index_map(base, PRESETS["default"]))]
+    results = [register(form, pair.base) for form in (base, prepare_index(base, PRESETS["default"]))]
     for result in results:
         assert result.is_accepted
         assert list(result.sensor["calibrated"]) == ["base"]
@@ -136,7 +136,8 @@ def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
         return RegistrationResult(status, "", pair.T_base_target, evidence={"log_odds": log_odds})
 
     first, second = answer(*as_given), answer(*calibrated)
-    chosen = better_supported(first, second, {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))})
+    sides = {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))}
+    (chosen,) = better_supported((first,), (second,), sides)
     assert (chosen is first) == (taken == "as given")
     assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})
 

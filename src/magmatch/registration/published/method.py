@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The published search: keypoints of both maps, nearest neighbours between their HOV descriptors, vector MSAC."""
+"""The published method [McDonald2025]: keypoints, HOV descriptors, nearest neighbours, vector MSAC, fitness."""
 
 import logging
 
@@ -11,15 +11,18 @@ from magmatch.features.extract import extract_features, shared_range
 from magmatch.features.features import Features
 from magmatch.features.grids import grid_spacing
 from magmatch.field.map import FieldMap
+from magmatch.registration.clock import Clock
+from magmatch.registration.decide.fitness import alignment_fitness
 from magmatch.registration.published.consensus import Consensus, ConsensusConfig, vector_msac
+from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness
 from magmatch.registration.published.matching import Correspondences, MatchingConfig, match_features
-from magmatch.registration.result import Links
+from magmatch.registration.result import Links, RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
 
 log = logging.getLogger(__name__)
 
 
-class KeypointSearchConfig(BaseModel):
+class PublishedConfig(BaseModel):
     """The steps of the published method."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -27,29 +30,36 @@ class KeypointSearchConfig(BaseModel):
     features: FeatureConfig = Field(default_factory=FeatureConfig)
     matching: MatchingConfig = Field(default_factory=MatchingConfig)
     consensus: ConsensusConfig = Field(default_factory=ConsensusConfig)
+    decision: FitnessConfig = Field(default_factory=FitnessConfig)
+
+
+def register_published(
+    base_map: FieldMap, target_map: FieldMap, config: PublishedConfig, seed: int, clock: Clock
+) -> RegistrationResult:
+    """Register two maps as published; covariance and probability are None, since the method gives neither."""
+    with clock("search"):
+        found = keypoint_search(base_map, target_map, config, np.random.default_rng(seed))
+    with clock("decide"):
+        best = found.candidates[0].T_base_target if found.candidates else None
+        fitness = None if best is None else alignment_fitness(base_map, target_map.survey, best)
+        return by_fitness(found, fitness, config.decision)
 
 
 def keypoint_search(
-    base_map: FieldMap, target_map: FieldMap, config: KeypointSearchConfig, rng: np.random.Generator
+    base_map: FieldMap, target_map: FieldMap, config: PublishedConfig, rng: np.random.Generator
 ) -> SearchResult:
     """Find poses under which many keypoints of two maps coincide."""
-    features_config = comparable(base_map, target_map, config.features)
-    half_range = shared_range([base_map, target_map], features_config)
-    base = extract_features(base_map, features_config, half_range)
-    target = extract_features(target_map, features_config, half_range)
+    features = comparable(base_map, target_map, config.features)
+    half_range = shared_range([base_map, target_map], features)
+    base, target = (extract_features(one, features, half_range) for one in (base_map, target_map))
     matches = match_features(base, target, config.matching)
     log.info("%d and %d keypoints, %d correspondences", len(base), len(target), len(matches))
-
+    rows = matches.base_rows, matches.target_rows
     found = vector_msac(
-        base.positions[matches.base_rows],
-        target.positions[matches.target_rows],
-        base.field[matches.base_rows],
-        target.field[matches.target_rows],
-        config.consensus.inlier_distance * (features_config.spacing or 0.0),
-        config.consensus,
-        rng,
-    )
-    return _state(base, target, matches, found)
+        base.positions[rows[0]], target.positions[rows[1]], base.field[rows[0]], target.field[rows[1]],
+        config.consensus.inlier_distance * (features.spacing or 0.0), config.consensus, rng,
+    )  # fmt: skip
+    return state_consensus(base, target, matches, found)
 
 
 def comparable(base_map: FieldMap, target_map: FieldMap, config: FeatureConfig) -> FeatureConfig:
@@ -58,7 +68,9 @@ def comparable(base_map: FieldMap, target_map: FieldMap, config: FeatureConfig) 
     return config.model_copy(update={"spacing": spacing})
 
 
-def _state(base: Features, target: Features, matches: Correspondences, found: list[Consensus]) -> SearchResult:
+def state_consensus(
+    base: Features, target: Features, matches: Correspondences, found: list[Consensus]
+) -> SearchResult:
     """Candidates, counts and links of a search."""
     n_keypoints = len(base) + len(target)
     if not found:

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Surveys, maps and indexes are all taken: the samples of each, and the map of each."""
+
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.map import FieldMap
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.threads import side_by_side
+
+
+def survey_of(survey_or_map: Survey | FieldMap | MapIndex) -> Survey:
+    """Samples of a survey, or those that a map was made from."""
+    if isinstance(survey_or_map, MapIndex):
+        return survey_or_map.field_map.survey
+    return survey_or_map.survey if isinstance(survey_or_map, FieldMap) else survey_or_map
+
+
+def as_map(survey_or_map: Survey | FieldMap, config: FieldConfig) -> FieldMap:
+    """Map a survey; a map is taken as it is."""
+    return survey_or_map if isinstance(survey_or_map, FieldMap) else build_map(survey_or_map, config)
+
+
+def map_base(
+    base: Survey | FieldMap | MapIndex, target: Survey | FieldMap, config: FieldConfig
+) -> tuple[FieldMap | MapIndex, Survey | FieldMap]:
+    """Map a base that is a survey, and the target beside it: one alone would leave a core idle."""
+    if not isinstance(base, Survey):
+        return base, target
+    base_map, target_map = side_by_side(lambda side: as_map(side, config), (base, target))
+    return base_map, target_map

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which strategies suit a target, in the order they are tried."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.registration.clock import Clock
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.map_strategy import MapStrategy
+from magmatch.registration.prepared.walk import choose_search
+from magmatch.registration.strategy import Strategy
+from magmatch.registration.walk_strategy import WalkStrategy
+
+
+def strategies(
+    length: float, target: Survey | FieldMap, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
+) -> Iterator[Strategy[Any, Any, Any]]:
+    """As a walk where the samples are a short line against the base's correlation length; else, or next, as a map.
+
+    A line that turns and crosses itself may have the breadth that maps are compared by. The target is mapped only
+    when the second strategy is asked for.
+    """
+    search = choose_search(samples, length) if config.search == "auto" else config.search
+    if search == "pairs":
+        yield WalkStrategy(target, samples, config, seed, clock)
+    if config.search != "pairs":
+        yield MapStrategy.of(target, config, seed, clock)

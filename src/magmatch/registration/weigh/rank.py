@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""From candidates to weighed poses: refine the best few, let the sensors differ, look for changes, finish."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.refine.changes import ChangeConfig
+from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
+from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
+from magmatch.registration.weigh.change_search import poses_beside_changes
+from magmatch.registration.weigh.evidence import PoseEvidence, null_model_of, weigh_pose
+
+# Poses that differ by less, in standard deviations, came to rest in one optimum.
+SAME_OPTIMUM_SDS = 0.5
+
+Weigh = Callable[[RigidTransform | RefinedPose, RefinementConfig, int], PoseEvidence]
+
+
+class RankingConfig(Protocol):
+    """What of a registration's settings is asked here."""
+
+    @property
+    def refinement(self) -> RefinementConfig:
+        """Of every pose."""
+
+    @property
+    def changes(self) -> ChangeConfig:
+        """Where something moved."""
+
+
+def rank_poses(
+    base: PreparedMap,
+    target: PreparedMap,
+    starts: list[RigidTransform],
+    prior: PosePrior,
+    config: RankingConfig,
+    seed: int,
+) -> list[PoseEvidence]:
+    """Refine candidates and order them by their evidence, best first."""
+    null_model = null_model_of(base, target)
+
+    def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
+        pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
+        return weigh_pose(base, target, pose, null_model, prior)
+
+    ranked = _rank_candidates(starts, weigh, config.refinement)
+    if not ranked:
+        return ranked
+    with_like_sensors = ranked[0].pose
+    ranked[0] = _let_sensors_differ(ranked[0], weigh, config.refinement)
+    beside = poses_beside_changes(
+        base, target, starts, ranked[0], with_like_sensors, null_model, prior, config.changes, seed
+    )
+    return beside or _finish(ranked, weigh, config.refinement)
+
+
+def _rank_candidates(starts: list[RigidTransform], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
+    """Refine the first candidates, and more where none of them is clear."""
+    ranking, level = settings.for_ranking(), levels_to_try(settings.sensor)[0]
+    n, n_more = settings.n_candidates, settings.n_more_candidates
+    ranked = [weigh(start, ranking, level) for start in starts[:n]]
+    if max((e.log_evidence for e in ranked), default=-np.inf) < settings.clear_log_evidence:
+        ranked += [weigh(start, ranking, level) for start in starts[n : n + n_more]]
+    return sorted(ranked, key=_by_evidence)
+
+
+def _let_sensors_differ(best: PoseEvidence, weigh: Weigh, settings: RefinementConfig) -> PoseEvidence:
+    """The best pose with sensors that differ more, where that gains enough."""
+    _, *wider = levels_to_try(settings.sensor)
+    alike = settings.sensor.bias_levels[0]
+    for level in wider:
+        if is_soft_iron(settings.sensor, level) and best.pose.sensor_sd[0] == alike:
+            break  # sensors that differ in no bias and no scale
+        freer = weigh(best.pose.T_base_target, settings.for_ranking(), level)
+        if freer.log_evidence > best.log_evidence + settings.sensor.min_gain:
+            best = freer
+    return best
+
+
+def _finish(ranked: list[PoseEvidence], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
+    """Refine to the end what is the answer, or near enough to be one."""
+    # Starts that came to rest where the best did are no rivals of it.
+    ranked = [e for k, e in enumerate(ranked) if not (k and _rest_together(ranked[0], e))]
+    level = levels_to_try(settings.sensor)[0]
+    n_finished = sum(e is ranked[0] or e.log_evidence > ranked[0].log_evidence / 2 for e in ranked)
+    ranked[:n_finished] = [weigh(e.pose, settings, level) for e in ranked[:n_finished]]
+    return sorted(ranked, key=_by_evidence)
+
+
+def _by_evidence(weighed: PoseEvidence) -> float:
+    return -weighed.log_evidence
+
+
+def _rest_together(one: PoseEvidence, other: PoseEvidence) -> bool:
+    """Whether two refined poses differ by less than the first is uncertain by."""
+    if one.covariance is None:
+        return False
+    step = step_between(one.pose, other.pose)
+    return bool(step @ np.linalg.solve(one.covariance, step) < SAME_OPTIMUM_SDS**2 * len(step))
