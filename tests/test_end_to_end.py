@@ -8,7 +8,6 @@ from magmatch.geometry import log_se3, random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.strategy import weigh_poses
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.simulation.config import SimulationConfig
 
@@ -72,7 +71,8 @@ def test_a_walk_along_the_path_of_another_is_refined_from_both_sides():
     index = prepare_index(mm.build_map(pair.base), PRESETS["default"])
     assert not index.walks.noise.is_learned  # one pass only
     strategy = WalkStrategy(pair.target, pair.target, PRESETS["default"], 0, Clock())
-    one_sided = strategy.decide(weigh_poses(strategy, index, Clock()))
+    walk = strategy.pair(index)
+    one_sided = strategy.decide(strategy.weigh(walk, strategy.search(walk)))
     truth, center = pair.T_base_target, pair.target.centroid
     (far, turned), (near, hardly) = (transform_error(r.T_base_target, truth, center) for r in (one_sided, result))
     assert near < min(0.15, far / 2)

@@ -19,7 +19,7 @@ from magmatch.registration.prepared.walk import choose_search
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate
-from magmatch.registration.strategy import Strategy, Weighed, decide, weigh_poses
+from magmatch.registration.strategy import Strategy, Weighed
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Scalars
@@ -129,9 +129,20 @@ def _best_of(
         log.info("searching %s", entry.name)
         with clock("load"):
             base = atlas.load(entry)
-        weighed[entry] = weigh_poses(strategy, base, clock, atlas.volume)
-    leads = _leads(weighed)
-    answers = {e: decide(strategy, replace(weighed[e], lead=lead), clock) for e, lead in leads.items()}
+        with clock("prepare"):
+            pair = strategy.pair(base, atlas.volume)
+        with clock("search"):
+            found = strategy.search(pair)
+        with clock("refine"):
+            weighed[entry] = strategy.weigh(pair, found)
+    answers = {}
+    for entry, lead in _leads(weighed).items():
+        with clock("decoys"):
+            best = strategy.search_decoys(replace(weighed[entry], lead=lead))
+        with clock("decide"):
+            answer = strategy.decide(best)
+        with clock("settle"):
+            answers[entry] = strategy.settle(best, answer)
     return _with_alternatives(answers)
 
 

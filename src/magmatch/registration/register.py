@@ -1,22 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verb of this room: two surveys (or maps) in, one transform or a reasoned refusal out."""
 
-from magmatch.data.survey import Survey
-from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
+from magmatch.registration.compare import Base, Found, Target, compare
 from magmatch.registration.config import PRESETS, RegistrationConfig
-from magmatch.registration.index.map_index import MapIndex, prepare_index
-from magmatch.registration.maps import as_map, map_base, survey_of
+from magmatch.registration.maps import survey_of
 from magmatch.registration.provenance import stamped
-from magmatch.registration.published.method import register_published
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.sensor_calibration import Found, better_supported, calibrate_sensors
-from magmatch.registration.strategies import strategies
-from magmatch.registration.strategy import decide, weigh_poses
+from magmatch.registration.sensor_calibration import better_supported, calibrate_sensors
 from magmatch.threads import one_blas_thread
-
-Target = Survey | FieldMap
-Base = Target | MapIndex
 
 
 def register(
@@ -62,27 +54,3 @@ def register_keeping_maps(
                 found = better_supported(found, again, calibrated.sides)
     base_map, used, answer = found
     return base_map, used, stamped(answer, (survey_of(base), samples), config, seed, clock)
-
-
-def compare(
-    base: Base, target: Target, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
-) -> Found:
-    """The answer for two surveys as they are; a walk is compared with all its samples, mapped or not."""
-    with clock("maps"):
-        base, target = map_base(base, target, config.field)
-    if config.search == "keypoints":
-        with clock("maps"):
-            target_map = as_map(target, config.field)
-        base_map = base.field_map if isinstance(base, MapIndex) else base
-        return base_map, target_map, register_published(base_map, target_map, config.keypoints, seed, clock)
-    with clock("prepare"):
-        index = prepare_index(base, config)
-    tried: list[tuple[Target, RegistrationResult]] = []
-    for strategy in strategies(index.length, target, samples, config, seed, clock):
-        weighed = weigh_poses(strategy, index, clock)
-        answer = decide(strategy, weighed, clock)
-        tried.append((strategy.target, answer))
-        if answer.is_accepted:
-            break
-    used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
-    return index.field_map, used, answer

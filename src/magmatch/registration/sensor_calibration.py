@@ -15,14 +15,12 @@ from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
-from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.compare import Base, Found, Target
 from magmatch.registration.result import RegistrationResult
 from magmatch.threads import side_by_side
 
 P = ParamSpec("P")
 T = TypeVar("T")
-# Map of the base, the target as it was used, and the answer.
-Found = tuple[FieldMap, Survey | FieldMap, RegistrationResult]
 Answered = TypeVar("Answered", bound=tuple[Any, ...])
 
 log = logging.getLogger(__name__)
@@ -117,8 +115,8 @@ def _words(model: SensorModel) -> str:
 class CalibratedPair:
     """What is registered once more: base, target and its samples, each side calibrated where it shows its sensor."""
 
-    base: Survey | FieldMap | MapIndex
-    target: Survey | FieldMap
+    base: Base
+    target: Target
     samples: Survey
     sides: Mapping[str, Calibrated]
 
@@ -130,7 +128,7 @@ class CalibratedPair:
         return attempted(compare, self.base, self.target, self.samples, *args, **kwargs)
 
 
-def calibrate_sensors(base: Survey | FieldMap | MapIndex, found: Found, samples: Survey) -> CalibratedPair | None:
+def calibrate_sensors(base: Base, found: Found, samples: Survey) -> CalibratedPair | None:
     """Calibrate base and target where their readings turn with their sensor; None where neither's do.
 
     Parameters
@@ -150,7 +148,7 @@ def calibrate_sensors(base: Survey | FieldMap | MapIndex, found: Found, samples:
     sides = {side: one for side, one in zip(asked, calibrated, strict=True) if one is not None}
     if not sides:
         return None
-    again: Survey | FieldMap | MapIndex = base_map if isinstance(base, Survey) else base
+    again: Base = base_map if isinstance(base, Survey) else base
     if "base" in sides:
         again = sides["base"].survey
     if "target" in sides:

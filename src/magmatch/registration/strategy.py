@@ -8,7 +8,6 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.clock import Clock
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.result import RegistrationResult
@@ -90,27 +89,3 @@ class Strategy(Protocol[Base, Target, Weight]):
 
     def settle(self, weighed: Weighed[Base, Target, Weight], answer: RegistrationResult) -> RegistrationResult:
         """Add to an answer what the residuals of this comparison cannot show: how far the maps themselves err."""
-
-
-def weigh_poses(
-    strategy: Strategy[Base, Target, Weight], base: MapIndex, clock: Clock, volume: float | None = None
-) -> Weighed[Base, Target, Weight]:
-    """Search, refine and weigh poses in one base."""
-    with clock("prepare"):
-        pair = strategy.pair(base, volume)
-    with clock("search"):
-        found = strategy.search(pair)
-    with clock("refine"):
-        return strategy.weigh(pair, found)
-
-
-def decide(
-    strategy: Strategy[Base, Target, Weight], weighed: Weighed[Base, Target, Weight], clock: Clock
-) -> RegistrationResult:
-    """Compare with decoys, decide, and state how sure the answer is."""
-    with clock("decoys"):
-        weighed = strategy.search_decoys(weighed)
-    with clock("decide"):
-        answer = strategy.decide(weighed)
-    with clock("settle"):
-        return strategy.settle(weighed, answer)

@@ -20,7 +20,6 @@ from magmatch.registration.prepared.walk import bin_along_path, choose_search, w
 from magmatch.registration.refine.refinement import perturbation
 from magmatch.registration.result import Status
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.strategy import weigh_poses
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.line_evidence import weigh_walk
 
@@ -55,7 +54,8 @@ def register_walk(index, target, seed=0, prior=None):
     """What the base's side alone says of a walk."""
     config = RegistrationConfig(prior=prior or PosePriorConfig())
     strategy = WalkStrategy(target, target, config, seed, Clock())
-    return strategy.decide(weigh_poses(strategy, MapIndex(index.base, lambda: index), Clock()))
+    pair = strategy.pair(MapIndex(index.base, lambda: index))
+    return strategy.decide(strategy.weigh(pair, strategy.search(pair)))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -3,8 +3,8 @@ import numpy as np
 
 from magmatch.field.build import build_map
 from magmatch.registration.clock import Clock
+from magmatch.registration.compare import compare
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.register import compare
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
 
