@@ -58,7 +58,7 @@ def test_magnitude_is_subharmonic_in_air(make_room, seed):
 
 def test_a_field_that_vanishes_has_no_curvature_and_no_warning():
     values = FieldValues(np.zeros((2, 3)), np.ones((2, 3, 3)), np.ones((2, 3, 3, 3)))
-    assert np.isnan(curvature_response(values, "positive")).all()
+    assert np.isnan(curvature_response(values)).all()
 
 
 def test_hessian_asks_for_second_derivatives():
@@ -68,7 +68,7 @@ def test_hessian_asks_for_second_derivatives():
 
 def detect(field_map, config):
     points = inference_grid(field_map, config)
-    response = curvature_response(evaluate_at(field_map, points, 2), config.determinant)
+    response = curvature_response(evaluate_at(field_map, points, 2))
     return points, response, find_keypoints(field_map, points, response, config)
 
 
@@ -102,27 +102,6 @@ def test_variance_of_a_block_is_that_nearby(make_map):
     exact = np.trace(field_map.covariance(points.positions), axis1=1, axis2=2) / 3
     slope = 1e-14 / field_map.posterior.high[0]
     assert np.allclose(block_variance(field_map, points, rows), exact, rtol=0, atol=0.51 * 0.2 * slope)
-
-
-def test_signs_of_the_determinant_find_different_points(make_map):
-    field_map = make_map(2)
-    rows = {
-        sign: set(detect(field_map, COARSE.model_copy(update={"determinant": sign}))[2].tolist())
-        for sign in ("positive", "negative", "both")
-    }
-    assert rows["positive"]
-    assert rows["negative"]
-    assert not rows["positive"] & rows["negative"]
-    assert rows["both"] <= rows["positive"] | rows["negative"]
-
-
-def test_suppression_leaves_only_the_strongest_of_neighbours(make_map):
-    config = COARSE.model_copy(update={"suppression_radius": 1.5})
-    points, response, rows = detect(make_map(1), config)
-    neighbours, _ = points.support(rows, 1.5)
-    assert len(rows)
-    for row, around in zip(rows, neighbours, strict=True):
-        assert response[row] >= response[around[around >= 0]].max()
 
 
 def test_a_uniform_field_has_no_keypoint(make_map, make_room):

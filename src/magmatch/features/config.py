@@ -22,11 +22,6 @@ class FeatureConfig(BaseModel):
     max_points: int = Field(default=40_000, ge=100)
     # How far from the path X* reaches where it follows one, spacings.
     path_radius: float = Field(default=3.0, gt=0)
-    # Which determinants of the Hessian of |B| count: 'positive' (published: minima and half of the saddles),
-    # 'negative' (the other saddles) or 'both'; no better or worse on the tuning rooms.
-    determinant: Literal["positive", "negative", "both"] = "positive"
-    # Keep only the strongest response within this many spacings; 0 keeps all (published).
-    suppression_radius: float = Field(default=0.0, ge=0)
     # Of the points above the mean response, the share with the lowest posterior variance that is kept.
     variance_quantile: float = Field(default=0.9, gt=0, le=1)
     # Radius of a keypoint's support, spacings (published: 4).

@@ -40,7 +40,7 @@ def extract_features(
     config = config or FeatureConfig()
     points = inference_grid(field_map, config)
     values = evaluate_at(field_map, points, order=2)
-    response = curvature_response(values, config.determinant)
+    response = curvature_response(values)
     rows = find_keypoints(field_map, points, response, config)
     if not len(rows):
         return Features.empty(N_DIMENSIONS)

@@ -35,13 +35,12 @@ def magnitude_hessian(values: FieldValues) -> Tensors:
     return hessian
 
 
-def curvature_response(values: FieldValues, determinant: str) -> Scalars:
-    """Determinant of the Hessian of the magnitude, signed so that what is looked for is positive."""
+def curvature_response(values: FieldValues) -> Scalars:
+    """Determinant of the Hessian of the magnitude: positive at minima and at half of the saddles, as published."""
     H = magnitude_hessian(values)
     # Written out: LAPACK's determinant warns about NaN.
     doh: Scalars = np.einsum("ni,ni->n", H[:, 0], np.cross(H[:, 1], H[:, 2]))
-    signed: dict[str, Scalars] = {"positive": doh, "negative": -doh, "both": np.abs(doh)}
-    return signed[determinant]
+    return doh
 
 
 def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scalars, config: FeatureConfig) -> Indices:
@@ -49,8 +48,6 @@ def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scala
     if not np.isfinite(response).any():
         return np.zeros(0, dtype=np.int64)
     rows = np.flatnonzero(response > np.nanmean(response)).astype(np.int64)
-    if config.suppression_radius:
-        rows = rows[_is_strongest(points, response, rows, config.suppression_radius)]
     if not len(rows):
         return rows
     variance = block_variance(field_map, points, rows)
@@ -72,11 +69,3 @@ def block_variance(field_map: FieldMap, points: InferencePoints, rows: Indices) 
     variance = np.trace(field_map.covariance(centers), axis1=1, axis2=2) / 3
     of_rows: Scalars = variance[block_of_row.reshape(-1)]
     return of_rows
-
-
-def _is_strongest(points: InferencePoints, response: Scalars, rows: Indices, radius: float) -> np.ndarray:
-    """Whether no neighbour within the radius responds more."""
-    neighbours, _ = points.support(rows, radius)
-    others = np.where(neighbours >= 0, response[neighbours], -np.inf)
-    is_strongest: np.ndarray = response[rows] >= np.nanmax(others, axis=1)
-    return is_strongest

@@ -34,20 +34,8 @@ def test_nearest_agrees_with_brute_force():
     assert np.allclose(matches.distance, apart.min(axis=1))
 
 
-def test_distant_matches_are_not_believed():
-    assert rows([0, 10], [0.1, 13, 4], MatchingConfig(kept_share=1.0, max_distance=3.5)) == [(0, 0), (1, 1)]
-
-
 def test_the_closest_share_is_kept():
     assert rows([0, 100], [1, 2, 97, 104], MatchingConfig(kept_share=0.5)) == [(0, 0), (0, 1)]
-
-
-def test_ambiguous_matches_fail_the_ratio_test():
-    assert rows([0, 10], [1, 5.2], MatchingConfig(kept_share=1.0, max_ratio=0.8)) == [(0, 0)]
-
-
-def test_mutual_matches_are_each_others_nearest():
-    assert rows([0, 10], [1, 2, 11], MatchingConfig(kept_share=1.0, is_mutual=True)) == [(0, 0), (1, 2)]
 
 
 @pytest.mark.parametrize(("n_base", "n_target"), [(0, 5), (5, 0), (0, 0)])
@@ -56,5 +44,5 @@ def test_no_keypoints_give_no_matches(n_base, n_target):
     assert len(matches) == 0
 
 
-def test_one_keypoint_can_match_and_has_no_second_nearest():
-    assert rows([3], [1], MatchingConfig(kept_share=1.0, max_ratio=0.5)) == [(0, 0)]
+def test_one_keypoint_can_match():
+    assert rows([3], [1], ALL) == [(0, 0)]

@@ -32,9 +32,9 @@ class PoseEvidence:
         About the pose's centre, target's model axes: as far as the fields' comparison leaves the pose free.
     overlap : float
         Share of the target's samples where the base knows the field.
-    n_informative, n_good, n_bad : int
-        Cells in the overlap whose field stands out from the target's mean field, and of these the ones that
-        agree and disagree with the base.
+    n_informative, n_good : int
+        Cells in the overlap whose field stands out from the target's mean field, and of these the ones that agree
+        with the base.
     log_evidence : float, nats
         ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the odds of this pose after
         paying for the search over all poses.
@@ -55,7 +55,6 @@ class PoseEvidence:
     overlap: float
     n_informative: int
     n_good: int
-    n_bad: int
     log_evidence: float
     unexplained: float
     residual: float
@@ -142,7 +141,7 @@ def weigh_pose(
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
-        return PoseEvidence(pose, covariance, overlap, 0, 0, 0, -np.inf, 1.0, np.inf, np.inf)
+        return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, 1.0, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
     log_ratio, unexplained = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
@@ -162,7 +161,6 @@ def weigh_pose(
         overlap,
         int(is_informative.sum()),
         int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
-        int((is_informative & (r2 > np.maximum(24 * V, 0.25 * n2))).sum()),
         log_ratio + _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center)),
         unexplained,
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
