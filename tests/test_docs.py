@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the pages say exists; that they build without a warning is for ``make docs``."""
 
+import importlib.util
 import re
 import shlex
 from pathlib import Path
@@ -14,7 +15,11 @@ from magmatch.cli.main import build_app
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+# A file or a folder of the package as pages name it, from its room on; pages of the theory leave out the folders
+# that their line "Code:" names.
+SOURCE = re.compile(r"`((?:[a-z_0-9]+/)*[a-z_0-9]+(?:/|\.py))`")
+PACKAGES = [ROOT / "src" / "magmatch", ROOT]
 COMMANDS = typer.main.get_command(build_app())
 
 
@@ -38,7 +43,7 @@ def shell_commands(text):
 
 def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
-    assert sorted(pages_of(settings["nav"])) == sorted(page.name for page in DOCS.glob("*.md"))
+    assert sorted(pages_of(settings["nav"])) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 
 
 def test_no_page_is_built_or_read_with_something_fetched():
@@ -74,6 +79,32 @@ def test_the_tutorial_shows_the_commands_a_newcomer_needs():
         "convert",
         "prepare",
     }
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "CONTRIBUTING.md", *sorted((DOCS / "theory").glob("*.md"))], ids=lambda page: page.name
+)
+def test_files_that_a_page_names_exist(page):
+    text = page.read_text()
+    code = re.search(r"^Code: (.*?)(?:\n\n|\. )", text, re.DOTALL | re.MULTILINE)
+    own = [PACKAGES[0] / name for name in SOURCE.findall(code[1])] if code else []
+    folders = [*PACKAGES, *(path if path.is_dir() else path.parent for path in own)]
+    folders += [folder.parent for folder in folders[2:]]
+    for name in SOURCE.findall(text):
+        assert any((folder / name).exists() for folder in folders), name
+
+
+def test_every_equation_is_drawn():
+    pytest.importorskip("latex2mathml", reason="extra docs")
+    spec = importlib.util.spec_from_file_location("mathml", DOCS / "hooks" / "mathml.py")
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    drawn = hook.on_page_content(r'<p><span class="arithmatex">\(a &lt; \sigma^2\)</span></p>')
+    assert "arithmatex" not in drawn
+    assert drawn.count("<math") == 1
+    assert "\\" not in drawn
+    with pytest.raises(hook.PluginError, match="cannot draw"):
+        hook.on_page_content(r'<div class="arithmatex">\[\nosuchcommand\]</div>')
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -54,7 +54,7 @@ class RegistrationConfig(BaseModel):
 
 PRESETS: dict[str, RegistrationConfig] = {
     "default": RegistrationConfig(),
-    # The published method with the corrections of docs/theory.md, every sample used.
+    # The published method with the corrections of docs/theory/published.md, every sample used.
     "paper": RegistrationConfig(
         field=FieldConfig(prior="divergence_free", leave_out_outliers=False),
         search="keypoints",

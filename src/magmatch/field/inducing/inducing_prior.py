@@ -37,7 +37,7 @@ class InducingConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # Spacing of the inducing points over the lengthscale; see docs/theory.md for the figures.
+    # Spacing of the inducing points over the lengthscale; docs/notebook/field.md has the figures.
     spacing_ratio: float = Field(default=0.7, gt=0)
     # Closer nodes add nothing but rounding, whatever spacing is asked for.
     min_spacing_ratio: float = Field(default=0.5, gt=0)

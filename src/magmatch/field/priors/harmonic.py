@@ -34,7 +34,7 @@ class HarmonicConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    # Spacing of the charges over their distance from the samples; denser gained nothing (docs/theory.md).
+    # Spacing of the charges over their distance from the samples; denser gained nothing (docs/notebook/field.md).
     spacing_ratio: float = Field(default=0.5, gt=0)
     # Most charges; more moves the layer out and the charges apart.
     max_sources: int = Field(default=2000, ge=8)
