@@ -11,6 +11,8 @@ from mkdocs.exceptions import PluginError
 EQUATION = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?:\(|\[)(?P<latex>.*?)\\(?:\)|\])</(?P=tag)>', re.DOTALL
 )
+# An operator to browsers, which part it from what it encloses.
+BAR = re.compile(r'<mo(?: stretchy="false")?>&#x0007C;</mo>')
 
 
 def on_page_content(content: str, **_: object) -> str:
@@ -24,4 +26,4 @@ def mathml(latex: str, is_display: bool) -> str:
     if "\\" in drawn:
         msg = f"cannot draw the equation {latex!r}"
         raise PluginError(msg)
-    return drawn
+    return BAR.sub('<mo stretchy="false" lspace="0" rspace="0">|</mo>', drawn)

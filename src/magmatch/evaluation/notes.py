@@ -29,8 +29,8 @@ GROUP_TITLES = {
 }
 GROUP_NOTES = {
     "published": (
-        "Within 0.10 m and 5 deg (corridor: 0.25 m and 5 deg). paper: corrections of docs/theory/published.md, spacing, "
-        "inlier distance and accepted share chosen on simulated rooms; sift: pixels, thresholds and ratio chosen on "
+        "Within 0.10 m and 5 deg (corridor: 0.25 m and 5 deg). paper: corrections of docs/theory, spacing, inlier "
+        "distance and accepted share chosen on simulated rooms; sift: pixels, thresholds and ratio chosen on "
         "office-z30, seeds 0, 1 and 3."
     ),
     "recordings": (

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published recursion: a Gaussian belief about the field at inducing points, updated as samples arrive.
 
-With ``A = K(x, U) K_U^-1`` and the belief N(mu, Sigma) at U, as published after the corrections of
-``docs/theory/inducing.md``: predict ``b = A mu``, ``S_bb = A Sigma A^T + s^2 I``, ``S_bU = A Sigma``; update with
-the gain ``S_bU^T S_bb^-1``. The belief is held as that of ``v = L^-1 f_U``, ``K_U = L L^T``, whose prior is N(0, I): the same
-recursion in coordinates where rounding does not grow with the condition of ``K_U``.
+With ``A = K(x, U) K_U^-1`` and the belief N(mu, Sigma) at U, corrected as in ``docs/theory/inducing.md``: predict
+``b = A mu``, ``S_bb = A Sigma A^T + s^2 I``, ``S_bU = A Sigma``; update with the gain ``S_bU^T S_bb^-1``. The belief
+is held as that of ``v = L^-1 f_U``, ``K_U = L L^T``, whose prior is N(0, I): the same recursion in coordinates where
+rounding does not grow with the condition of ``K_U``.
 """
 
 from dataclasses import dataclass, replace
