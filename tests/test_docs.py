@@ -43,7 +43,8 @@ def shell_commands(text):
 
 def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
-    assert sorted(pages_of(settings["nav"])) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+    pages = sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
+    assert sorted(pages_of(settings["nav"])) == pages
 
 
 def test_no_page_is_built_or_read_with_something_fetched():
