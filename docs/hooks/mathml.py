@@ -26,4 +26,5 @@ def mathml(latex: str, is_display: bool) -> str:
     if "\\" in drawn:
         msg = f"cannot draw the equation {latex!r}"
         raise PluginError(msg)
-    return BAR.sub('<mo stretchy="false" lspace="0" rspace="0">|</mo>', drawn)
+    drawn = BAR.sub('<mo stretchy="false" lspace="0" rspace="0">|</mo>', drawn)
+    return f'<div class="equation">{drawn}</div>' if is_display else drawn
