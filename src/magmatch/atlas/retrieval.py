@@ -36,11 +36,11 @@ from magmatch.typing import Scalars
 N_PAIRS, N_NEIGHBOURS = 40, 6
 # The same for points with their frames, and samples that judge each pose.
 N_ANCHORS, N_ANCHOR_NEIGHBOURS, N_JUDGES = 200, 10, 80
-# Poses nearer than this are one: rad, and in the base's field lengths at the walk's centre.
+# Poses nearer than this are one: rad, and in the base's correlation lengths at the walk's centre.
 SAME_ROTATION, SAME_PLACE = 0.2, 0.65
 # Squared distance (in standard deviations) of a pair's invariants at which its vote is worth 1/e.
 DISTANCE2 = 8.0
-# Maps whose field lengths differ by less than this factor share one binning of the walk.
+# Maps whose correlation lengths differ by less than this factor share one binning of the walk.
 SHARED_LENGTH = 1.15
 
 

@@ -37,7 +37,7 @@ NEXT_STEPS = {
         "If another sensor fixes that direction (wheel odometry, a floor plan), say so with --prior-pose.",
     ),
     Status.NO_OVERLAP: (
-        "Survey a region in common: at least a few field lengths across, in both surveys.",
+        "Survey a region in common: at least a few correlation lengths across, in both surveys.",
         "If they should overlap, check the units of length: --base-length-unit and --target-length-unit.",
         "If the base was made with --domain, see whether the box holds the place.",
     ),

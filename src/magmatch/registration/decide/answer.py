@@ -16,6 +16,7 @@ from magmatch.registration.decide.decision import (
 )
 from magmatch.registration.decide.fitness import mean_misalignment
 from magmatch.registration.decide.probability import pose_probability, shares
+from magmatch.registration.decide.same_pose import is_same_pose
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.sensors import TIED_SD
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
@@ -24,8 +25,7 @@ from magmatch.registration.weigh.covariance import free_directions, to_survey_ax
 from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.typing import Covariance6
 
-# Poses nearer than this are one answer: rad, and in lengthscales.
-SAME_ROTATION = 0.14
+# Poses nearer than this are one answer, in correlation lengths.
 SAME_PLACE = 0.7
 MAX_LINKS = 200
 
@@ -62,7 +62,10 @@ def by_evidence(
         verdict = decide(ranked, False, np.inf, decoy_evidence, config)
         return RegistrationResult(verdict.status, verdict.reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
-    rivals = [e for e in ranked[1:] if not _is_same(best, e, SAME_PLACE * common_length(base, target))]
+    distance, center = SAME_PLACE * common_length(base, target), best.pose.center
+    rivals = [
+        e for e in ranked[1:] if not is_same_pose(best.pose.T_base_target, e.pose.T_base_target, center, distance)
+    ]
     elsewhere = best.log_evidence - lead
     lead = min([lead, *(best.log_evidence - e.log_evidence for e in rivals)])
     poses = [_to_surveys(e.pose.T_base_target, base, target) for e in [best, *rivals]]
@@ -149,12 +152,6 @@ def _statistics(best: PoseEvidence, lead: float, decoy_evidence: float | None) -
         "n_informative": float(best.n_informative),
         "unchanged": best.unchanged,
     }
-
-
-def _is_same(one: PoseEvidence, other: PoseEvidence, distance: float) -> bool:
-    T, S, center = one.pose.T_base_target, other.pose.T_base_target, one.pose.center
-    angle = (T.rotation.inv() * S.rotation).magnitude()
-    return bool(angle < SAME_ROTATION and np.linalg.norm(T.apply(center) - S.apply(center)) < distance)
 
 
 def _free_directions(

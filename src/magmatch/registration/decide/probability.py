@@ -9,7 +9,7 @@ known, and its report on other pairs is in ``benchmarks/RESULTS.md``.
 import numpy as np
 
 # Of walks: one; asinh(log odds / 10); ln of the normalised residual; the share of the walk inside the map. Right is
-# the right place here, within a field length: how far the pose may be off there is the covariance's to say.
+# the right place here, within a correlation length: how far the pose may be off there is the covariance's to say.
 WALK_WEIGHTS = np.array([-1.9, 7.3, -0.3, 2.9])
 # Of: one; the margin over chance, asinh(nats / 10); how far residuals exceed what noise explains, ln; the share of
 # informative cells that agree.

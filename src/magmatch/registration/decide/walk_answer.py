@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import rotation_matrix, transform_points
 from magmatch.registration.decide.decision import Verdict, odds_in_words
 from magmatch.registration.decide.probability import shares, walk_probability
+from magmatch.registration.decide.same_pose import is_same_pose
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
@@ -17,8 +18,7 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.covariance import free_directions, to_survey_axes
 from magmatch.registration.weigh.line_evidence import LineEvidence
 
-# Poses nearer than this are one answer: rad, and in field lengths.
-SAME_ROTATION = 0.14
+# Poses nearer than this are one answer, in correlation lengths.
 SAME_PLACE = 0.55
 
 
@@ -36,7 +36,7 @@ class WalkDecisionConfig(BaseModel):
     min_lead: float = 8.0
     # Largest normalised residual: beyond it the learned covariance does not describe what was measured.
     max_residual: float = Field(default=2.0, gt=0)
-    # Largest standard deviation of the pose in its worst direction: rad, and in field lengths. Of 120 walks of 5 m in
+    # Largest standard deviation of the pose in its worst direction: rad, and in correlation lengths. Of 120 walks of 5 m in
     # CEA, 0.03 rad accepts 54 right and 4 over 3 deg, 0.035 rad 71 and 10; of 10 m both accept 119 and none.
     max_sd_rotation: float = Field(default=0.03, gt=0)
     max_sd_translation: float = Field(default=0.12, gt=0)
@@ -53,9 +53,7 @@ def by_line_evidence(
 ) -> RegistrationResult:
     """Judge weighed poses of a walk and state the answer in survey frames."""
     if not ranked:
-        reason = (
-            "no pose to judge: the walk is shorter than the base's field length, or none of its pairs is in the base"
-        )
+        reason = "no pose to judge: the walk is shorter than the base's correlation length, or none of its pairs is in the base"
         return RegistrationResult(Status.UNINFORMATIVE, reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
     rivals = _distinct(ranked, SAME_PLACE * length)[1:]
@@ -141,15 +139,9 @@ def _distinct(ranked: list[LineEvidence], distance: float) -> list[LineEvidence]
     """Poses that differ from every better one."""
     kept: list[LineEvidence] = []
     for e in ranked:
-        if not any(_is_same(e, k, distance) for k in kept):
+        if not any(is_same_pose(e.T_base_walk, k.T_base_walk, e.center, distance) for k in kept):
             kept.append(e)
     return kept
-
-
-def _is_same(one: LineEvidence, other: LineEvidence, distance: float) -> bool:
-    angle = (one.T_base_walk.rotation.inv() * other.T_base_walk.rotation).magnitude()
-    apart = np.linalg.norm(one.T_base_walk.apply(one.center) - other.T_base_walk.apply(one.center))
-    return bool(angle < SAME_ROTATION and apart < distance)
 
 
 def _links(walk: Walk, T_base_target: RigidTransform, best: LineEvidence) -> Links:

@@ -22,9 +22,9 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vec
 
 log = logging.getLogger(__name__)
 
-# Of the base's path: length of a left-out stretch in field lengths; each set that is left out takes a refit.
+# Of the base's path: length of a left-out stretch in correlation lengths; each set that is left out takes a refit.
 STRETCH_LENGTH = 5.0
-# Bins per stretch and its step in field lengths.
+# Bins per stretch and its step in correlation lengths.
 STEP_LENGTH = 0.25
 MIN_BINS = 8
 MAX_STRETCHES = 80

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.typing import Points, Scalars, Vectors
 
-# Length of a bin, in the base's field length: short against the field's changes, long against the samples' noise.
+# Length of a bin, in the base's correlation length: short against the field's changes, long against the samples' noise.
 BIN_LENGTH = 0.15
 # Most bins; longer walks get longer bins. Costs grow with the cube.
 MAX_BINS = 150
@@ -64,7 +64,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
     survey : Survey
         Samples in the order they were taken.
     length : float, m
-        The base's field length.
+        The base's correlation length.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants
     ----------
     target : Survey
     length : float, m
-        The base's field length.
+        The base's correlation length.
 
     Returns
     -------

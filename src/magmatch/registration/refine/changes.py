@@ -66,7 +66,7 @@ class ChangeConfig(BaseModel):
     # own are described so badly that wrong poses win.
     n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
     n_charges: int = Field(default=400, ge=8)
-    # Distance of the charges from the samples, in field lengths.
+    # Distance of the charges from the samples, in correlation lengths.
     distance: float = Field(default=0.6, gt=0)
     # Most steps of the pose in a round.
     n_steps: int = Field(default=10, ge=1)

@@ -28,7 +28,7 @@ SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
 
 
 class PairSearchConfig(BaseModel):
-    """Counts and scales of the search; lengths in the base's field length."""
+    """Counts and scales of the search; lengths in the base's correlation length."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -51,7 +51,7 @@ class PairSearchConfig(BaseModel):
     outlier_share: float = Field(default=0.3, gt=0, lt=1)
     # Where another walk passes a base point, per axis.
     sd_position: float = Field(default=0.12, gt=0)
-    # Inaccuracy of a pose from one pair: rad, and in field lengths.
+    # Inaccuracy of a pose from one pair: rad, and in correlation lengths.
     sd_rotation: float = Field(default=0.07, gt=0)
     sd_translation: float = Field(default=0.2, gt=0)
 
@@ -69,7 +69,7 @@ class PairTable:
     tree : cKDTree
         Of the whitened invariants.
     length : float, m
-        The base's field length.
+        The base's correlation length.
     sd_position, sd_field : float, m and T
         Uncertainty of a point and of its field when another walk passes; whitening and alignment use it.
     field_norm, gradient_rms : float, T and T/m

@@ -22,11 +22,11 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
-# Longest step: rad, and in field lengths.
+# Longest step: rad, and in correlation lengths.
 MAX_TURN, MAX_SHIFT = 0.15, 0.3
-# Spread of a pose that the data leave free, rad and in field lengths: what the search hands over is nearer.
+# Spread of a pose that the data leave free, rad and in correlation lengths: what the search hands over is nearer.
 FREE_TURN, FREE_SHIFT = 0.5, 1.5
-# Unrelated field: tried lengthscales (in field lengths) and strengths (in the walk's own standard deviation).
+# Unrelated field: tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
 NULL_LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
 NULL_STRENGTHS = (0.5, 1.0, 2.0, 4.0)
 # Every so many-th bin decides which unrelated field is the most likely.
@@ -46,7 +46,7 @@ class LineConfig(BaseModel):
     # Fewest bins, and their share, that a pose must put inside the base map.
     min_bins: int = Field(default=8, ge=7)
     min_coverage: float = Field(default=0.3, gt=0, le=1)
-    # What each field length of path outside the base map costs, nats: at the map's border there are many ways out,
+    # What each correlation length of path outside the base map costs, nats: at the map's border there are many ways out,
     # and wrong poses like to hang there by the few bins that fit.
     price_outside: float = Field(default=3.0, ge=0)
     # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
