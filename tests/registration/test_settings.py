@@ -23,11 +23,18 @@ from magmatch.simulation.simulate import simulate
 FIELD = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
 FEW = {
     "field": FIELD,
-    "invariants": {"n_anchors": 80, "n_neighbours": 8, "n_second": 300, "n_score_samples": 60, "n_fine_samples": 150,
-                   "n_coarse": 100, "n_fine": 10},
+    "invariants": {
+        "n_anchors": 80,
+        "n_neighbours": 8,
+        "n_second": 300,
+        "n_score_samples": 60,
+        "n_fine_samples": 150,
+        "n_coarse": 100,
+        "n_fine": 10,
+    },
     "refinement": {"n_samples": 200, "n_ranking_samples": 100},
     "changes": {"n_samples": 150, "n_charges": 60},
-}  # fmt: skip
+}
 # Where an effect is looked for: scenario, seed, samples, settings of the simulation, settings of the registration.
 CASES: dict[str, tuple[str, int, int, dict[str, Any], dict[str, Any]]] = {
     "room": ("office-random", 3, 250, {}, FEW),
@@ -40,22 +47,40 @@ CASES: dict[str, tuple[str, int, int, dict[str, Any], dict[str, Any]]] = {
     "upright": ("office-z30", 3, 250, {}, FEW | {"prior": {"is_gravity_aligned": True}}),
     "posed": ("office-z30", 3, 250, {}, FEW | {"prior": {"pose": (0, 0, 0, 0, 0, 0.26, 0.966)}}),
     "walk": ("office-hand-held", 3, 600, {}, {"search": "pairs", "calibrate": False}),
-    "paper": ("office-z30", 3, 300, {}, {"search": "keypoints", "field": FIELD, "calibrate": False,
-                                         "keypoints": {"consensus": {"n_samples": 2000}}}),
-}  # fmt: skip
+    "paper": (
+        "office-z30",
+        3,
+        300,
+        {},
+        {"search": "keypoints", "field": FIELD, "calibrate": False, "keypoints": {"consensus": {"n_samples": 2000}}},
+    ),
+}
 # Settings of a group show in these cases, asked in turn.
 SHOWS = {
-    "field": ["room", "spiked"], "search": ["room"], "calibrate": ["turning"], "invariants": ["room", "faint", "repeated"],
-    "prior": ["posed", "upright"], "walks": ["walk"], "keypoints": ["paper"],
-    "refinement": ["room", "biased", "faint"], "changes": ["moved"], "decision": ["room", "faint", "repeated", "moved"],
-}  # fmt: skip
+    "field": ["room", "spiked"],
+    "search": ["room"],
+    "calibrate": ["turning"],
+    "invariants": ["room", "faint", "repeated"],
+    "prior": ["posed", "upright"],
+    "walks": ["walk"],
+    "keypoints": ["paper"],
+    "refinement": ["room", "biased", "faint"],
+    "changes": ["moved"],
+    "decision": ["room", "faint", "repeated", "moved"],
+}
 # Values that are no number times a factor.
 WORDS: dict[str, tuple[Any, ...]] = {
-    "field.prior": ("harmonic",), "field.domain": ((-1, -1, -1, 0.2, 1, 1),), "search": ("pairs",),
-    "walks.search.max_pairs": (1000,), "keypoints.consensus.sample_size": (2,), "prior.pose": ((9, 9, 9, 0, 0, 0, 1),),
-    "keypoints.features.grid": ("path",), "refinement.sensor.mode": ("full",), "keypoints.features.spacing": (0.3,),
+    "field.prior": ("harmonic",),
+    "field.domain": ((-1, -1, -1, 0.2, 1, 1),),
+    "search": ("pairs",),
+    "walks.search.max_pairs": (1000,),
+    "keypoints.consensus.sample_size": (2,),
+    "prior.pose": ((9, 9, 9, 0, 0, 0, 1),),
+    "keypoints.features.grid": ("path",),
+    "refinement.sensor.mode": ("full",),
+    "keypoints.features.spacing": (0.3,),
     "keypoints.features.component_range": (1e-5,),
-}  # fmt: skip
+}
 # What 'auto' found, kept with the settings that it led to.
 OUTCOMES = {"field.comparison"}
 FACTORS = (0.0, 1e-3, 0.3, 3, 1e3)

@@ -36,8 +36,8 @@ class WalkDecisionConfig(BaseModel):
     min_lead: float = 8.0
     # Largest normalised residual: beyond it the learned covariance does not describe what was measured.
     max_residual: float = Field(default=2.0, gt=0)
-    # Largest standard deviation of the pose in its worst direction: rad, and in correlation lengths. Of 120 walks of 5 m in
-    # CEA, 0.03 rad accepts 54 right and 4 over 3 deg, 0.035 rad 71 and 10; of 10 m both accept 119 and none.
+    # Largest standard deviation of the pose in its worst direction: rad, and in correlation lengths. Of 120 walks of
+    # 5 m in CEA, 0.03 rad accepts 54 right and 4 over 3 deg, 0.035 rad 71 and 10; of 10 m both accept 119 and none.
     max_sd_rotation: float = Field(default=0.03, gt=0)
     max_sd_translation: float = Field(default=0.12, gt=0)
 
@@ -53,7 +53,9 @@ def by_line_evidence(
 ) -> RegistrationResult:
     """Judge weighed poses of a walk and state the answer in survey frames."""
     if not ranked:
-        reason = "no pose to judge: the walk is shorter than the base's correlation length, or none of its pairs is in the base"
+        reason = (
+            "no pose to judge: the walk is shorter than the base's correlation length, or none of its pairs is there"
+        )
         return RegistrationResult(Status.UNINFORMATIVE, reason, None, n_keypoints=found.n_keypoints)
     best = ranked[0]
     rivals = _distinct(ranked, SAME_PLACE * length)[1:]

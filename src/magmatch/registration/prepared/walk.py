@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.typing import Points, Scalars, Vectors
 
-# Length of a bin, in the base's correlation length: short against the field's changes, long against the samples' noise.
+# Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
 # Most bins; longer walks get longer bins. Costs grow with the cube.
 MAX_BINS = 150

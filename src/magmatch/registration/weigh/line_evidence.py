@@ -46,7 +46,7 @@ class LineConfig(BaseModel):
     # Fewest bins, and their share, that a pose must put inside the base map.
     min_bins: int = Field(default=8, ge=7)
     min_coverage: float = Field(default=0.3, gt=0, le=1)
-    # What each correlation length of path outside the base map costs, nats: at the map's border there are many ways out,
+    # What each correlation length of path outside the base map costs, nats: the map's border has many ways out,
     # and wrong poses like to hang there by the few bins that fit.
     price_outside: float = Field(default=3.0, ge=0)
     # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
