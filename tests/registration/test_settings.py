@@ -154,6 +154,9 @@ def changed(settings: dict[str, Any], name: str, value: Any) -> RegistrationConf
     return RegistrationConfig.model_validate(document)
 
 
+SETTINGS = [pytest.param(*leaf, id=leaf[0]) for leaf in leaves(RegistrationConfig()) if leaf[0] not in OUTCOMES]
+
+
 @pytest.mark.parametrize(("name", "default"), SETTINGS)
 def test_a_setting_changes_an_answer_or_raises(name, default):
     group = "walks.search" if name.startswith("walks.search") else name.split(".")[0]
