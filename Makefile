@@ -11,9 +11,9 @@ WORKERS ?= 2
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml evaluation/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]" -e ./evaluation
 	touch $@
 
 demo: setup
@@ -47,7 +47,7 @@ bench: setup
 	OPENBLAS_NUM_THREADS=1 $(BIN)/magmatch evaluate --jobs $(WORKERS) --out evaluation-output
 
 docs: setup
-	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch
+	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch evaluation/src
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --clean
 
 # Runs every command of the tutorial and writes what it prints into the page.

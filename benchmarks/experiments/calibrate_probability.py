@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from magmatch.evaluation.trial import nees_of
 from scipy.optimize import minimize
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.evaluation.trial import nees_of
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.decide.probability import features

@@ -23,10 +23,10 @@ from itertools import islice, permutations
 from pathlib import Path
 
 import numpy as np
-
-import magmatch as mm
 from magmatch.evaluation.statistics import wilson_interval
 from magmatch.evaluation.trial import nees_of
+
+import magmatch as mm
 from magmatch.geometry import transform_error
 from magmatch.simulation.config import SimulationConfig
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from magmatch.evaluation.experiment import Tolerance
-from magmatch.evaluation.rows import Row
-from magmatch.evaluation.statistics import spread, summarize, wilson_interval
+from magmatch_evaluation.experiments import Tolerance
+from magmatch_evaluation.rows import Row
+from magmatch_evaluation.statistics import spread, summarize, wilson_interval
 
 
 def row(distance=0.01, angle=0.01, *, is_accepted=True, is_there=True, status="accepted", nees=1.0, seed=0):
@@ -47,7 +47,7 @@ def test_squared_rmse_is_squared_mean_plus_variance(errors):
 def test_quantile_is_an_observed_error_that_the_asked_share_does_not_exceed(errors, q):
     found = np.quantile(errors, q, method="inverted_cdf")
     ordered = np.sort(errors)
-    from magmatch.evaluation.statistics import quantile
+    from magmatch_evaluation.statistics import quantile
 
     assert quantile(ordered, q) == found
 

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.evaluation.experiment import Experiment, Pair
-from magmatch.evaluation.plan import Plan, make_plan
-from magmatch.evaluation.report import Findings, result_tables
-from magmatch.evaluation.run import evaluate
 from magmatch.geometry import random_transform
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch_evaluation.benchmark import evaluate
+from magmatch_evaluation.experiments import Experiment
+from magmatch_evaluation.findings import Findings, result_tables
+from magmatch_evaluation.plan import Plan, make_plan
+from magmatch_evaluation.survey_pairs import Pair
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def toy_plan(calls: str = "", seconds: float = 0.0) -> Plan:
 
 
 def toy_findings(plan: Plan, rows) -> Findings:
-    return Findings(plan.experiments, rows, [], {}, plan.left_out, "magmatch evaluate toys")
+    return Findings(plan.experiments, rows, plan.left_out, "magmatch evaluate toys")
 
 
 def tables(plan: Plan, rows) -> str:

@@ -17,8 +17,6 @@ SOURCE = Path(magmatch.__file__).parent
 ELSEWHERE = {
     "atomic.py": "the function itself",
     "data/datasets.py": "a cache, checked by SHA-256 whenever it is used",
-    "evaluation/report.py": "a page made of rows that are kept",
-    "evaluation/rows.py": "a table made of rows that are kept",
     "viz/rerun_recording.py": "a picture; its bytes differ each time",
     "simulation/simulate.py": "made again from a seed; the truth is written last",
 }
@@ -57,11 +55,10 @@ def test_every_file_is_written_by_a_writer_that_is_killed_here():
 
 
 def test_nothing_else_opens_files_for_writing():
-    """Rows of an experiment are appended and mended; all else goes through `atomic_write`."""
     marks = ('open("w', 'open("x', 'open("a', "write_text(", "write_bytes(")
     users = {
         str(path.relative_to(SOURCE)).replace(os.sep, "/")
         for path in SOURCE.rglob("*.py")
         if any(mark in path.read_text(encoding="utf-8") for mark in marks)
     }
-    assert users == {"atomic.py", "evaluation/rows.py", "evaluation/cost.py"}
+    assert users == {"atomic.py"}

@@ -7,10 +7,10 @@ import pytest
 
 import magmatch as mm
 from magmatch.data.survey import Survey
-from magmatch.evaluation.trial import nees_of
 from magmatch.field.values import FieldValues
 from magmatch.registration.prepared.drift import CORRELATION_SHARE, Drift, field_variance, white_variance
 from magmatch.simulation.config import SimulationConfig
+from magmatch_evaluation.trial import nees_of
 
 
 @dataclass(frozen=True)

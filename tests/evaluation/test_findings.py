@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables, pages and the parts of pages that others own."""
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+import toy
+
+from magmatch.errors import DataFormatError
+from magmatch_evaluation.experiments import EXPERIMENTS, QUICK, Tolerance
+from magmatch_evaluation.findings import (
+    Findings,
+    markdown,
+    replace_between_marks,
+    result_tables,
+    short_markdown,
+    write_html,
+)
+from magmatch_evaluation.notes import PUBLISHED
+from magmatch_evaluation.plan import ALL
+from magmatch_evaluation.result_tables import mapping_table
+from magmatch_evaluation.rows import MapRow, Row
+from magmatch_evaluation.statistics import shortfalls, summarize
+
+BEGIN, END = "<!-- evaluation: begin -->", "<!-- evaluation: end -->"
+SHORT_BEGIN, SHORT_END = "<!-- evaluation table: begin -->", "<!-- evaluation table: end -->"
+
+
+def row(experiment, method, seed, distance=0.002, angle=0.001, *, is_accepted=True, is_there=True):
+    status = "accepted" if is_accepted else "inconsistent"
+    return Row(
+        experiment, method, seed, "d", status, "", is_accepted, is_there, distance, angle, 0.9, 10, 10, 1.5, 2**20
+    )
+
+
+@pytest.fixture
+def findings():
+    """Made-up rows of every experiment and method; the second seed of `paper` finds nothing."""
+    experiments = tuple(EXPERIMENTS.values())
+    rows = [
+        row(e.name, m, seed, math.inf if m == "paper" and seed else 0.001 * (k + 1), is_there=e.group != "refusals",
+            is_accepted=e.group != "refusals" and not (m == "paper" and seed))
+        for e in experiments if e.group != "mapping" for k, m in enumerate(e.methods) for seed in range(2)
+    ]  # fmt: skip
+    rows += [
+        MapRow("map-room", "spline", 0, "d", "", 1e-6, 2e-6, 0.95, 1.0),
+        MapRow("map-room", "idw", 0, "d", "", 3e-6, math.nan, math.nan, 1.0),
+    ]
+    left_out = {"experiment cea-floor1": "not here"}
+    return Findings(experiments, rows, left_out, "magmatch evaluate")
+
+
+def test_every_experiment_asks_methods_that_exist():
+    for experiment in (*EXPERIMENTS.values(), *QUICK.values()):
+        assert set(experiment.methods) <= set(ALL), experiment.name
+    assert {(e, m) for e, m in PUBLISHED} <= {(e.name, m) for e in EXPERIMENTS.values() for m in e.methods}
+    assert all(method.name == name for name, method in ALL.items())
+
+
+def test_settings_of_experiments_and_methods_are_in_their_fingerprints():
+    # A default repr with an address would make every run a new one.
+    for thing in (*(e.make for e in EXPERIMENTS.values()), *ALL.values()):
+        assert " at 0x" not in repr(thing), thing
+
+
+def test_published_figures_stand_below_ours(findings):
+    table = result_tables(findings)[0]
+    k = next(k for k, cells in enumerate(table.rows) if cells[:2] == ("office-z30", "paper"))
+    assert table.rows[k + 1][:6] == ("office-z30", "paper, as published", "", "", "81.6 ± 29.9", "3.23 ± 1.83")
+
+
+def test_trials_without_a_pose_are_told_and_have_no_95_percent(findings):
+    cells = next(c for c in result_tables(findings)[0].rows if c[:2] == ("office-z30", "paper"))
+    assert cells[2] == "1 of 2"
+    assert "1 without a pose" in cells[4]
+    assert cells[7].startswith("none")
+
+
+def test_all_lines_of_a_table_have_as_many_cells(findings):
+    for table in result_tables(findings):
+        assert {len(cells) for cells in table.rows} == {len(table.header)}, table.title
+
+
+def test_page_says_what_was_left_out_and_what_was_typed(findings):
+    text = markdown(findings)
+    assert "Left out: experiment cea-floor1: not here." in text
+    assert text.startswith("`magmatch evaluate`")
+
+
+def test_page_says_how_much_of_the_run_is_in_it(findings):
+    n = len(findings.rows)
+    assert "Not the whole run" not in markdown(findings)
+    assert f"Not the whole run: {n} of {n + 5} trials." in markdown(replace(findings, n_planned=n + 5))
+
+
+def test_costs_do_not_touch_the_tables_of_results(findings):
+    dearer = [replace(r, seconds=99.0, peak_bytes=2**30) if isinstance(r, Row) else r for r in findings.rows]
+    other = replace(findings, rows=dearer)
+    assert result_tables(findings) == result_tables(other)
+    assert markdown(findings) != markdown(other)
+
+
+def test_results_go_between_the_marks_and_nowhere_else(findings, tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nmiddle\n{SHORT_BEGIN}\n{SHORT_END}\nafter\n")
+    for _ in range(2):
+        replace_between_marks(page, findings)
+        text = page.read_text()
+        assert text.startswith(f"before\n{BEGIN}\n{markdown(findings)[:40]}")
+        assert text.endswith(f"{short_markdown(findings).strip()}\n{SHORT_END}\nafter\n")
+        assert f"\n{END}\nmiddle\n{SHORT_BEGIN}\n" in text
+        assert "old" not in text.split(BEGIN)[1][:10]
+
+
+def test_page_without_marks_is_left_alone(findings, tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(f"{END}\n{BEGIN}\n")
+    with pytest.raises(DataFormatError, match="expected the lines '<!-- evaluation: begin -->'"):
+        replace_between_marks(page, findings)
+    assert page.read_text() == f"{END}\n{BEGIN}\n"
+
+
+def test_html_page_is_one_file_with_all_tables_and_a_figure_for_each_condition(findings, tmp_path):
+    pytest.importorskip("plotly", reason="figures need the extra 'viz'")
+    write_html(tmp_path / "report.html", findings)
+    text = (tmp_path / "report.html").read_text()
+    assert text.count('class="plot"') == 5 + 2 * 8
+    assert all(title in text for title in ("Public recordings", "Harder: overlap", "Maps against held-out data"))
+    assert not re.search(r"(src|href)=.https?:", text.split('id="plotly"')[0])
+
+
+def test_page_of_one_experiment_can_be_written(tmp_path):
+    pytest.importorskip("plotly", reason="figures need the extra 'viz'")
+    plan = toy.toy_plan()
+    write_html(tmp_path / "report.html", toy.toy_findings(plan, [row("toy", "one", 0)]))
+    assert "toy" in (tmp_path / "report.html").read_text()
+
+
+def summary(*distances, n_false=0):
+    rows = [row("e", "m", k, d, is_accepted=math.isfinite(d)) for k, d in enumerate(distances)]
+    rows += [row("e", "m", 100 + k, 9.0) for k in range(n_false)]
+    return summarize(rows, Tolerance())
+
+
+def test_where_another_is_better_it_is_said():
+    ours, more, finer = summary(0.01, 0.01, math.inf), summary(0.05, 0.05, 0.05), summary(0.001, 0.001, math.inf)
+    found = {("e", "default"): ours, ("e", "sift"): more, ("e", "paper"): finer, ("e", "gicp"): more}
+    assert shortfalls(found) == [
+        "e: sift was right in 3 of 3, default in 2 of 3.",
+        "e: paper had a median error of 1.0 mm, default 10.0 mm.",
+    ]
+
+
+def test_where_ours_is_ahead_nothing_is_listed():
+    found = {("e", "default"): summary(0.001, 0.001), ("e", "paper"): summary(0.01, math.inf)}
+    assert shortfalls(found) == []
+
+
+def test_mapping_table_shows_field_gradient_and_coverage_and_failures(findings):
+    broken = MapRow("map-room", "harmonic", 0, "d", "ValueError", math.nan, math.nan, math.nan, math.nan)
+    rows = [row for row in findings.rows if isinstance(row, MapRow)]
+    table = mapping_table("t", [*rows, broken], {"map-room": "a room"})
+    assert dict(zip(table.header, table.rows[0], strict=True)) == {
+        "case": "a room", "spline": "1.00 (2.00) 95%", "idw": "3.00", "harmonic": "failed",
+    }  # fmt: skip
