@@ -10,10 +10,10 @@ from time import process_time
 import numpy as np
 
 from magmatch import Survey, simulate
-from magmatch.field.inducing.dense import DenseGP
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.simulation.config import SimulationConfig
+from oracles.dense import DenseGP
 
 CONSTANT_SD = DivergenceFreeConfig().constant_sd
 SPACINGS = ((0.6, 0.8), (0.7, 0.7), (0.7, 1.0), (0.85, 1.0), (0.85, 1.4), (1.0, 1.4))

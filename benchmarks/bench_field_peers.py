@@ -23,11 +23,11 @@ from magmatch import FieldConfig, build_map
 from magmatch.data.recordings import load_recordings
 from magmatch.errors import MagmatchError
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.dense import DenseGP
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.threads import single_threaded
+from oracles.dense import DenseGP
 
 UT = 1e-6
 BOX = np.array([3.0, 3.0, 1.0])

@@ -20,8 +20,8 @@ from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.inducing_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
-from magmatch.field.inducing.recursive import RecursiveSparseGP
 from magmatch.field.live.estimator import FieldEstimator
+from oracles.recursive import RecursiveSparseGP
 
 UT = 1e-6
 RATE, SPEED = 200, 1.0

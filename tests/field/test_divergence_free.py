@@ -14,15 +14,15 @@ from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.dense import DenseGP
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid
 from magmatch.field.inducing.inducing_model import InducingModel
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
-from magmatch.field.inducing.recursive import RecursiveSparseGP
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
+from oracles.dense import DenseGP
+from oracles.recursive import RecursiveSparseGP
 
 laws = settings(deadline=None, derandomize=True, max_examples=8)
 H = Hyperparameters(lengthscale=0.7, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.6)

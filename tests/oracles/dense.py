@@ -16,20 +16,10 @@ MAX_SAMPLES = 4000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DenseGP:
-    """Exact posterior of a field given samples.
+    """Exact posterior of a field given samples, which may include an added constant field of a standard deviation.
 
-    Attributes
-    ----------
-    kernel : Kernel
-        Prior of the field.
-    points : (n, 3) array, m
-        Samples.
-    factor : (3 n, 3 n) array
-        Lower Cholesky factor of the samples' covariance, noise included.
-    solution : (3 n,) array
-        That covariance's inverse times the samples, component-major.
-    constant_sd : float, T
-        Prior standard deviation of an added constant field; 0 for none, as published.
+    ``factor`` is the lower Cholesky factor of the samples' covariance, noise included; ``solution`` that covariance's
+    inverse times the samples, component-major.
     """
 
     kernel: Kernel
@@ -42,7 +32,7 @@ class DenseGP:
     def fit(
         cls, kernel: Kernel, points: Points, field: Vectors, noise_sd: float, constant_sd: float = 0.0
     ) -> "DenseGP":
-        """Condition the prior on samples."""
+        """Condition the prior on samples (m, T)."""
         if len(points) > MAX_SAMPLES:
             msg = f"expected at most {MAX_SAMPLES} samples for the exact model, got {len(points)}: use a sparse one"
             raise ValueError(msg)
@@ -62,7 +52,7 @@ class DenseGP:
         return cls(kernel, points, factor, solve_triangular(factor, half, lower=True, trans=1), constant_sd)
 
     def mean(self, points: Points, order: int = 0) -> FieldValues:
-        """Posterior mean of field and derivatives."""
+        """Posterior mean of field and derivatives up to an order of 0, 1 or 2."""
         rows = (self._cross(points, order) @ self.solution).reshape(N_ROWS[order], -1)
         n = len(points)
         return FieldValues(
@@ -72,7 +62,7 @@ class DenseGP:
         )
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
-        """Marginal posterior covariance at each point."""
+        """Marginal posterior covariance at each point: of the field, with order 1 of the gradient too (row-major)."""
         prior = self.kernel.at_one_point(order)
         prior[:3, :3] += self.constant_sd**2 * np.eye(3)
         half = solve_triangular(self.factor, self._cross(points, order).T, lower=True)

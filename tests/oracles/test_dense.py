@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from magmatch.field.inducing.dense import MAX_SAMPLES, DenseGP
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
+from oracles.dense import MAX_SAMPLES, DenseGP
 
 KERNEL = DivergenceFreeKernel(0.6, 12e-6)
 NOISE = 0.5e-6

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.inducing.dense import DenseGP
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
-from magmatch.field.inducing.recursive import RecursiveSparseGP
+from oracles.dense import DenseGP
+from oracles.recursive import RecursiveSparseGP
 
 laws = settings(deadline=None, derandomize=True, max_examples=10)
 KERNEL = DivergenceFreeKernel(0.7, 12e-6)

@@ -22,21 +22,8 @@ from magmatch.typing import Matrix, Points, Vectors
 class RecursiveSparseGP:
     """Belief about a field after some samples; `update` returns the next one.
 
-    Attributes
-    ----------
-    kernel : Kernel
-        Prior of the field.
-    inducing_points : (m, 3) array, m
-    noise_sd : float, T
-        Standard deviation of one measured component.
-    constant_sd : float, T
-        Prior standard deviation of an added constant field; 0 for none, as published.
-    gram_factor : (3 m, 3 m) array, T
-        Lower Cholesky factor of ``K_U``; the only factorisation, made once.
-    white_mean : (3 m + 3,) array
-        Mean of ``L^-1 f_U`` and of the constant field over `constant_sd`.
-    white_covariance : (3 m + 3, 3 m + 3) array
-        Their covariance.
+    ``gram_factor`` is the lower Cholesky factor of ``K_U``, the only factorisation. The white mean and covariance are
+    of ``L^-1 f_U`` and of an added constant field over `constant_sd` (0 for none, as published).
     """
 
     kernel: Kernel
@@ -51,7 +38,7 @@ class RecursiveSparseGP:
     def start(
         cls, kernel: Kernel, inducing_points: Points, noise_sd: float, constant_sd: float = 0.0, jitter: float = 1e-9
     ) -> "RecursiveSparseGP":
-        """Prior belief, before any sample."""
+        """Prior belief; the jitter on the diagonal of ``K_U`` is relative to the variance of one component."""
         if not noise_sd > 0:
             msg = f"expected a positive noise_sd, got {noise_sd} T"
             raise ValueError(msg)
@@ -71,7 +58,7 @@ class RecursiveSparseGP:
         return np.asarray(self.gram_factor @ self.white_covariance[:-3, :-3] @ self.gram_factor.T)
 
     def update(self, points: Points, field: Vectors) -> "RecursiveSparseGP":
-        """Belief after one more sample, or a block of them at once."""
+        """Belief after one more sample, or a block of them: the cost grows with the cube of its length."""
         A = self._features(points, 0)
         predicted = A @ self.white_mean
         S_bU = A @ self.white_covariance
@@ -83,7 +70,7 @@ class RecursiveSparseGP:
         return replace(self, white_mean=mean, white_covariance=self.white_covariance - half.T @ half)
 
     def mean(self, points: Points, order: int = 0) -> FieldValues:
-        """Posterior mean of field and derivatives."""
+        """Posterior mean of field and derivatives up to an order of 0, 1 or 2."""
         n = len(points)
         rows = (self._features(points, order) @ self.white_mean).reshape(N_ROWS[order], n)
         return FieldValues(
@@ -93,12 +80,12 @@ class RecursiveSparseGP:
         )
 
     def sor_covariance(self, points: Points) -> np.ndarray:
-        """Covariance as published (subset of regressors): falls to 0 far from the inducing points."""
+        """Covariance (T^2) as published (subset of regressors): falls to 0 far from the inducing points."""
         A = self._features(points, 0)
         return _blocks(A, A @ self.white_covariance)
 
     def dtc_covariance(self, points: Points) -> np.ndarray:
-        """Covariance that returns to the prior far from the inducing points: SoR plus ``K** - K*U K_U^-1 KU*``."""
+        """Covariance (T^2) that returns to the prior far from U: SoR plus ``K** - K*U K_U^-1 KU*``."""
         A = self._features(points, 0)
         explained = _blocks(A[:, :-3], A[:, :-3])
         return np.asarray(_blocks(A, A @ self.white_covariance) + self.kernel.at_one_point() - explained)
