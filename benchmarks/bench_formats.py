@@ -6,20 +6,17 @@ Bags hold a magnetometer at 200 Hz, poses at 100 Hz and an unrelated camera; tab
 ``bench_logs.py``.
 """
 
-import argparse
 import json
 import logging
-import resource
 import struct
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+
+from magmatch_evaluation.script import alone, arguments, peak_mib, timed
 
 SECOND, START, ROWS = 1_000_000_000, 1_700_000_000, 20_000
 FRAME_BYTES, BYTES_PER_SECOND = 100_000, 200 * 130 + 100 * 95 + 100_000
@@ -128,26 +125,24 @@ def with_pandas(path: str) -> int:
     return len(pd.read_csv(path) if path.endswith(".csv") else pd.read_parquet(path))
 
 
-def measure(reader: str, path: str) -> None:
+READERS = {r.__name__: r for r in (with_magmatch, with_rosbags, with_pandas)}
+
+
+def measure(reader, path: str) -> None:
     """In a process of its own: seconds of the clock and of the processor, peak memory."""
     logging.disable()
-    start, busy = time.perf_counter(), time.process_time()
-    n = globals()[reader](path)
-    seconds, cpu = time.perf_counter() - start, time.process_time() - busy
-    mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps({"n": n, "seconds": seconds, "cpu": cpu, "mib": mib}))
+    n, seconds, cpu = timed(reader, path)
+    print(json.dumps({"n": n, "seconds": seconds, "cpu": cpu, "mib": peak_mib()}))
 
 
 def compare(name: str, folder: Path, gigabytes: float) -> None:
     """Write one format and read it with magmatch and without."""
     file, write = FORMATS[name]
-    write(folder / file, gigabytes)
-    size = sum(
-        p.stat().st_size for p in ([folder / file] if (folder / file).is_file() else (folder / file).iterdir())
-    )
+    path = folder / file
+    write(path, gigabytes)
+    size = sum(p.stat().st_size for p in ([path] if path.is_file() else path.iterdir()))
     for reader in ("with_magmatch", "with_rosbags" if name in {"bag", "db3"} else "with_pandas"):
-        command = [sys.executable, __file__, "--measure", reader, str(folder / file)]
-        run = json.loads(subprocess.check_output(command))
+        run = alone(__file__, "--measure", reader, path)
         print(
             f"{name:8} {size / 1e9:6.2f} GB  {reader:14} {run['n']:9}  clock {run['seconds']:6.1f} s  "
             f"cpu {run['cpu']:6.1f} s  peak {run['mib']:6.0f} MiB",
@@ -156,19 +151,14 @@ def compare(name: str, folder: Path, gigabytes: float) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("formats", nargs="*", default=list(FORMATS), metavar="FORMAT", help=", ".join(FORMATS))
-    parser.add_argument("--gigabytes", type=float, default=1.0)
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.measure:
-        measure(*arguments.measure)
+    asked = arguments(__doc__, tuple(FORMATS), gigabytes=1.0, folder=Path, measure=[])
+    if asked.measure:
+        measure(READERS[asked.measure[0]], asked.measure[1])
         return
     print(", ".join(f"{name} {version(name)}" for name in ("rosbags", "pandas", "pyarrow", "numpy")))
-    for name in arguments.formats:
-        with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
-            compare(name, Path(folder), arguments.gigabytes)
+    for name in asked.words:
+        with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
+            compare(name, Path(folder), asked.gigabytes)
 
 
 if __name__ == "__main__":

@@ -8,25 +8,16 @@ strays from the one in their own frames, where the maps are carried along and wh
 whether swapping base and target inverts it, in its standard deviations. One thread.
 """
 
-import argparse
-import time
-
 import numpy as np
 
 import magmatch as mm
 from magmatch.geometry import log_se3, random_transform
 from magmatch.simulation.config import SimulationConfig
+from magmatch_evaluation.script import arguments, timed
 
 SAMPLES = (750, 1500, 3000, 6000, 12_000, 24_000)
 SIDES = (2.0, 2.83, 4.0, 5.66, 8.0, 11.3, 16.0)
 DENSITY = 333.0  # samples per m^2 of floor: 3,000 in 9 m^2
-
-
-def seconds_of(function: object, *arguments: object) -> tuple[float, object]:
-    """Processor time of a call, and what it returned."""
-    start = time.process_time()
-    found = function(*arguments)  # type: ignore[operator]
-    return time.process_time() - start, found
 
 
 def grow(seed: int) -> None:
@@ -36,10 +27,10 @@ def grow(seed: int) -> None:
     for n, side in sizes:
         config = SimulationConfig(n_samples=n, room_size=(side, side, 0.8))
         pair = mm.simulate("office-random", seed, config)
-        mapping, maps = seconds_of(lambda pair=pair: [mm.build_map(s) for s in (pair.base, pair.target)])
-        mm.register(*maps)  # type: ignore[misc]
-        matching, result = seconds_of(mm.register, *maps)  # type: ignore[misc]
-        print(f"{n:7d} {side**2:9.1f} {mapping:12.2f} {matching:12.2f}   {result.status.value}", flush=True)  # type: ignore[attr-defined]
+        maps, _, mapping = timed(lambda pair=pair: [mm.build_map(s) for s in (pair.base, pair.target)])
+        mm.register(*maps)
+        result, _, matching = timed(mm.register, *maps)
+        print(f"{n:7d} {side**2:9.1f} {mapping:12.2f} {matching:12.2f}   {result.status.value}", flush=True)
 
 
 def turn(seed: int, n_frames: int) -> None:
@@ -84,15 +75,11 @@ def report(title: str, strays: list[tuple[float, float, float]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", default=["growth", "frames"])
-    parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=30)
-    arguments = parser.parse_args()
-    if "growth" in arguments.parts:
-        grow(arguments.seed)
-    if "frames" in arguments.parts:
-        turn(arguments.seed, arguments.frames)
+    asked = arguments(__doc__, ("growth", "frames"), frames=1000, seed=30)
+    if "growth" in asked.words:
+        grow(asked.seed)
+    if "frames" in asked.words:
+        turn(asked.seed, asked.frames)
 
 
 if __name__ == "__main__":

@@ -11,25 +11,24 @@ table by kind of pair, how many wrong answers were accepted and how often poses 
 with ``--fit``, the weights for `magmatch.registration.decide.probability` (then report on other seeds).
 """
 
-import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from magmatch.evaluation.trial import nees_of
 from scipy.optimize import minimize
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.geometry import random_transform, transform_error
+from magmatch.geometry import random_transform
 from magmatch.registration.config import PRESETS
 from magmatch.registration.decide.probability import features
 from magmatch.simulation.config import SimulationConfig
+from magmatch_evaluation.script import arguments, kept, pose_error
+from magmatch_evaluation.survey_pairs import area
+from magmatch_evaluation.trial import nees_of
 
-LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 ROOM = SimulationConfig(room_size=(3.0, 3.0, 0.6))
 CONDITIONS: dict[str, tuple[str, dict[str, object]]] = {
     "full": ("office-random", {}),
@@ -87,7 +86,7 @@ def recorded(source: Path | None, n_areas: int, seed: int) -> Iterator[Place]:
         one, two = cea[f"training-floor{floor}"], cea[f"test-floor{floor}"]
         while sum(site == f"cea {floor}" for _, site, *_ in pairs) < n_areas:
             center, side = two.positions[rng.integers(len(two)), :2], rng.uniform(8, 18)
-            cut = [s.subset(np.all(np.abs(s.positions[:, :2] - center) < side / 2, axis=1)) for s in (one, two)]
+            cut = [area(s, center, side) for s in (one, two)]
             if min(len(c) for c in cut) >= 300:
                 pairs.append((f"cea-{floor}-{len(pairs)}-{seed}", f"cea {floor}", *cut, 0.25))
     for one, two in (
@@ -130,41 +129,27 @@ def row_of(
 
 def rows(places: list[Place], n_cross: int, seed: int, folder: Path) -> list[dict[str, object]]:
     """Register pairs of one place, then of different ones; rows already in the folder are not made again."""
-    path = folder / "rows.jsonl"
-    known = {r["name"]: r for r in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
-    rng, found, maps = np.random.default_rng(seed), [], {}
-
-    def keep(name: str, register: object) -> None:
-        if name not in known:
-            known[name] = register()  # type: ignore[operator]
-            with path.open("a") as stream:
-                stream.write(json.dumps(known[name]) + "\n")
-        found.append(known[name])
-
-    def true_pair(place: Place) -> dict[str, object]:
-        result = mm.register(*maps[place.name], SETTINGS)
-        best = result.best_pose
-        distance, angle = (
-            (np.inf, np.inf) if best is None else transform_error(best, place.T_base_target, place.pair[1].centroid)
-        )
-        nees = nees_of(result, place.T_base_target)
-        is_right = distance < place.max_m and np.degrees(angle) < MAX_DEG
-        return row_of(place.name, result, is_right, (distance, angle, nees))
-
-    for place in places:
-        maps[place.name] = mapped(place, folder)
-        if not place.name.startswith("uniform"):
-            keep(place.name, lambda place=place: true_pair(place))
+    rng, found = np.random.default_rng(seed), {place.name: (mapped(place, folder), place) for place in places}
+    asked = {place.name: place.name for place in places if not place.name.startswith("uniform")}
     for _ in range(n_cross):
         while True:
             i, j = rng.choice(len(places), 2)
             if places[i].site != places[j].site:
                 break
         a, b = rng.integers(2, size=2)
-        name = f"{places[i].name}[{a}] / {places[j].name}[{b}]"
-        pair = maps[places[i].name][a], maps[places[j].name][b]
-        keep(name, lambda name=name, pair=pair: row_of(name, mm.register(*pair, SETTINGS), False))
-    return found
+        asked[f"{places[i].name}[{a}] / {places[j].name}[{b}]"] = (places[i].name, a, places[j].name, b)
+
+    def make(name: str) -> dict[str, object]:
+        if " / " in name:
+            base, a, target, b = asked[name]
+            return row_of(name, mm.register(found[base][0][a], found[target][0][b], SETTINGS), False)
+        maps, place = found[name]
+        result = mm.register(*maps, SETTINGS)
+        distance, angle = pose_error(result, place.T_base_target, place.pair[1].centroid)
+        is_right = distance < place.max_m and np.degrees(angle) < MAX_DEG
+        return row_of(name, result, is_right, (distance, angle, nees_of(result, place.T_base_target)))
+
+    return list(kept(folder / "rows.jsonl", asked, make).values())
 
 
 def fit(data: list[dict[str, object]]) -> np.ndarray:
@@ -240,23 +225,12 @@ def report(data: list[dict[str, object]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--first", type=int, default=2000)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--areas", type=int, default=5)
-    parser.add_argument("--cross", type=int, default=400)
-    parser.add_argument("--from", dest="source", type=Path, default=LOCAL if LOCAL.is_dir() else None)
-    parser.add_argument("--fit", action="store_true")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    places = [
-        *simulated(arguments.first, arguments.seeds),
-        *recorded(arguments.source, arguments.areas, arguments.first),
-    ]
-    data = rows(places, arguments.cross, arguments.first, arguments.out)
+    asked = arguments(__doc__, out=Path, first=2000, seeds=3, areas=5, cross=400, recordings=None, fit=False)
+    asked.out.mkdir(parents=True, exist_ok=True)
+    places = [*simulated(asked.first, asked.seeds), *recorded(asked.recordings, asked.areas, asked.first)]
+    data = rows(places, asked.cross, asked.first, asked.out)
     report(data)
-    if arguments.fit:
+    if asked.fit:
         weighed = [r for r in data if r.get("log_odds") is not None and r.get("misfit") is not None]
         print("weights", np.round(fit(weighed), 2).tolist())
 

@@ -11,7 +11,6 @@ own building is taken out of the atlas, so that nothing is right. Seconds are pe
 open; those of opening it are printed besides.
 """
 
-import argparse
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -19,14 +18,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from short_walks import LOCAL, MAX_DEG, MAX_M, stretches
+from short_walks import MAX_DEG, MAX_M, stretches
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
-from magmatch.geometry import random_transform, transform_error
+from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
+from magmatch_evaluation.script import arguments, pose_error, timed
 
 HALF_WIDTH, HEIGHT, CORNER, CLEARANCE = 1.5, 1.2, 1.5, 0.5
 LANES = (-0.35, 0.35)
@@ -107,14 +107,10 @@ def judge(atlas: mm.Atlas, target: mm.Survey, name: str, rng: np.random.Generato
     moved = target.transformed(T_base_target.inv())
     if is_absent:
         atlas = replace(atlas, entries=tuple(entry for entry in atlas.entries if entry.name != name))
-    start, start_cpu = time.perf_counter(), time.process_time()
-    result = mm.localize(atlas, moved)
-    seconds, cpu = time.perf_counter() - start, time.process_time() - start_cpu
-    distance, angle = (np.inf, np.inf)
-    if result.best_pose is not None and result.base == name:
-        distance, angle = transform_error(result.best_pose, T_base_target, moved.centroid)
-    is_right = distance <= MAX_M and np.degrees(angle) <= MAX_DEG
-    return result.base == name, is_right, result.is_accepted, (seconds, cpu), str(result.status), result.seconds
+    result, *seconds = timed(mm.localize, atlas, moved)
+    distance, angle = pose_error(result, T_base_target, moved.centroid)
+    is_right = result.base == name and distance <= MAX_M and np.degrees(angle) <= MAX_DEG
+    return result.base == name, is_right, result.is_accepted, seconds, str(result.status), result.seconds
 
 
 def report(name: str, length: float, outcomes: list[tuple]) -> None:
@@ -132,32 +128,24 @@ def report(name: str, length: float, outcomes: list[tuple]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--from", dest="source", type=Path, default=LOCAL if LOCAL.is_dir() else None)
-    parser.add_argument("--buildings", type=int, default=100)
-    parser.add_argument("--tries", type=int, default=50)
-    parser.add_argument("--simulated", type=int, default=50)
-    parser.add_argument("--lengths", default="10")
-    parser.add_argument("--seed", type=int, default=700)
-    parser.add_argument("--floor", type=int, choices=(1, 2), default=2)
-    parser.add_argument("--absent", action="store_true")
-    arguments = parser.parse_args()
-    walks = load_recordings("cea", arguments.source)
-    make_maps(arguments.folder, arguments.buildings, walks["training"])
-    start = time.perf_counter()
-    mm.open_atlas(arguments.folder)
-    indexed = time.perf_counter()
-    atlas = mm.open_atlas(arguments.folder)
-    print(f"indexed in {indexed - start:.1f} s, opened again in {time.perf_counter() - indexed:.2f} s")
-    atlas = replace(atlas, entries=atlas.entries[: arguments.buildings - 1] + atlas.entries[-1:])
-    for length in map(float, arguments.lengths.split(",")):
-        rng = np.random.default_rng([arguments.seed, int(length)])
-        run = partial(judge, rng=rng, is_absent=arguments.absent)
-        walk = walks[f"test-floor{arguments.floor}"]
-        real = [run(atlas, s, "cea.map") for s in stretches(walk, length, arguments.tries, rng)]
-        report(f"CEA floor {arguments.floor}", length, real) if real else None
-        numbers = rng.choice(len(atlas.entries) - 1, min(arguments.simulated, len(atlas.entries) - 1), replace=False)
+    asked = arguments(
+        __doc__, (), recordings=None, buildings=100, tries=50, simulated=50, lengths=[10.0], seed=700, floor=2,
+        absent=False,
+    )  # fmt: skip
+    folder = Path(asked.words[0])
+    walks = load_recordings("cea", asked.recordings)
+    make_maps(folder, asked.buildings, walks["training"])
+    indexing = timed(mm.open_atlas, folder).clock
+    atlas, opening, _ = timed(mm.open_atlas, folder)
+    print(f"indexed in {indexing:.1f} s, opened again in {opening:.2f} s")
+    atlas = replace(atlas, entries=atlas.entries[: asked.buildings - 1] + atlas.entries[-1:])
+    for length in asked.lengths:
+        rng = np.random.default_rng([asked.seed, int(length)])
+        run = partial(judge, rng=rng, is_absent=asked.absent)
+        walk = walks[f"test-floor{asked.floor}"]
+        real = [run(atlas, s, "cea.map") for s in stretches(walk, length, asked.tries, rng)]
+        report(f"CEA floor {asked.floor}", length, real) if real else None
+        numbers = rng.choice(len(atlas.entries) - 1, min(asked.simulated, len(atlas.entries) - 1), replace=False)
         made = [run(atlas, simulated_target(int(k), length, rng), f"building-{k:03d}.map") for k in numbers]
         report("simulated", length, made) if made else None
 

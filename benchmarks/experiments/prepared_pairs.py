@@ -8,40 +8,31 @@ it was refused; those of the claim are 30 uT, 5 % and 40 ms. With --spin the tar
 beforehand (500 readings), which a robot that turns about the vertical only cannot do without.
 """
 
-import argparse
-import time
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
-from magmatch.geometry import transform_error
 from magmatch.preparation.ellipsoid import fit_ellipsoid
 from magmatch.preparation.prepare import prepare
 from magmatch.preparation.report import PreparationReport
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.simulation.corruption import Corruption, corrupt, draw_corruption
+from magmatch_evaluation.script import arguments, pose_error, timed
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--scenario", default="office-hand-held")
-    parser.add_argument("--hard-iron-ut", type=float, default=30.0)
-    parser.add_argument("--soft-iron", type=float, default=0.05)
-    parser.add_argument("--clock-offset-ms", type=float, default=40.0)
-    parser.add_argument("--spikes", type=int, default=0)
-    parser.add_argument("--both", action="store_true")
-    parser.add_argument("--spin", action="store_true")
-    arguments = parser.parse_args()
+    asked = arguments(
+        __doc__, seeds=10, first=0, scenario="office-hand-held", hard_iron_ut=30.0, soft_iron=0.05,
+        clock_offset_ms=40.0, spikes=0, both=False, spin=False,
+    )  # fmt: skip
     print("seed  clean: mm, deg | corrupted: mm, deg | prepared: mm, deg | clock ms, hard uT, soft %: off by | s")
     rows = []
-    for k in range(arguments.seeds):
-        row = run(arguments.first + k, arguments)
-        rows.append(row)
-        print(f"{arguments.first + k:4d}  {as_text(row)}", flush=True)
+    for seed in range(asked.first, asked.first + asked.seeds):
+        rows.append(run(seed, asked))
+        print(f"{seed:4d}  {as_text(rows[-1])}", flush=True)
     median = np.median(rows, axis=0)
     print(f"median {as_text(median)}")
     accepted = (np.array(rows)[:, [2, 5, 8]] > 0).sum(axis=0)
@@ -49,34 +40,29 @@ def main() -> None:
     print(f"prepared / clean, of the medians: {median[6] / median[0]:.2f} (mm), {median[7] / median[1]:.2f} (deg)")
 
 
-def run(seed: int, arguments: argparse.Namespace) -> list[float]:
+def run(seed: int, asked: Namespace) -> list[float]:
     """One pair: (mm, deg, accepted) clean, corrupted, prepared; errors of the estimates; seconds of preparing."""
-    pair = mm.simulate(arguments.scenario, seed)
+    pair = mm.simulate(asked.scenario, seed)
     rng = np.random.default_rng(seed)
-    raw, corruption = corrupted(pair.target, arguments, rng)
-    start = time.perf_counter()
-    prepared, report = prepare(raw, sensor=spun(corruption, rng) if arguments.spin else None)
-    seconds = time.perf_counter() - start
+    raw, corruption = corrupted(pair.target, asked, rng)
+    (prepared, report), seconds, _ = timed(prepare, raw, sensor=spun(corruption, rng) if asked.spin else None)
     clean_base = mm.build_map(pair.base)
     raw_base = prepared_base = clean_base
-    if arguments.both:
-        base, _ = corrupted(pair.base, arguments, rng)
+    if asked.both:
+        base, _ = corrupted(pair.base, asked, rng)
         raw_base, prepared_base = mm.build_map(base), mm.build_map(prepare(base)[0])
     row: list[float] = []
     for base_map, target in ((clean_base, pair.target), (raw_base, raw), (prepared_base, prepared)):
         result = mm.register(base_map, target)
-        pose = result.best_pose
-        error = (np.inf, np.pi) if pose is None else transform_error(pose, pair.T_base_target, pair.target.centroid)
-        row += [1e3 * error[0], np.degrees(error[1]), float(result.is_accepted)]
+        distance, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
+        row += [1e3 * distance, np.degrees(angle), float(result.is_accepted)]
     return [*row, *estimate_errors(report, corruption), seconds]
 
 
-def corrupted(
-    survey: mm.Survey, arguments: argparse.Namespace, rng: np.random.Generator
-) -> tuple[mm.Survey, Corruption]:
+def corrupted(survey: mm.Survey, asked: Namespace, rng: np.random.Generator) -> tuple[mm.Survey, Corruption]:
     """The survey with errors of the sizes asked for."""
-    drawn = draw_corruption(rng, 1e-6 * arguments.hard_iron_ut, arguments.soft_iron, 1e-3 * arguments.clock_offset_ms)
-    drawn = replace(drawn, n_spikes=arguments.spikes)
+    drawn = draw_corruption(rng, 1e-6 * asked.hard_iron_ut, asked.soft_iron, 1e-3 * asked.clock_offset_ms)
+    drawn = replace(drawn, n_spikes=asked.spikes)
     return corrupt(survey, drawn, rng)[0], drawn
 
 

@@ -6,28 +6,22 @@ The truth between halves is the identity, up to the recording's own drift. A sen
 recording, both halves having the same one; the registration sees either half alone.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
-from magmatch.geometry import random_transform, transform_error
 from magmatch.preparation.prepare import prepare
+from magmatch_evaluation.script import arguments, pose_error
+from magmatch_evaluation.survey_pairs import in_halves
 
-LOCAL = Path(__file__).parents[3] / "shared" / "data"
 NAMES = ("kok/eight", "kok/square", "kok/library", "jidling/volume")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--from", dest="source", type=Path, default=LOCAL if LOCAL.is_dir() else None)
-    parser.add_argument("--names", nargs="+", default=list(NAMES))
-    arguments = parser.parse_args()
-    for name in arguments.names:
+    asked = arguments(__doc__, recordings=None, names=list(NAMES))
+    for name in asked.names:
         dataset, recording = name.split("/")
-        survey = load_recordings(dataset, arguments.source)[recording]
+        survey = load_recordings(dataset, asked.recordings)[recording]
         prepared, report = prepare(survey)
         print(f"== {name}: {len(survey)} samples\n{report.table()}")
         for label, s in (("as recorded", survey), ("as prepared", prepared)):
@@ -36,15 +30,11 @@ def main() -> None:
 
 def registered(survey: mm.Survey) -> str:
     """Second half against the first, from a random frame."""
-    half = np.arange(len(survey)) < len(survey) // 2
-    base, target = survey.subset(half), survey.subset(~half)
-    T_base_target = random_transform(np.random.default_rng(0))
-    target = target.transformed(T_base_target.inv())
-    result = mm.register(base, target)
-    pose = result.best_pose
-    if pose is None:
+    pair = in_halves(survey, np.random.default_rng(0))
+    result = mm.register(pair.base, pair.target)
+    if result.best_pose is None:
         return str(result.status)
-    distance, angle = transform_error(pose, T_base_target, target.centroid)
+    distance, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
     return f"{result.status}, {1e3 * distance:.0f} mm, {np.degrees(angle):.2f} deg"
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Short stretches of one walk through a two-floor building, found in the map of the whole building from another walk.
 
-    python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20,10,5] [--tries 100] [--seed 100]
-        [--floors 1,2] [--cut-out] [--spacing M --lengthscale M]
+    python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20 10 5] [--tries 100] [--seed 100]
+        [--floors 1 2] [--cut-out] [--spacing M --lengthscale M]
 
 CEA: base = walk one, both floors; targets = stretches of walk two on either floor, each moved by a random SE(3).
 Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
@@ -10,13 +10,10 @@ Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the
 the covariance (NEES per degree of freedom) and the seconds per query with the map and its index built.
 """
 
-import argparse
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -25,12 +22,13 @@ import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
-from magmatch.geometry import log_se3, random_transform, transform_error, transform_points
+from magmatch.geometry import random_transform, transform_points
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.register_walk import WalkConfig, WalkIndex, index_walks, register_walk
 from magmatch.registration.search.pair_search import tabulate_pairs
+from magmatch_evaluation.script import arguments, pose_error, timed
+from magmatch_evaluation.trial import nees_of
 
-LOCAL = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 MAX_M, MAX_DEG = 0.25, 3.0
 # Farther than this from the truth is another place rather than a rough answer.
 OTHER_PLACE_M = 1.0
@@ -40,16 +38,17 @@ OTHER_PLACE_M = 1.0
 class Outcome:
     """One try."""
 
-    is_accepted: bool
-    is_right: bool
-    is_elsewhere: bool
+    result: mm.RegistrationResult
     distance: float
     angle_deg: float
     nees: float
     seconds: float
     cpu_seconds: float
-    status: str
-    reason: str
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the best pose is within tolerance."""
+        return self.distance <= MAX_M and self.angle_deg <= MAX_DEG
 
 
 def stretches(walk: Survey, length: float, n: int, rng: np.random.Generator) -> Iterator[Survey]:
@@ -81,42 +80,22 @@ def try_one(index: WalkIndex, stretch: Survey, rng: np.random.Generator, config:
     """Move a stretch, register it, compare with the truth."""
     T_base_target = random_transform(rng)
     target = stretch.transformed(T_base_target.inv())
-    start, start_cpu = time.perf_counter(), time.process_time()
-    result = register_walk(index, target, config, rng)
-    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - start_cpu
-    distance, angle = np.inf, np.inf
-    if result.best_pose is not None:
-        distance, angle = transform_error(result.best_pose, T_base_target, target.centroid)
-    nees = np.nan
-    if result.T_base_target is not None and result.covariance is not None:
-        xi = log_se3(result.T_base_target.inv() * T_base_target)
-        nees = float(xi @ np.linalg.solve(result.covariance, xi)) / 6
-    is_right = bool(distance <= MAX_M and np.degrees(angle) <= MAX_DEG)
-    is_elsewhere = bool(distance > OTHER_PLACE_M)
-    return Outcome(
-        result.is_accepted,
-        is_right,
-        is_elsewhere,
-        distance,
-        float(np.degrees(angle)),
-        nees,
-        seconds,
-        cpu_seconds,
-        result.status,
-        result.reason,
-    )
+    result, *seconds = timed(register_walk, index, target, config, rng)
+    distance, angle = pose_error(result, T_base_target, target.centroid)
+    return Outcome(result, distance, float(np.degrees(angle)), nees_of(result, T_base_target), *seconds)
 
 
 def report(length: float, outcomes: list[Outcome]) -> None:
-    accepted = [o for o in outcomes if o.is_accepted]
+    accepted = [o for o in outcomes if o.result.is_accepted]
+    elsewhere = [o for o in accepted if o.distance > OTHER_PLACE_M]
     good = [o for o in accepted if o.is_right]
     print(
         f"{length:4.0f} m: {len(outcomes)} tries, best pose right {sum(o.is_right for o in outcomes)}, "
         f"accepted and right {len(good)} ({len(good) / len(outcomes):.0%}), "
-        f"accepted in another place {sum(o.is_elsewhere for o in accepted)}, "
-        f"accepted in place but out of tolerance {sum(not o.is_right and not o.is_elsewhere for o in accepted)}"
+        f"accepted in another place {len(elsewhere)}, "
+        f"accepted in place but out of tolerance {len(accepted) - len(good) - len(elsewhere)}"
     )
-    refusals = Counter(o.status for o in outcomes if not o.is_accepted)
+    refusals = Counter(o.result.status for o in outcomes if not o.result.is_accepted)
     print(f"        refused: {', '.join(f'{n} {status}' for status, n in refusals.most_common()) or 'none'}")
     if accepted:
         print(
@@ -131,39 +110,29 @@ def report(length: float, outcomes: list[Outcome]) -> None:
     )
     for o in accepted:
         if not o.is_right:
-            print(f"        ACCEPTED {o.distance:.2f} m {o.angle_deg:.2f} deg off: {o.reason}")
+            print(f"        ACCEPTED {o.distance:.2f} m {o.angle_deg:.2f} deg off: {o.result.reason}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--from", dest="source", type=Path, default=LOCAL if LOCAL.is_dir() else None)
-    parser.add_argument("--lengths", default="20,10,5")
-    parser.add_argument("--tries", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=100)
-    parser.add_argument("--floors", default="1,2")
-    parser.add_argument("--cut-out", action="store_true")
-    parser.add_argument("--spacing", type=float, default=None)
-    parser.add_argument("--lengthscale", type=float, default=None)
-    arguments = parser.parse_args()
-    walks = load_recordings("cea", arguments.source)
+    asked = arguments(
+        __doc__, recordings=None, lengths=[20.0, 10.0, 5.0], tries=100, seed=100, floors=[1, 2], cut_out=False,
+        spacing=float, lengthscale=float,
+    )  # fmt: skip
+    walks = load_recordings("cea", asked.recordings)
     config, rng = WalkConfig(), np.random.default_rng(0)
-    start = time.perf_counter()
-    base_map = mm.build_map(
-        walks["training"], FieldConfig(spacing=arguments.spacing, lengthscale=arguments.lengthscale)
-    )
-    built = time.perf_counter()
-    index = index_walks(prepare(base_map, 8, rng), config, rng)
-    indexed = time.perf_counter()
+    field = FieldConfig(spacing=asked.spacing, lengthscale=asked.lengthscale)
+    base_map, mapping, _ = timed(mm.build_map, walks["training"], field)
+    index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), config, rng))
     print(
-        f"base: {len(walks['training'])} samples, map {built - start:.1f} s, index {indexed - built:.1f} s "
+        f"base: {len(walks['training'])} samples, map {mapping:.1f} s, index {indexing:.1f} s "
         f"({len(index.table.first)} pairs of points), field length {index.length:.2f} m\n{index.noise}"
     )
-    for floor, length in product(arguments.floors.split(","), map(float, arguments.lengths.split(","))):
-        rng = np.random.default_rng([arguments.seed, int(length)])
+    for floor, length in product(asked.floors, asked.lengths):
+        rng = np.random.default_rng([asked.seed, int(length)])
         outcomes = []
-        for stretch in stretches(walks[f"test-floor{floor}"], length, arguments.tries, rng):
+        for stretch in stretches(walks[f"test-floor{floor}"], length, asked.tries, rng):
             path_model = transform_points(stretch.positions, base_map.T_map_model.inv())
-            seen = cut_out(index, path_model, 3.0, config) if arguments.cut_out else index
+            seen = cut_out(index, path_model, 3.0, config) if asked.cut_out else index
             outcomes.append(try_one(seen, stretch, rng, config))
         print(f"floor {floor}")
         report(length, outcomes)

@@ -74,7 +74,7 @@ class CeaArea:
         one, two = walks[f"training-floor{self.floor}"], walks[f"test-floor{self.floor}"]
         while True:
             center, side = two.positions[rng.integers(len(two)), :2], rng.uniform(*self.sides)
-            base, target = _area(one, center, side), _area(two, center, side)
+            base, target = area(one, center, side), area(two, center, side)
             if min(len(base), len(target)) >= MIN_SAMPLES:
                 return _moved(base, target, rng)
 
@@ -90,7 +90,7 @@ class CeaElsewhere:
         walks, rng = load("cea", recordings), np.random.default_rng([seed, 3])
         while True:
             base, target = (
-                _area(survey, survey.positions[rng.integers(len(survey)), :2], rng.uniform(*self.sides))
+                area(survey, survey.positions[rng.integers(len(survey)), :2], rng.uniform(*self.sides))
                 for survey in (walks[f"{walk}-floor{rng.integers(1, 3)}"] for walk in ("training", "test"))
             )
             if min(len(base), len(target)) < 100:
@@ -123,9 +123,7 @@ class Halves:
 
     def __call__(self, seed: int, recordings: Path | None) -> Pair:
         """Give the pair of a seed."""
-        survey = load(self.dataset, recordings)[self.name]
-        is_first = np.arange(len(survey)) < len(survey) // 2
-        return _moved(survey.subset(is_first), survey.subset(~is_first), np.random.default_rng(seed))
+        return in_halves(load(self.dataset, recordings)[self.name], np.random.default_rng(seed))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +138,7 @@ class Interleaved:
         """Give the pair of a seed."""
         survey, rng = load(self.dataset, recordings)[self.name], np.random.default_rng(seed)
         while True:
-            cut = _area(survey, survey.positions[rng.integers(len(survey)), :2], self.side)
+            cut = area(survey, survey.positions[rng.integers(len(survey)), :2], self.side)
             if len(cut) >= MIN_SAMPLES:
                 is_even = np.arange(len(cut)) % 2 == 0
                 return _moved(cut.subset(is_even), cut.subset(~is_even), rng)
@@ -159,7 +157,13 @@ def folder_of(dataset: str, recordings: Path) -> Path:
     return recordings / dataset if (recordings / dataset).is_dir() else recordings
 
 
-def _area(survey: Survey, center: np.ndarray, side: float) -> Survey:
+def in_halves(survey: Survey, rng: np.random.Generator) -> Pair:
+    """Pair the first half of a recording with its second half."""
+    is_first = np.arange(len(survey)) < len(survey) // 2
+    return _moved(survey.subset(is_first), survey.subset(~is_first), rng)
+
+
+def area(survey: Survey, center: np.ndarray, side: float) -> Survey:
     """Cut a square out of a survey."""
     return survey.subset(np.all(np.abs(survey.positions[:, :2] - center) < side / 2, axis=1))
 

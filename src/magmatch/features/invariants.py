@@ -11,7 +11,6 @@ import numpy as np
 from magmatch.field.values import gradient_norm
 from magmatch.typing import Matrix, Tensors, Vectors
 
-N_INVARIANTS = 6
 # Keeps quotients finite where the gradient vanishes; far below any measurable gradient, T/m.
 _TINY_GRADIENT = 1e-15
 

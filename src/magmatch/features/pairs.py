@@ -9,8 +9,6 @@ import numpy as np
 
 from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
-N_PAIR_INVARIANTS = 7
-
 
 def pair_invariants(first: Points, second: Points, field_first: Vectors, field_second: Vectors) -> Matrix:
     """Seven numbers per pair of points that no rigid motion of the survey changes.

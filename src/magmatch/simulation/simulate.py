@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from magmatch._version import __version__
 from magmatch.atomic import atomic_write
@@ -93,20 +92,6 @@ def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
     pair.target.save(folder / "target.csv")
     with atomic_write(folder / "truth.json") as stream:
         stream.write(json.dumps(truth, indent=2).encode() + b"\n")
-
-
-def read_truth(path: str | Path) -> tuple[RigidTransform, bool]:
-    """Read ``truth.json``.
-
-    Returns
-    -------
-    T_base_target : RigidTransform
-        Exact ground truth.
-    accept : bool
-        Whether a correct program accepts a registration.
-    """
-    truth = json.loads(Path(path).read_text(encoding="utf-8"))
-    return RigidTransform.from_matrix(np.array(truth["T_base_target"])), bool(truth["accept"])
 
 
 def _measure(
