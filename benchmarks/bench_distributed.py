@@ -7,7 +7,6 @@ On a busy or shared machine two processes gain less than twice; that is why the 
 right before and after in the same rounds.
 """
 
-import argparse
 import os
 import random
 import signal
@@ -23,6 +22,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.tiles.distributed import DaskRunner
 from magmatch.field.tiles.tile_fit import fit_weights
 from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch_evaluation.script import arguments, timed
 
 
 def tasks_of_a_floor(extent=(40.0, 30.0), n=60_000):
@@ -52,9 +52,8 @@ def gain_of_dgemm(pool):
 
 
 def seconds(run, tasks):
-    t0 = time.perf_counter()
-    weights = list(run(fit_weights, tasks))
-    return time.perf_counter() - t0, weights
+    weights, clock, _ = timed(lambda: list(run(fit_weights, tasks)))
+    return clock, weights
 
 
 def kill_at_random(run, stop, killed, rng):
@@ -67,16 +66,13 @@ def kill_at_random(run, stop, killed, rng):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--rounds", type=int, default=3)
-    arguments = parser.parse_args()
+    asked = arguments(__doc__, kills=20, rounds=3)
     tasks = tasks_of_a_floor()
     print(f"{len(tasks)} tiles, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     gains, dgemms = [], []
     with DaskRunner(1) as one, DaskRunner(2) as two, ProcessPoolExecutor(2) as pool:
         list(one(fit_weights, tasks[:2])), list(two(fit_weights, tasks[:4])), list(pool.map(dgemm, [0, 1]))
-        for _ in range(arguments.rounds):
+        for _ in range(asked.rounds):
             dgemms.append(gain_of_dgemm(pool))
             alone, expected = seconds(one, tasks)
             both, weights = seconds(two, tasks)
@@ -93,7 +89,7 @@ def main():
         killer = threading.Thread(target=kill_at_random, args=(run, stop, killed, rng))
         killer.start()
         try:
-            while len(killed) < arguments.kills:
+            while len(killed) < asked.kills:
                 _, weights = seconds(run, tasks)
                 n_rounds += 1
                 assert all(np.array_equal(a, b) for a, b in zip(expected, weights, strict=True)), "another result"

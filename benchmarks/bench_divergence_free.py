@@ -1,84 +1,43 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The published field model: processor seconds in a room, and what the spacing of its inducing points costs.
+"""The published field model: what the spacing of its inducing points costs, against the exact posterior.
 
-Run with one BLAS thread (OPENBLAS_NUM_THREADS=1); needs the extra 'simulation'.
+Error at left-out stretches of a simulated office (noise included), on the same 1,500 samples; needs the extra
+'simulation'.
 """
 
 from dataclasses import replace
-from time import process_time
 
 import numpy as np
+from oracle import DenseGP
 
-from magmatch import Survey, simulate
+from magmatch import simulate
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.simulation.config import SimulationConfig
-from oracles.dense import DenseGP
+from magmatch_evaluation.script import rmse_ut
 
 CONSTANT_SD = DivergenceFreeConfig().constant_sd
 SPACINGS = ((0.6, 0.8), (0.7, 0.7), (0.7, 1.0), (0.85, 1.0), (0.85, 1.4), (1.0, 1.4))
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the table."""
     survey = simulate("office", seed=0, config=SimulationConfig(n_samples=2500)).base
     samples = survey.transformed(survey.principal_frame().inv())
-    time_steps(samples)
-    compare_spacings(samples)
-
-
-def time_steps(samples: Survey) -> None:
-    """Print processor seconds of each step, at the lengthscale chosen and at one that fills the cap on nodes."""
-    prior = DivergenceFreePrior()
-    start = process_time()
-    chosen = prior.choose_hyperparameters(samples.positions, samples.field)
-    print(f"{len(samples)} samples: hyperparameters {process_time() - start:.2f} s, {chosen.lengthscale:.2f} m")
-    axes = tuple(np.linspace(low, high, n) for low, high, n in zip(*_box(samples), (40, 40, 13), strict=True))
-    for length in (chosen.lengthscale, 0.42):
-        h = replace(chosen, lengthscale=length, spacing=0.7 * length)
-        times = [process_time()]
-        model = prior.build(samples.positions, samples.field, h)
-        posterior = model.infer(model.observe(samples.positions, samples.field))
-        times.append(process_time())
-        posterior.evaluate_on_grid(axes, 2)
-        times.append(process_time())
-        posterior.evaluate(samples.positions, 1)
-        times.append(process_time())
-        posterior.covariance(samples.positions[:500])
-        times.append(process_time())
-        fit, grid, points, covariance = np.diff(times)
-        print(
-            f"  lengthscale {length:.2f} m, {len(model.basis.grid)} inducing points: fit {fit:.2f} s, "
-            f"20,800 grid points to order 2 {grid:.3f} s, 2,500 points to order 1 {points:.3f} s, "
-            f"covariance at 500 points {covariance:.2f} s"
-        )
-
-
-def compare_spacings(samples: Survey) -> None:
-    """Print the error at left-out stretches against that of the exact model, on the same 1,500 samples."""
     is_test = (np.arange(len(samples)) // 25) % 6 == 2
     train, test = samples.subset(np.flatnonzero(~is_test)[:1500]), samples.subset(is_test)
     h = DivergenceFreePrior().choose_hyperparameters(train.positions, train.field)
     kernel = DivergenceFreeKernel(h.lengthscale, h.signal_sd)
-    exact = DenseGP.fit(kernel, train.positions, train.field, h.noise_sd, CONSTANT_SD)
-    rmse = _rmse_ut(exact.mean(test.positions).field, test)
-    print(f"{len(train)} samples, error at {len(test)} left out (noise included)\n  exact: {rmse:.3f} uT")
-    zero_mean = DenseGP.fit(kernel, train.positions, train.field, h.noise_sd)
-    print(f"  exact, no constant field: {_rmse_ut(zero_mean.mean(test.positions).field, test):.3f} uT")
+    print(f"{len(train)} samples, error at {len(test)} left out (noise included)")
+    for label, constant_sd in (("exact", CONSTANT_SD), ("exact, no constant field", 0.0)):
+        exact = DenseGP.fit(kernel, train.positions, train.field, h.noise_sd, constant_sd)
+        print(f"  {label}: {rmse_ut(exact.mean(test.positions).field, test.field):.3f} uT")
     for spacing, reach in SPACINGS:
         prior = DivergenceFreePrior(DivergenceFreeConfig(spacing_ratio=spacing, reach_ratio=reach))
         model = prior.build(train.positions, train.field, replace(h, spacing=spacing * h.lengthscale))
         posterior = model.infer(model.observe(train.positions, train.field))
-        rmse = _rmse_ut(posterior.evaluate(test.positions).field, test)
+        rmse = rmse_ut(posterior.evaluate(test.positions).field, test.field)
         print(f"  spacing {spacing} l, reach {reach} l: {rmse:.3f} uT, {len(model.basis.grid)} inducing points")
-
-
-def _box(samples: Survey) -> tuple[np.ndarray, np.ndarray]:
-    return samples.positions.min(axis=0), samples.positions.max(axis=0)
-
-
-def _rmse_ut(field: np.ndarray, test: Survey) -> float:
-    return 1e6 * float(np.sqrt(((field - test.field) ** 2).sum(axis=1).mean()))
 
 
 if __name__ == "__main__":

@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Accuracy, calibration and time of the default field model; OPENBLAS_NUM_THREADS=1 gives the one-thread figures.
 
-Usage: python benchmarks/bench_field.py [--data ../shared/data] [--quick] [--repeat 3]
+Usage: python benchmarks/bench_field.py [--from DIR] [--quick] [--repeat 3]
 Simulated rooms and tables have exact truth; the walk is walk one of CEA predicting walk two. Times are seconds of the
 processor, the least of the repetitions: choosing the numbers, fit, field and gradient at the queries, their sd.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.survey import Survey
+from magmatch.data.recordings import load_recordings
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.tiles.region_model import fit_splines
 from magmatch.threads import single_threaded
-
-UT = 1e-6
+from magmatch_evaluation.script import UT, arguments, rmse_ut
 
 
 def dipole_field(x, position, moment):
@@ -91,13 +88,10 @@ def table(seed):
     return x, b, {"between": (q, dipole_field(q, sources, moment))}
 
 
-def walk(folder, reverse=False):
-    """Walk one of a building, and walk two to predict."""
-    files = ["corridor_training.csv", "corridor_test.csv"][:: -1 if reverse else 1]
-    one, two = (np.loadtxt(folder / "cea" / name, delimiter=",") for name in files)
-    survey = Survey(one[:, :3], one[:, 3:] * UT)
-    T = survey.principal_frame().inv()
-    base, other = survey.transformed(T), Survey(two[:, :3], two[:, 3:] * UT).transformed(T)
+def walk(walks, training, test):
+    """One walk through a building, and another to predict."""
+    T = walks[training].principal_frame().inv()
+    base, other = walks[training].transformed(T), walks[test].transformed(T)
     return base.positions, base.field, {"other walk": (other.positions, other.field)}
 
 
@@ -129,25 +123,20 @@ def measure(name, scenario, has_truth=True, repeat=1):
     print(f"    lengthscale {h.lengthscale:.2f} m, noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.1f}")
     print(f"    {steps}; together {times.sum():.2f} s of the processor")
     for label, (points, truth) in tests.items():
-        error = posterior.evaluate(points).field - truth
+        field = posterior.evaluate(points).field
         variance = np.diagonal(posterior.covariance(points), axis1=1, axis2=2)
         sd = np.sqrt(variance if has_truth else variance + h.noise_sd**2)
-        rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
-        cover = np.mean(abs(error) < 1.96 * sd)
+        rmse, cover = rmse_ut(field, truth), np.mean(abs(field - truth) < 1.96 * sd)
         print(f"    {label}: RMSE {rmse:.3f} uT (3-vectors), 95 % intervals cover {cover:.1%}", flush=True)
 
 
 @single_threaded
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[1] / "../shared/data")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--repeat", type=int, default=3, help="Of which the least time counts.")
-    arguments = parser.parse_args()
+    asked = arguments(__doc__, recordings=None, quick=False, repeat=3)
     # Compiles, or loads what was compiled.
     for scenario in (room(99, 400), lanes(99, 900)):
         timed(*scenario[:2], scenario[0])
-    few, repeat = range(1 if arguments.quick else 4), arguments.repeat
+    few, repeat = range(1 if asked.quick else 4), asked.repeat
     for seed in few:
         measure(f"room {seed}", room(seed), repeat=repeat)
     measure("room, 3,000 samples", room(4, 3000), repeat=repeat)
@@ -160,9 +149,10 @@ def main():
     measure("plane", plane(1), repeat=repeat)
     for seed in few[:2]:
         measure(f"table {seed}", table(seed), repeat=repeat)
-    if (arguments.data / "cea").exists() and not arguments.quick:
-        measure("building", walk(arguments.data), has_truth=False, repeat=repeat)
-        measure("building, reversed", walk(arguments.data, reverse=True), has_truth=False, repeat=repeat)
+    if asked.recordings and not asked.quick:
+        walks = load_recordings("cea", asked.recordings)
+        measure("building", walk(walks, "training", "test"), has_truth=False, repeat=repeat)
+        measure("building, reversed", walk(walks, "test", "training"), has_truth=False, repeat=repeat)
 
 
 if __name__ == "__main__":

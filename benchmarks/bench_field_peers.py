@@ -1,22 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Our field models against what one would use instead: time at equal numbers, and error on held-out recordings.
 
-Usage: python benchmarks/bench_field_peers.py [--data ../shared/data] [--skip-times] [--rows cea ...]
+Usage: python benchmarks/bench_field_peers.py [--from DIR] [--skip-times] [--rows cea ...]
 Run with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. GPyTorch joins where it is installed. RMSE is of 3-vectors; every
 method chooses its numbers from the training samples alone. 'near' are queries less than 2 m from a training sample,
 'far' those of them more than 0.3 m from any.
 """
 
-import argparse
 import platform
-import time
 from dataclasses import replace
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 from bench_priors import left_out
 from field_peers import HAS_GPYTORCH, PEERS, exact_divergence_free
+from oracle import DenseGP
 from scipy.spatial import cKDTree
 
 from magmatch import FieldConfig, build_map
@@ -27,9 +25,8 @@ from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.threads import single_threaded
-from oracles.dense import DenseGP
+from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 
-UT = 1e-6
 BOX = np.array([3.0, 3.0, 1.0])
 SD, NOISE_SD = 20 * UT, 0.4 * UT  # of a component of the simulated field; 2 % of it as noise
 FAR = (0.3, 2.0)
@@ -96,9 +93,8 @@ def compare_times():
             for name, run in contenders(points, field, queries, *numbers).items():
                 if name != "GPyTorch exact" and "dense" not in name:
                     run()  # compiles and reads the disk; the slow ones have no need of it
-                clocks = time.process_time(), time.perf_counter()
-                mean = run()
-                lines[name] = time.process_time() - clocks[0], time.perf_counter() - clocks[1], rmse(mean, truth)
+                mean, clock, processor = timed(run)
+                lines[name] = processor, clock, rmse_ut(mean, truth)
             peer = lines.get("GPyTorch exact")
             for name, (processor, clock, error) in reversed(lines.items()):
                 ratio = f"{peer[0] / processor:.1f}" if peer else "-"
@@ -106,10 +102,6 @@ def compare_times():
                 print(
                     f"| {n} | {shown} | {name} | {processor:.3f} | {clock:.3f} | {error:.3f} | {ratio} |", flush=True
                 )
-
-
-def rmse(field, truth):
-    return np.sqrt(((field - truth) ** 2).sum(axis=1).mean()) / UT
 
 
 def recordings(data):
@@ -153,26 +145,19 @@ def compare_errors(data, rows, skipped):
         near = away < FAR[1]
         print(f"| **{case}** | {len(survey)} samples | {len(queries)} queries | {near.sum()} | {far.sum()} | | |")
         for name in (name for name in (*PEERS, *OURS) if name not in skipped):
-            start = time.process_time()
             try:
-                mean, sd, note = predict(name, survey, queries)
+                (mean, sd, note), _, seconds = timed(predict, name, survey, queries)
             except (MagmatchError, ValueError, np.linalg.LinAlgError) as error:
                 print(f"| {case} | {name} | - | - | - | - | {error} |", flush=True)
                 continue
-            seconds = time.process_time() - start
             cover = "-" if sd is None else f"{np.mean(np.abs(mean - truth) < 1.96 * sd):.1%}"
             kinds = (np.isfinite(away), near, far)
-            errors = [f"{rmse(mean[rows], truth[rows]):.2f}" if rows.sum() >= 20 else "-" for rows in kinds]
+            errors = [f"{rmse_ut(mean[rows], truth[rows]):.2f}" if rows.sum() >= 20 else "-" for rows in kinds]
             print(f"| {case} | {name}{note} | {' | '.join(errors)} | {cover} | {seconds:.1f} |", flush=True)
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[1] / "../shared/data")
-    parser.add_argument("--rows", nargs="+", default=[], help="Only cases whose name starts with one of these.")
-    parser.add_argument("--skip", nargs="+", default=[], help="Methods to leave out, such as 'auto'.")
-    parser.add_argument("--skip-times", action="store_true")
-    arguments = parser.parse_args()
+    asked = arguments(__doc__, recordings=None, rows=[], skip=[], skip_times=False)
     packages = ("numpy", "scipy", "numba", *(("torch", "gpytorch") if HAS_GPYTORCH else ()))
     print(f"Python {platform.python_version()}, " + ", ".join(f"{name} {version(name)}" for name in packages))
     if HAS_GPYTORCH:
@@ -181,10 +166,10 @@ def main():
         torch.set_num_threads(1)
     else:
         print("GPyTorch is not installed: its rows are missing.")
-    if not arguments.skip_times:
+    if not asked.skip_times:
         compare_times()
-    if arguments.data.exists():
-        compare_errors(arguments.data, arguments.rows, arguments.skip)
+    if asked.recordings:
+        compare_errors(asked.recordings, asked.rows, asked.skip)
 
 
 if __name__ == "__main__":

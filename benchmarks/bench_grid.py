@@ -7,9 +7,6 @@ outside the active cells count no pair. The dense sum multiplies the full matrix
 basis is dense) at a random subset of the grid's points; both must agree to 1e-9.
 """
 
-import argparse
-import time
-
 import numpy as np
 from bench_field import room
 from numba import njit
@@ -19,6 +16,7 @@ from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_basis import derivative_rows, derivative_table, spline_values
+from magmatch_evaluation.script import arguments, timed
 
 SIZE = (3.0, 3.0, 1.0)
 H = {
@@ -31,12 +29,8 @@ H = {
 def best_of(task, n=5):
     """Shortest time of some runs, s, and the last answer."""
     task()
-    seconds = []
-    for _ in range(n):
-        start = time.perf_counter()
-        answer = task()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds), answer
+    runs = [timed(task) for _ in range(n)]
+    return min(run.clock for run in runs), runs[-1].value
 
 
 @njit(cache=True, fastmath=True)
@@ -119,9 +113,7 @@ def measure_points(posterior, q):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--spacing", type=float, default=0.05)
-    spacing = parser.parse_args().spacing
+    spacing = arguments(__doc__, spacing=0.05).spacing
     x, b, tests = room(4, 3000, size=SIZE)
     axes = tuple(np.arange(-0.2, length + 0.2, spacing) for length in SIZE)
     rng = np.random.default_rng(0)

@@ -1,29 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Live estimation along an endless walk, one sample per call, against the published recursive update; one thread.
 
-Usage: OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16] [--data DIR]
+Usage: OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16] [--from DIR]
 A robot walks loops through a building at 1 m/s with a 200 Hz sensor, and asks once a second of its own time for
 field, gradient and variance at 25 points within half a metre, from data at most 1 s old. Truth is a sum of dipoles.
 The peer is the published recursion over a room, its domain declared beforehand; it gets the same samples there.
 """
 
-import argparse
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 from bench_field import dipole_field
+from oracle import RecursiveSparseGP
 from threadpoolctl import threadpool_limits
 
+from magmatch.data.recordings import load_recordings
 from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.inducing_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.live.estimator import FieldEstimator
-from oracles.recursive import RecursiveSparseGP
+from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 
-UT = 1e-6
 RATE, SPEED = 200, 1.0
 H = Hyperparameters(0.8, 8 * UT, 0.4 * UT, 0.2, 100.0)
 WITHIN = 4.0  # m; sources further away than this hardly vary along the walk, and cost time
@@ -62,21 +61,16 @@ def show(name, seconds, note=""):
 def run_live(x, b, building, rng, block):
     """Feed the walk, and ask along the way."""
     now = [0.0]
-    start = time.perf_counter()
-    estimator = FieldEstimator(H, EstimatorConfig(block=block), clock=lambda: now[0])
-    print(f"    construction (compiles, or loads what was compiled): {time.perf_counter() - start:.1f} s")
+    estimator, seconds, _ = timed(FieldEstimator, H, EstimatorConfig(block=block), clock=lambda: now[0])
+    print(f"    construction (compiles, or loads what was compiled): {seconds:.1f} s")
     updates, predictions, errors, scaled = np.empty(len(x)), [], [], []
     for i in range(len(x)):
         now[0] = i / RATE
-        start = time.perf_counter()
-        estimator.update(x[i], b[i])
-        updates[i] = time.perf_counter() - start
+        updates[i] = timed(estimator.update, x[i], b[i]).clock
         if i % RATE == RATE - 1:
             q = x[i] + rng.uniform(-0.3, 0.3, (25, 3)) * [1, 1, 0.1]
             n_fits = estimator._tiles.n_fits
-            start = time.perf_counter()
-            found = estimator.predict(q, order=1, max_age=1.0)
-            seconds = time.perf_counter() - start
+            found, seconds, _ = timed(estimator.predict, q, order=1, max_age=1.0)
             predictions.append((seconds, len(estimator._tiles.blocks), estimator._tiles.n_fits - n_fits))
             error = found.field - building.field(q)
             errors.append((error**2).sum(axis=1))
@@ -111,13 +105,10 @@ def show_memory(estimator, n):
     print(f"    memory: {size / 1e6:.0f} MB for {cells:,} visited cells ({each:.1f} kB each), {n:,} samples")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "walk.live"
-        start = time.perf_counter()
-        estimator.save(path)
-        saved = time.perf_counter()
-        again = FieldEstimator.load(path)
-        loaded = time.perf_counter()
+        saving = timed(estimator.save, path).clock
+        again, loading, _ = timed(FieldEstimator.load, path)
         size = path.stat().st_size / 1e6
-    print(f"    checkpoint: {size:.0f} MB, saved in {saved - start:.1f} s, resumed in {loaded - saved:.1f} s")
+    print(f"    checkpoint: {size:.0f} MB, saved in {saving:.1f} s, resumed in {loading:.1f} s")
     assert len(again) == len(estimator)
 
 
@@ -130,61 +121,46 @@ def run_peer(x, b, half, n_updates=100):
     state = RecursiveSparseGP.start(kernel, nodes, H.noise_sd, constant_sd=1e-4)
     seconds = []
     for i in range(min(n_updates, len(x))):
-        start = time.perf_counter()
-        state = state.update(x[i : i + 1], b[i : i + 1])
-        seconds.append(time.perf_counter() - start)
+        state, clock, _ = timed(state.update, x[i : i + 1], b[i : i + 1])
+        seconds.append(clock)
     rate = len(seconds) / sum(seconds)
     print(f"published recursion, {len(nodes)} inducing points, room of {2 * half:.0f} m: {rate:,.0f} a second")
     show("update", seconds)
-    start = time.perf_counter()
-    state.mean(x[:25], 1)
-    state.dtc_covariance(x[:25])
-    print(f"    predict, 25 points: {(time.perf_counter() - start) * 1e3:.1f} ms")
+    clock = timed(state.mean, x[:25], 1).clock + timed(state.dtc_covariance, x[:25]).clock
+    print(f"    predict, 25 points: {clock * 1e3:.1f} ms")
     print(f"    memory: {2 * state.white_covariance.nbytes / 1e6:.0f} MB, growing with the square of the area")
 
 
-def run_building(folder):
+def run_building(one, two):
     """Walk one of a real building, one sample per call and nothing given, predicting walk two."""
-    names = ("corridor_training.csv", "corridor_test.csv")
-    one, two = (np.loadtxt(folder / "cea" / name, delimiter=",") for name in names)
-    estimator, seconds = FieldEstimator(), []
-    for position, field in zip(one[:, :3], one[:, 3:] * UT, strict=True):
-        start = time.perf_counter()
-        estimator.update(position, field)
-        seconds.append(time.perf_counter() - start)
+    estimator = FieldEstimator()
+    seconds = [timed(estimator.update, *sample).clock for sample in zip(one.positions, one.field, strict=True)]
     print(f"building (CEA), {len(one):,} samples, hyperparameters from the first: {estimator.hyperparameters}")
     show("update", seconds, " (the one that chose them)")
-    start = time.perf_counter()
-    found = estimator.predict(two[:, :3])
+    found, clock, _ = timed(estimator.predict, two.positions)
     n = estimator._tiles.n_fits
-    print(f"    predict all {len(two):,} points of walk two: {time.perf_counter() - start:.1f} s, {n} blocks fitted")
-    error = found.field - two[:, 3:] * UT
+    print(f"    predict all {len(two):,} points of walk two: {clock:.1f} s, {n} blocks fitted")
     sd = np.sqrt(found.variance + estimator.hyperparameters.noise_sd**2)
-    rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
-    print(f"    RMSE {rmse:.2f} uT, 95 % intervals cover {np.mean(np.abs(error) < 1.96 * sd):.1%}")
+    cover = np.mean(np.abs(found.field - two.field) < 1.96 * sd)
+    print(f"    RMSE {rmse_ut(found.field, two.field):.2f} uT, 95 % intervals cover {cover:.1%}")
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--samples", type=int, default=200_000)
-    parser.add_argument("--block", type=int, default=EstimatorConfig().block)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[1] / "../shared/data")
-    arguments = parser.parse_args()
+    asked = arguments(__doc__, samples=200_000, block=EstimatorConfig().block, recordings=None)
     rng = np.random.default_rng(0)
-    x = walk(arguments.samples, rng)
+    x = walk(asked.samples, rng)
     building = Building(x, rng)
     b = building.field(x) + 0.3 * UT * rng.normal(size=x.shape)
     area = np.prod(np.ptp(x[:, :2], axis=0))
-    print(
-        f"live: {len(x):,} samples over {area:.0f} m^2, {len(x) / RATE:.0f} s of walking, blocks of {arguments.block}"
-    )
-    estimator = run_live(x, b, building, rng, arguments.block)
+    print(f"live: {len(x):,} samples over {area:.0f} m^2, {len(x) / RATE:.0f} s of walking, blocks of {asked.block}")
+    estimator = run_live(x, b, building, rng, asked.block)
     show_age(estimator, x, b)
     show_memory(estimator, len(x))
     for half in (2.0, 6.0):
         run_peer(x, b, half)
-    if (arguments.data / "cea").exists():
-        run_building(arguments.data)
+    if asked.recordings:
+        walks = load_recordings("cea", asked.recordings)
+        run_building(walks["training"], walks["test"])
 
 
 if __name__ == "__main__":

@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The mapping table: every prior on every kind of survey, with its error, its gradient's error, coverage and time.
 
-Usage: python benchmarks/bench_priors.py [--data ../shared/data] [--rows room ...] [--priors spline harmonic ...]
+Usage: python benchmarks/bench_priors.py [--from DIR] [--rows room ...] [--priors spline harmonic ...]
 `--priors auto` takes what `prior="auto"` takes, the comparison included in its time; `--samples` for the rooms.
 Run with OPENBLAS_NUM_THREADS=1; needs the extra 'simulation'. RMSE is of 3-vectors. On simulations the truth is exact
 and intervals are those of the noise-free field; on recordings a part is left out and intervals include the noise.
 """
 
-import argparse
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
@@ -25,9 +24,9 @@ from magmatch.simulation.scenarios import INSIDE_CLEARANCE, build_scene
 from magmatch.simulation.scene import Scene, Streams
 from magmatch.simulation.simulate import simulate
 from magmatch.simulation.structures import is_clear
+from magmatch_evaluation.held_out_field import differences
+from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 
-UT = 1e-6
-STEP = 1e-3
 N_QUERIES = 1500
 ROOM = SimulationConfig(noise_sd=1e-6)
 
@@ -44,9 +43,7 @@ class Case:
 
 def truth_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points with the exact field and, by central differences, its gradient."""
-    steps = STEP * np.eye(3)
-    gradient = [(scene.base_field(points + d) - scene.base_field(points - d)) / (2 * STEP) for d in steps]
-    return points, scene.base_field(points), np.stack(gradient, axis=-1)
+    return points, scene.base_field(points), differences(scene.base_field, points)
 
 
 def rooms(n_samples: int) -> Iterator[Case]:
@@ -87,13 +84,13 @@ def tables() -> Iterator[Case]:
             yield Case(f"{scenario} {seed}", pair.base, {"target's path": truth_at(scene, there)})
 
 
-def recordings(data: Path) -> Iterator[Case]:
+def recorded(folder: Path) -> Iterator[Case]:
     """Left-out stretches of real surveys, and one walk from another."""
-    jidling = next(iter(load_recordings("jidling", data).values()))
+    jidling = next(iter(load_recordings("jidling", folder).values()))
     yield left_out("jidling", jidling.subset(np.arange(0, len(jidling), -(-len(jidling) // 6000))), 10)
-    for name, survey in load_recordings("kok", data).items():
+    for name, survey in load_recordings("kok", folder).items():
         yield left_out(f"kok {name}", survey, 10)
-    cea = load_recordings("cea", data)
+    cea = load_recordings("cea", folder)
     for direction, first, second in (("1-2", "training", "test"), ("2-1", "test", "training")):
         base, other = cea[first], cea[second]
         for thin in (8, 1):
@@ -113,11 +110,8 @@ def left_out(name: str, survey: Survey, n_blocks: int) -> Case:
     )
 
 
-def measure(case: Case, name: str) -> None:
-    """Print one line for each test of a case."""
-    T = case.survey.principal_frame()
-    samples = case.survey.transformed(T.inv())
-    start = time.process_time()
+def fitted(samples: Survey, name: str, T: RigidTransform):
+    """Name, hyperparameters and posterior of a prior, or of the one that is chosen."""
     if name == "auto":
         config, h = choose_prior(samples, FieldConfig(prior="auto"), T)
         name, prior = f"auto: {config.prior}", PRIORS[config.prior]
@@ -125,43 +119,39 @@ def measure(case: Case, name: str) -> None:
         prior = PRIORS[name]
         h = prior.choose_hyperparameters(samples.positions, samples.field)
     model = prior.build(samples.positions, samples.field, h)
-    posterior = model.infer(model.observe(samples.positions, samples.field))
-    seconds = time.process_time() - start
+    return name, h, model.infer(model.observe(samples.positions, samples.field))
+
+
+def measure(case: Case, name: str) -> None:
+    """Print one line for each test of a case."""
+    T = case.survey.principal_frame()
+    (name, h, posterior), _, seconds = timed(fitted, case.survey.transformed(T.inv()), name, T)
     for label, (points, truth, gradient) in case.tests.items():
         at = T.inv().apply(points)
         values = posterior.evaluate(at, 1).rotated(T)
-        error = values.field - truth
         said = T.rotation.as_matrix() @ posterior.covariance(at) @ T.rotation.as_matrix().T
         variance = np.diagonal(said, axis1=1, axis2=2) + (0.0 if case.has_truth else h.noise_sd**2)
-        rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
-        cover = np.mean(np.abs(error) < 1.96 * np.sqrt(variance))
+        cover = np.mean(np.abs(values.field - truth) < 1.96 * np.sqrt(variance))
         slope = "     -"
         if gradient is not None:
             slope = f"{np.sqrt(((values.gradient - gradient) ** 2).sum() / (gradient**2).sum()):6.3f}"
         print(
-            f"{case.name:16s} {label:13s} {name:16s} {rmse:7.3f} {slope} {cover:6.1%} {seconds:6.1f}  "
-            f"l {h.lengthscale:.2f} m, noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.2f}",
+            f"{case.name:16s} {label:13s} {name:16s} {rmse_ut(values.field, truth):7.3f} {slope} {cover:6.1%} "
+            f"{seconds:6.1f}  l {h.lengthscale:.2f} m, noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.2f}",
             flush=True,
         )
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[1] / "../shared/data")
-    parser.add_argument("--rows", nargs="+", default=[], help="Only cases whose name starts with one of these.")
-    parser.add_argument("--priors", nargs="+", default=list(PRIORS))
-    parser.add_argument("--samples", type=int, default=ROOM.n_samples, help="Of each room.")
-    arguments = parser.parse_args()
+    asked = arguments(__doc__, recordings=None, rows=[], priors=list(PRIORS), samples=ROOM.n_samples)
     print(f"{'case':16s} {'where':13s} {'prior':16s} RMSE,uT rel.grad cover  s")
-    sets = [rooms(arguments.samples), planes(), tables()]
-    if arguments.data.exists():
-        sets.append(recordings(arguments.data))
-    for cases in sets:
-        for case in cases:
-            if arguments.rows and not case.name.startswith(tuple(arguments.rows)):
-                continue
-            for name in arguments.priors:
+    sets = [rooms(asked.samples), planes(), tables()]
+    if asked.recordings:
+        sets.append(recorded(asked.recordings))
+    for case in (case for cases in sets for case in cases):
+        if not asked.rows or case.name.startswith(tuple(asked.rows)):
+            for name in asked.priors:
                 measure(case, name)
 
 

@@ -8,14 +8,10 @@ a sensor at 1 m height, dipoles 0.4 to 1.2 m under the floor and in the walls; n
 (D-SKI) report under two minutes for 40,000 three-axis samples on a laptop.
 """
 
-import argparse
+import json
 import logging
-import resource
-import shutil
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +25,9 @@ from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.tiles.distributed import DaskRunner
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
+from magmatch_evaluation.script import UT, alone, arguments, peak_mib, rmse_ut, timed
 
-UT = 1e-6
 CELL = 4.0
-# Marks the line of a case's process that holds its processor time (s) and peak memory (GiB).
-COST = "cost:"
 
 
 def dipoles(extent, rng, density=0.5):
@@ -87,47 +81,37 @@ def measure(extent, n, gap, config, jobs, label):
     """Build a map in this process, and print what it took and how right it is."""
     survey, sources = walk(extent, n, gap)
     build_map(walk((3, 3), 500, 0.6)[0])  # compiles
-    before, t0, c0 = peak_memory(), time.perf_counter(), time.process_time()
+    before = peak_mib() / 1024
     if jobs > 1:
         with DaskRunner(jobs) as run:
-            field_map = build_map(survey, config, run)
+            field_map, seconds, cpu = timed(build_map, survey, config, run)
     else:
-        field_map = build_map(survey, config)
-    seconds, cpu = time.perf_counter() - t0, time.process_time() - c0
+        field_map, seconds, cpu = timed(build_map, survey, config)
     rng = np.random.default_rng(1)
     q = np.c_[rng.uniform(0.3, np.subtract(extent, 0.3), (4000, 2)), rng.uniform(0.97, 1.03, 4000)]
-    error = field_map.evaluate(q).field - field_at(q, sources)
-    rmse = np.sqrt((error**2).sum(axis=1).mean()) / UT
+    rmse, peak = rmse_ut(field_map.evaluate(q).field, field_at(q, sources)), peak_mib() / 1024
     h = field_map.hyperparameters
     tiles = len(getattr(field_map.posterior, "tiles", [0]))
     print(
         f"{label}: {n:,} samples, {np.prod(extent):,.0f} m^2, spacing {h.spacing:.2f} m, lengthscale "
         f"{h.lengthscale:.2f} m, {tiles} tiles: {seconds:.2f} s ({cpu:.2f} s of this process, "
-        f"{1e6 * cpu / n:.1f} us a sample), peak {peak_memory():.2f} GiB ({before:.2f} before), RMSE {rmse:.3f} uT",
+        f"{1e6 * cpu / n:.1f} us a sample), peak {peak:.2f} GiB ({before:.2f} before), RMSE {rmse:.3f} uT",
         flush=True,
     )
-    print(f"{COST} {cpu} {peak_memory()}", flush=True)
-    return field_map
-
-
-def peak_memory():
-    """Largest resident memory so far, GiB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return field_map, [cpu, peak]
 
 
 def office(jobs):
-    measure((40.0, 20.0), 40_000, 1.0, FieldConfig(), jobs, "office floor")
+    return measure((40.0, 20.0), 40_000, 1.0, FieldConfig(), jobs, "office floor")[1]
 
 
 def million(jobs):
-    field_map = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), jobs, "100 x 100 m")
-    path, t = Path(tempfile.mkdtemp()) / "large.map", [time.perf_counter()]
-    field_map.save(path)
-    t.append(time.perf_counter())
-    FieldMap.load(path)
-    t.append(time.perf_counter())
-    shutil.rmtree(path.parent)
-    print(f"    save {t[1] - t[0]:.1f} s, load {t[2] - t[1]:.1f} s, peak {peak_memory():.2f} GiB")
+    field_map, cost = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), jobs, "100 x 100 m")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "large.map"
+        saving, loading = timed(field_map.save, path).clock, timed(FieldMap.load, path).clock
+    print(f"    save {saving:.1f} s, load {loading:.1f} s, peak {peak_mib() / 1024:.2f} GiB")
+    return cost
 
 
 def agreement(_):
@@ -145,9 +129,8 @@ def agreement(_):
     print(f"one fit: RMSE {rms(expected.field - truth) / UT:.3f} uT, sd {np.sqrt((sd**2).mean()) / UT:.3f} uT")
     for core, margin in ((24, 3), (24, 4), (24, 5), (24, 6), (24, 8), (16, 5), (32, 5)):
         tiled = TiledModel.over(samples.positions, h, Tiling(h.spacing, margin, 2, core))
-        t0 = time.process_time()
-        posterior = tiled.infer(tiled.observe(samples.positions, samples.field))
-        seconds, values = time.process_time() - t0, posterior.evaluate(q, 1)
+        posterior, _, seconds = timed(lambda t=tiled: t.infer(t.observe(samples.positions, samples.field)))
+        values = posterior.evaluate(q, 1)
         gradient = values.gradient
         curl = np.abs(gradient - gradient.transpose(0, 2, 1)).max(axis=(1, 2))
         off = rms((values.field - expected.field) / sd[:, None])
@@ -171,51 +154,36 @@ FIXED = {"lengthscale": 1.2, "signal_sd": 4 * UT, "noise_sd": 0.5 * UT, "spacing
 def doubling(jobs, area):
     """One area at 100 samples a square metre."""
     side = np.sqrt(area)
-    measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), jobs, "doubling")
+    return measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), jobs, "doubling")[1]
 
 
 def samples(jobs, n):
     """One number of samples at 100 a square metre."""
-    measure((100.0, 100.0 * n / 1e6), int(n), 1.0, FieldConfig(**FIXED), jobs, "samples")
-
-
-def compare_sizes(case, sizes, jobs):
-    """Run one size after the other, each in a process of its own, and print how much more each step costs."""
-    before = None
-    for size in sizes:
-        command = [sys.executable, __file__, case, "--size", str(size), "--jobs", str(jobs)]
-        lines = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
-        print("\n".join(line for line in lines if not line.startswith(COST)))
-        cost = next(np.array(line.split()[1:], dtype=float) for line in lines if line.startswith(COST))
-        if before is not None:
-            time_ratio, memory_ratio = cost / before
-            print(
-                f"    times the size before: processor time {time_ratio:.2f}, peak memory {memory_ratio:.2f}",
-                flush=True,
-            )
-        before = cost
+    return measure((100.0, 100.0 * n / 1e6), int(n), 1.0, FieldConfig(**FIXED), jobs, "samples")[1]
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("cases", nargs="*", default=["office", "million", "doubling", "samples", "agreement"])
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--size", type=float)
-    parser.add_argument("--most", type=float, default=1e4, help="largest area of the doubling, m^2")
-    arguments = parser.parse_args()
+    """Run every case, and every size of one, in a process of its own, and print how much more each size costs."""
+    cases = {"office": office, "million": million, "doubling": doubling, "samples": samples, "agreement": agreement}
+    # Largest area of the doubling in m^2.
+    asked = arguments(__doc__, tuple(cases), jobs=1, size=float, most=1e4, is_alone=False)
     logging.basicConfig(level=logging.WARNING)
-    if arguments.size is not None:
-        {"doubling": doubling, "samples": samples}[arguments.cases[0]](arguments.jobs, arguments.size)
+    if asked.is_alone:
+        size = [] if asked.size is None else [asked.size]
+        print(json.dumps(cases[asked.words[0]](asked.jobs, *size)))
         return
-    sizes = {"doubling": [10 * 2.0**k for k in range(11) if 10 * 2.0**k <= 1.1 * arguments.most],
+    sizes = {"doubling": [10 * 2.0**k for k in range(11) if 10 * 2.0**k <= 1.1 * asked.most],
              "samples": [1e4, 3e4, 1e5, 3e5, 1e6]}  # fmt: skip
-    for case in arguments.cases:
-        if case in sizes:
-            compare_sizes(case, sizes[case], arguments.jobs)
-        elif len(arguments.cases) > 1:
-            subprocess.run([sys.executable, __file__, case, "--jobs", str(arguments.jobs)], check=True)
-        else:
-            {"office": office, "million": million, "agreement": agreement}[case](arguments.jobs)
+    for case in asked.words:
+        before = None
+        for size in sizes.get(case, [None]):
+            words = [] if size is None else ["--size", size]
+            cost = alone(__file__, case, "--is-alone", "--jobs", asked.jobs, *words)
+            if before is not None:
+                ratio = np.divide(cost, before)
+                print(f"    times the size before: processor time {ratio[0]:.2f}, peak memory {ratio[1]:.2f}")
+            before = cost
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@ Every peer is a function ``(points, field, queries) -> field``. Those of GPyTorc
 from importlib.util import find_spec
 
 import numpy as np
-from magmatch.baselines.interpolation import N_LIKELIHOOD, inverse_distance, local_gp, nearest_neighbour
+
+from magmatch_evaluation.baselines.interpolation import N_LIKELIHOOD, inverse_distance, local_gp, nearest_neighbour
 
 HAS_GPYTORCH = find_spec("gpytorch") is not None
 N_EXACT = 3000

@@ -4,7 +4,6 @@
 python benchmarks/make_demo_data.py [--out src/magmatch/data/samples/office]
 """
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +12,14 @@ import numpy as np
 from magmatch import Survey, simulate
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import write_pair
+from magmatch_evaluation.script import arguments
 
 HOME = Path(__file__).parents[1] / "src/magmatch/data/samples/office"
 SCENARIO, SEED, N_SAMPLES, N_DIGITS = "office", 1, 1500, 7
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=HOME)
-    out = parser.parse_args().out
+    out = arguments(__doc__, out=Path).out or HOME
     pair = simulate(SCENARIO, SEED, SimulationConfig(n_samples=N_SAMPLES))
     write_pair(replace(pair, base=shortened(pair.base), target=shortened(pair.target)), out)
     for file in sorted(out.iterdir()):

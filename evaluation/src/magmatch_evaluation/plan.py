@@ -12,7 +12,6 @@ from magmatch_evaluation.experiments import EXPERIMENTS, QUICK, Experiment
 from magmatch_evaluation.held_out_field import PREDICTORS
 from magmatch_evaluation.methods import METHODS, Method
 from magmatch_evaluation.rows import Key
-from magmatch_evaluation.survey_pairs import folder_of
 from magmatch_evaluation.trial import Batch
 
 ALL: dict[str, Method] = {**METHODS, **PREDICTORS}
@@ -111,7 +110,7 @@ def _missing_recordings(datasets: set[str], folder: Path) -> dict[str | None, st
     missing = dict[str | None, str]()
     for name in sorted(datasets):
         try:
-            verified_files(name, folder_of(name, folder))
+            verified_files(name, folder)
         except DataFormatError as error:
             fetching = f"fetch it with 'magmatch datasets fetch {name}'"
             missing[name] = f"recording '{name}' is not here ({error}); {fetching}"

@@ -147,14 +147,7 @@ class Interleaved:
 @lru_cache(maxsize=2)
 def load(dataset: str, recordings: Path | None) -> Mapping[str, Survey]:
     """Recordings of a dataset, verified once a process."""
-    if recordings is None:
-        return load_recordings(dataset)
-    return load_recordings(dataset, folder_of(dataset, recordings))
-
-
-def folder_of(dataset: str, recordings: Path) -> Path:
-    """Where the files of one dataset lie: in a folder of its name, or beside those of the others."""
-    return recordings / dataset if (recordings / dataset).is_dir() else recordings
+    return load_recordings(dataset, recordings)
 
 
 def in_halves(survey: Survey, rng: np.random.Generator) -> Pair:
