@@ -23,12 +23,17 @@ from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.geometry import random_transform, transform_points
+from magmatch.registration.clock import Clock
+from magmatch.registration.config import PRESETS
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.index.walk_index import index_walks
 from magmatch.registration.prepared.prepared_map import prepare
-from magmatch.registration.register_walk import WalkConfig, WalkIndex, index_walks, register_walk
+from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.search.pair_search import tabulate_pairs
 from magmatch_evaluation.script import arguments, pose_error, timed
 from magmatch_evaluation.trial import nees_of
 
+CONFIG = PRESETS["default"]
 MAX_M, MAX_DEG = 0.25, 3.0
 # Farther than this from the truth is another place rather than a rough answer.
 OTHER_PLACE_M = 1.0
@@ -65,22 +70,30 @@ def stretches(walk: Survey, length: float, n: int, rng: np.random.Generator) -> 
         yield walk.subset(rows)
 
 
-def cut_out(index: WalkIndex, path_model: np.ndarray, radius: float, config: WalkConfig) -> WalkIndex:
+def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
     """Take the surroundings of a path out of what the base knows."""
-    raster = index.base.raster
+    raster, walks = index.base.raster, index.walks
     known = np.argwhere(raster.sd >= 0)
     near = cKDTree(path_model).query(raster.origin + raster.spacing * known, distance_upper_bound=radius)[0] < radius
     values = raster.values.copy()
     values[(*known[near].T, 3)] = -1.0
     base = replace(index.base, raster=replace(raster, values=values))
-    return replace(index, base=base, table=tabulate_pairs(base, index.length, index.noise.total_sd, config.search))
+    table = tabulate_pairs(base, walks.length, walks.noise.total_sd, CONFIG.walks.search)
+    return MapIndex(base, lambda: replace(walks, base=base, table=table))
 
 
-def try_one(index: WalkIndex, stretch: Survey, rng: np.random.Generator, config: WalkConfig) -> Outcome:
+def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.RegistrationResult:
+    """Search, refine and decide by pairs of points alone."""
+    strategy = WalkStrategy(target, target, CONFIG, seed, Clock())
+    pair = strategy.pair(index)
+    return strategy.decide(strategy.weigh(pair, strategy.search(pair)))
+
+
+def try_one(index: MapIndex, stretch: Survey, rng: np.random.Generator) -> Outcome:
     """Move a stretch, register it, compare with the truth."""
     T_base_target = random_transform(rng)
     target = stretch.transformed(T_base_target.inv())
-    result, *seconds = timed(register_walk, index, target, config, rng)
+    result, *seconds = timed(register_walk, index, target, int(rng.integers(2**32)))
     distance, angle = pose_error(result, T_base_target, target.centroid)
     return Outcome(result, distance, float(np.degrees(angle)), nees_of(result, T_base_target), *seconds)
 
@@ -119,21 +132,22 @@ def main() -> None:
         spacing=float, lengthscale=float,
     )  # fmt: skip
     walks = load_recordings("cea", asked.recordings)
-    config, rng = WalkConfig(), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     field = FieldConfig(spacing=asked.spacing, lengthscale=asked.lengthscale)
     base_map, mapping, _ = timed(mm.build_map, walks["training"], field)
-    index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), config, rng))
+    walk_index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), CONFIG.walks.search, rng))
+    index = MapIndex(walk_index.base, lambda: walk_index)
     print(
         f"base: {len(walks['training'])} samples, map {mapping:.1f} s, index {indexing:.1f} s "
-        f"({len(index.table.first)} pairs of points), field length {index.length:.2f} m\n{index.noise}"
+        f"({len(walk_index.table.first)} pairs of points), field length {walk_index.length:.2f} m\n{walk_index.noise}"
     )
     for floor, length in product(asked.floors, asked.lengths):
         rng = np.random.default_rng([asked.seed, int(length)])
         outcomes = []
         for stretch in stretches(walks[f"test-floor{floor}"], length, asked.tries, rng):
             path_model = transform_points(stretch.positions, base_map.T_map_model.inv())
-            seen = cut_out(index, path_model, 3.0, config) if asked.cut_out else index
-            outcomes.append(try_one(seen, stretch, rng, config))
+            seen = cut_out(index, path_model, 3.0) if asked.cut_out else index
+            outcomes.append(try_one(seen, stretch, rng))
         print(f"floor {floor}")
         report(length, outcomes)
 

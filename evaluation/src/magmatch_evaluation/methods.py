@@ -99,7 +99,7 @@ METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         Preset("default", "this package's method", PRESETS["default"]),
-        Preset("paper", "the published method (Mag-Match), corrections of docs/theory.md", PAPER),
+        Preset("paper", "the published method (Mag-Match), corrections of docs/theory/published.md", PAPER),
         Baseline(
             "sift", "SIFT on horizontal layers of |B|, as published", PAPER.field, SiftConfig(), register_by_sift
         ),

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the benchmark scripts share."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from magmatch_evaluation.script import alone, arguments, kept
+
+
+def length_of(name):
+    return {"name": name, "length": len(name)}
+
+
+def test_rows_that_are_there_are_not_made_again(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    first = kept(path, ["a", "bb"], length_of)
+    again = kept(path, ["bb", "ccc"], lambda name: {"name": name, "length": -1})
+    assert first == {"a": length_of("a"), "bb": length_of("bb")}
+    assert again == {"bb": length_of("bb"), "ccc": {"name": "ccc", "length": -1}}
+    assert len(path.read_text().splitlines()) == 3
+
+
+def test_no_row_is_begun_after_the_time(tmp_path):
+    assert kept(tmp_path / "rows.jsonl", ["a"], length_of, minutes=0.0) == {}
+
+
+def test_options_follow_from_their_defaults(monkeypatch):
+    words = ["script", "one", "--lengths", "5", "10", "--from", "there", "--is-fast", "--spacing", "0.5"]
+    monkeypatch.setattr(sys, "argv", words)
+    asked = arguments("", (), lengths=[20.0], recordings=None, is_fast=False, spacing=float, seeds=3)
+    assert vars(asked) == {
+        "words": ["one"], "lengths": [5.0, 10.0], "recordings": Path("there"), "is_fast": True, "spacing": 0.5,
+        "seeds": 3,
+    }  # fmt: skip
+
+
+def test_script_in_a_process_of_its_own_returns_its_last_line(tmp_path, capsys):
+    script = tmp_path / "script.py"
+    script.write_text("import sys\nprint('words')\nprint(f'[{sys.argv[1]}]')\n")
+    assert alone(str(script), 3) == [3]
+    assert capsys.readouterr().out == "words\n"
+
+
+def test_script_that_fails_is_an_error(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("raise SystemExit(1)")
+    with pytest.raises(Exception, match="non-zero exit status"):
+        alone(str(script))
