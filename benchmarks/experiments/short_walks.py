@@ -28,8 +28,8 @@ from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import index_walks
 from magmatch.registration.prepared.prepared_map import prepare
-from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.search.pair_search import tabulate_pairs
+from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch_evaluation.script import arguments, pose_error, timed
 from magmatch_evaluation.trial import nees_of
 
