@@ -82,12 +82,11 @@ def load(path: Path) -> mm.Survey:
 
 def make(folder: Path, source: Path) -> None:
     """Draw all pairs; uses rooms of the package that the other verbs leave alone."""
-    from magmatch.evaluation.recorded import CeaArea, CeaElsewhere, Halves, Interleaved, TwoRecordings
-
     from magmatch.data.recordings import load_recordings
     from magmatch.geometry import random_transform
     from magmatch.simulation.config import SimulationConfig
     from magmatch.simulation.corruption import corrupt, draw_corruption
+    from magmatch_evaluation.survey_pairs import CeaArea, CeaElsewhere, Halves, Interleaved, TwoRecordings
 
     folder.mkdir(parents=True, exist_ok=True)
     for name, scenario, seed, settings in simulated():
