@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 TEST_ENV := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 WORKERS ?= 2
 
-.PHONY: setup demo test fuzz harden check bench docs tutorial screenshots clean
+.PHONY: setup demo test fuzz harden check release-check results bench docs tutorial screenshots clean
 
 setup: $(STAMP)
 
@@ -41,6 +41,15 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python benchmarks/write_results.py --check
+
+# Before a release: no table may be older than the code it covers.
+release-check: check
+	$(BIN)/python benchmarks/write_results.py --release
+
+# Writes the tables of README.md and docs/results.md from benchmarks/results.
+results: setup
+	$(BIN)/python benchmarks/write_results.py
 
 # Under two hours on two cores; an interrupted run goes on where it stood.
 bench: setup

@@ -3,7 +3,7 @@
 
 The log odds of `evidence.py` are honest about the data and naive about the models: their size is no probability. The
 weights below were fitted by ``benchmarks/experiments/calibrate_probability.py`` to pairs of which the truth is
-known, and its report on other pairs is in ``benchmarks/RESULTS.md``.
+known, and its report on other pairs is in ``docs/results.md``.
 """
 
 import numpy as np

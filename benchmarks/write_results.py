@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fill in the tables of README.md and docs/results.md from the files in benchmarks/results.
+
+    python benchmarks/write_results.py              # writes both pages
+    python benchmarks/write_results.py --check      # fails where a page differs, or a commit is not in the history
+    python benchmarks/write_results.py --release    # fails also where a table is older than the code it covers
+
+A page has ``<!-- table: NAME -->`` where a table begins and ``<!-- end -->`` where it ends. ``<!-- short table: NAME
+{"columns": [...], "where": {COLUMN: [CELLS]}} -->`` takes some columns and rows, without heading and note. A table is
+older than the code where what it covers differs from its commit: in the folder, so that a page and the change that
+ages its tables can be one commit.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from magmatch.evaluation.result_table import FOLDER, ResultTable
+
+PAGES = (Path("README.md"), Path("docs") / "results.md")
+# The one on which every table stands.
+WHOLE = PAGES[1]
+MARK = re.compile(r"(<!-- (short )?table: ([\w-]+) ?(\{.*?\})? ?-->\n).*?(<!-- end -->)", re.DOTALL)
+NOT_RECORDED = "not recorded"
+
+
+@dataclass(frozen=True)
+class History:
+    """What git knows about the folder."""
+
+    root: Path
+
+    def git(self, *words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(["git", "-C", str(self.root), *words], check=False, capture_output=True, text=True)
+
+    def is_whole(self) -> bool:
+        """Whether the folder is a clone of its own, with all its commits."""
+        top = self.git("rev-parse", "--show-toplevel")
+        is_own = top.returncode == 0 and Path(top.stdout.strip()).resolve() == self.root.resolve()
+        return is_own and self.git("rev-parse", "--is-shallow-repository").stdout.strip() == "false"
+
+    def has(self, commit: str) -> bool:
+        """Whether the code of today comes from a commit."""
+        return self.git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0
+
+    def is_older(self, table: ResultTable) -> bool:
+        """Whether what a table covers differs from any of its commits; unknown commits count as older."""
+        is_new = self.git("ls-files", "--others", "--exclude-standard", "--", *table.covers).stdout
+        changed = (self.git("diff", "--quiet", commit, "--", *table.covers).returncode for commit in table.commits)
+        return not table.commits or bool(is_new) or any(changed)
+
+
+def caption(table: ResultTable, history: History) -> str:
+    """Say what printed a table, and of when it is."""
+    commits = ", ".join(commit[:7] for commit in table.commits) or NOT_RECORDED
+    age = " **Older than the code.**" if history.is_older(table) else ""
+    return f"`{table.command}`; commit {commits}, {table.date}.{age}"
+
+
+def whole(table: ResultTable, history: History) -> str:
+    """Lay out a table with its heading, its note and its origin."""
+    blocks = (f"### {table.title}", table.note, table.markdown(), f"{caption(table, history)} {table.machine}.")
+    return "\n\n".join(block for block in blocks if block)
+
+
+def short(table: ResultTable, history: History, columns: list[str], where: dict[str, list[str]]) -> str:
+    """Lay out some columns and rows of a table."""
+    place = {name: table.columns.index(name) for name in (*columns, *where)}
+    rows = [row for row in table.rows if all(row[place[name]] in cells for name, cells in where.items())]
+    if not rows:
+        message = f"no row of {table.title!r} is where {where}"
+        raise ValueError(message)
+    kept = replace(table, columns=columns, rows=[[row[place[name]] for name in columns] for row in rows])
+    return f"{kept.markdown()}\n\n{table.title}: {caption(table, history)}"
+
+
+def filled(page: str, tables: dict[str, ResultTable], history: History) -> str:
+    """Put tables between their marks."""
+
+    def block(found: re.Match[str]) -> str:
+        begin, is_short, name, options, end = found.groups()
+        table = tables.get(name)
+        if table is None:
+            return found.group()
+        chosen = {"columns": list(table.columns), "where": {}} | json.loads(options or "{}")
+        text = short(table, history, **chosen) if is_short else f"\n{whole(table, history)}\n"
+        return f"{begin}{text}\n{end}"
+
+    return MARK.sub(block, page)
+
+
+def faults(tables: dict[str, ResultTable], root: Path, history: History, *, is_release: bool) -> Iterator[str]:
+    """Say what is wrong with tables, and which page asks for one that is not there."""
+    shown = {page: [mark.group(3) for mark in MARK.finditer((root / page).read_text("utf-8"))] for page in PAGES}
+    yield from (f"{page}: no table {name}" for page in PAGES for name in shown[page] if name not in tables)
+    for name, table in tables.items():
+        if name not in shown[WHOLE]:
+            yield f"{name}: has no place on {WHOLE}"
+        yield from (
+            f"{name}: covers {path}, which is not there" for path in table.covers if not (root / path).exists()
+        )
+        yield from (f"{name}: commit {c} is not in the history" for c in table.commits if not history.has(c))
+        if is_release and history.is_older(table):
+            yield f"{name}: older than the code ({', '.join(table.covers)}); run again: {table.command}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true")
+    parser.add_argument("--release", action="store_true")
+    parser.add_argument("--root", type=Path, default=Path(__file__).parents[1], help="of another checkout")
+    arguments = parser.parse_args()
+    root, history = arguments.root, History(arguments.root)
+    if not history.is_whole():
+        print("results: no history here (an archive or a shallow clone), so the age of tables is not checked")
+        return 0
+    tables = {path.stem: ResultTable.load(path) for path in sorted((root / FOLDER).glob("*.json"))}
+    wrong = list(faults(tables, root, history, is_release=arguments.release))
+    for page in PAGES:
+        text = (root / page).read_text(encoding="utf-8")
+        new = filled(text, tables, history)
+        if new != text and (arguments.check or arguments.release):
+            wrong.append(f"{page}: differs from {FOLDER}; run: make results")
+        elif new != text:
+            (root / page).write_text(new, encoding="utf-8")
+    print("\n".join(wrong) or f"{len(tables)} tables", file=sys.stderr if wrong else sys.stdout)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

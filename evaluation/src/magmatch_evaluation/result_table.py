@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A table of results in a file: its cells, the command that prints them, and the commit, machine and day they are of."""
+
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+FOLDER = Path("benchmarks") / "results"
+PACKAGES = ("numpy", "scipy", "numba")
+
+
+@dataclass(frozen=True, slots=True)
+class ResultTable:
+    """One table of the page of results.
+
+    Attributes
+    ----------
+    title, note : str
+        The note says what the cells mean; it holds no result.
+    command : str
+        Prints the figures.
+    commits : sequence of str
+        What the code was when they were taken; several where rows are of several, none where it was not recorded.
+    machine, date : str
+    covers : sequence of str
+        Folders and files that the figures depend on, from the root of the repository.
+    columns : sequence of str
+    rows : sequence of sequences of str
+    """
+
+    title: str
+    note: str
+    command: str
+    commits: Sequence[str]
+    machine: str
+    date: str
+    covers: Sequence[str]
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    @classmethod
+    def load(cls, path: Path) -> "ResultTable":
+        """Read a table, and check that its rows fit its columns."""
+        table = cls(**json.loads(path.read_text(encoding="utf-8")))
+        if uneven := [row for row in table.rows if len(row) != len(table.columns)]:
+            message = f"{path}: expected {len(table.columns)} cells a row, got {uneven[0]}"
+            raise ValueError(message)
+        return table
+
+    def save(self, path: Path) -> None:
+        """Write the table, one row a line, so that a change of one figure is a change of one line."""
+        *entries, (_, rows) = asdict(self).items()
+        lines = [f" {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}," for key, value in entries]
+        cells = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in rows)
+        path.write_text("\n".join(["{", *lines, ' "rows": [', cells, " ]", "}"]) + "\n", encoding="utf-8")
+
+    def markdown(self) -> str:
+        """Lay out the cells for a Markdown page."""
+        lines = [self.columns, ["---"] * len(self.columns), *self.rows]
+        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines)
+
+
+def saver(name: str) -> Callable[[Sequence[str], Iterable[Sequence[object]]], None]:
+    """Give the function that saves a benchmark's table: the type of its option ``--save NAME``.
+
+    The commit is noted now, before hours of work during which others may commit.
+
+    Parameters
+    ----------
+    name : str
+        Of a file in ``benchmarks/results``, where title, note and covers stand already.
+
+    Returns
+    -------
+    callable of columns and rows
+
+    Raises
+    ------
+    ArgumentTypeError
+        There is no such file, or the code that the figures depend on is not committed.
+    """
+    path, old = FOLDER / f"{name}.json", None
+    try:
+        old = ResultTable.load(path)
+    except FileNotFoundError:
+        message = f"expected {path}, with title, note and covers, below the current folder: docs/evaluation.md"
+        raise ArgumentTypeError(message) from None
+    commit = clean_commit(old.covers)
+
+    def save(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        cells = [[str(cell) for cell in row] for row in rows]
+        new = replace(old, command=typed(), commits=[commit], machine=this_machine(), date=today())
+        replace(new, columns=columns, rows=cells).save(path)
+
+    return save
+
+
+def clean_commit(covers: Sequence[str]) -> str:
+    """Give the commit that is checked out; raise `ArgumentTypeError` where what is covered differs from it."""
+    changed = git("status", "--porcelain", "--", *covers)
+    if changed:
+        message = f"figures are of a commit: commit first what has changed ({changed.split()[1]}, ...)"
+        raise ArgumentTypeError(message)
+    return git("rev-parse", "HEAD")
+
+
+def git(*words: str) -> str:
+    """Ask git about the current folder."""
+    return subprocess.run(["git", *words], check=True, capture_output=True, text=True).stdout.strip()
+
+
+def typed() -> str:
+    """Give the command as it was typed, without ``--save``."""
+    words = iter(sys.argv)
+    kept = [word for word in words if word != "--save" or not next(words)]
+    threads = os.environ.get("OPENBLAS_NUM_THREADS")
+    return (f"OPENBLAS_NUM_THREADS={threads} " if threads else "") + shlex.join(["python", *kept])
+
+
+def this_machine() -> str:
+    """Describe the machine, and the libraries that take the time."""
+    installed = ", ".join(f"{name} {installed_version(name)}" for name in PACKAGES)
+    return f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}; Python {platform.python_version()}, {installed}"
+
+
+def installed_version(package: str) -> str:
+    """Version of an installed package."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def today() -> str:
+    """Date as it is written in a table."""
+    return date.today().isoformat()

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables of results do not lie about their age."""
+
+import shutil
+import subprocess
+import sys
+from argparse import ArgumentTypeError
+from pathlib import Path
+
+import pytest
+
+from magmatch.evaluation.result_table import ResultTable, saver
+
+SCRIPT = Path(__file__).parents[1] / "benchmarks" / "write_results.py"
+OLDER = "**Older than the code.**"
+
+
+def git(root, *words):
+    name = ("-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "protocol.file.allow=always")
+    return subprocess.run(["git", *name, *words], cwd=root, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def commit(root):
+    git(root, "add", "--all")
+    git(root, "commit", "--quiet", "--allow-empty", "--message", "change")
+    return git(root, "rev-parse", "HEAD")
+
+
+def results(root, *options):
+    """Exit code and all that is said."""
+    done = subprocess.run(
+        [sys.executable, SCRIPT, "--root", root, *options], check=False, capture_output=True, text=True
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def table(commits, covers=("src",)):
+    rows = [["room", "1.0"], ["walk", "2.0"]]
+    return ResultTable("Errors", "In mm.", "python b.py", commits, "m", "2026-01-02", covers, ["case", "error"], rows)
+
+
+def save(root, made, name="errors"):
+    made.save(root / "benchmarks" / "results" / f"{name}.json")
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A repository whose only table is of its first commit, and whose pages are written."""
+    for path, text in {
+        "src/code.py": "x = 1\n",
+        "src/.gitignore": "*.pyc\n",
+        "other.txt": "a\n",
+        "README.md": '# R\n<!-- short table: errors {"columns": ["error"], "where": {"case": ["walk"]}} -->\n<!-- end -->\n',
+        "docs/results.md": "# Results\n\n<!-- table: errors -->\n<!-- end -->\n",
+        "benchmarks/results/.keep": "",
+    }.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text)
+    git(tmp_path, "init", "--quiet")
+    save(tmp_path, table([commit(tmp_path)]))
+    assert results(tmp_path)[0] == 0
+    commit(tmp_path)
+    return tmp_path
+
+
+def page(root):
+    return (root / "docs" / "results.md").read_text()
+
+
+def test_a_page_gets_tables_with_what_printed_them(root):
+    commits = table([]).load(root / "benchmarks" / "results" / "errors.json").commits
+    assert "### Errors\n\nIn mm.\n\n| case | error |\n| --- | --- |\n| room | 1.0 |\n| walk | 2.0 |\n" in page(root)
+    assert f"`python b.py`; commit {commits[0][:7]}, 2026-01-02. m." in page(root)
+    assert "| error |\n| --- |\n| 2.0 |\n" in (root / "README.md").read_text()
+
+
+def test_a_table_of_todays_code_passes_all_checks(root):
+    assert OLDER not in page(root)
+    assert results(root, "--check")[0] == 0
+    assert results(root, "--release")[0] == 0
+
+
+def test_writing_twice_changes_nothing(root):
+    before = page(root)
+    results(root)
+    assert page(root) == before
+
+
+def test_a_page_that_was_edited_by_hand_fails(root):
+    (root / "docs" / "results.md").write_text(page(root).replace("2.0", "0.2"))
+    code, said = results(root, "--check")
+    assert code == 1
+    assert "docs/results.md: differs" in said
+
+
+@pytest.mark.parametrize("path", ["src/code.py", "src/new.py"])
+def test_a_change_of_covered_code_ages_the_table_before_and_after_its_commit(root, path):
+    (root / path).write_text("x = 2\n")
+    assert results(root, "--check")[0] == 1  # the page does not say so yet
+    results(root)
+    assert OLDER in page(root)
+    commit(root)
+    assert results(root, "--check") == (0, "1 tables\n")
+    code, said = results(root, "--release")
+    assert code == 1
+    assert "errors: older than the code (src); run again: python b.py" in said
+
+
+def test_a_change_elsewhere_ages_nothing(root):
+    (root / "other.txt").write_text("b\n")
+    commit(root)
+    assert results(root, "--release")[0] == 0
+
+
+def test_of_several_commits_the_oldest_decides(root):
+    first = git(root, "rev-parse", "HEAD")
+    (root / "src" / "code.py").write_text("x = 2\n")
+    save(root, table([first, commit(root)]))
+    results(root)
+    assert OLDER in page(root)
+
+
+def test_a_commit_outside_the_history_fails(root):
+    git(root, "switch", "--quiet", "--create", "side")
+    side = commit(root)
+    git(root, "switch", "--quiet", "-")
+    save(root, table([side]))
+    results(root)
+    code, said = results(root, "--check")
+    assert code == 1
+    assert f"errors: commit {side} is not in the history" in said
+
+
+def test_an_unknown_commit_is_shown_as_such_and_counts_as_older(root):
+    save(root, table([]))
+    results(root)
+    assert f"commit not recorded, 2026-01-02. {OLDER}" in page(root)
+    assert results(root, "--check")[0] == 0
+    assert results(root, "--release")[0] == 1
+
+
+def test_tables_without_a_place_and_places_without_a_table_fail(root):
+    (root / "benchmarks" / "results" / "errors.json").rename(root / "benchmarks" / "results" / "others.json")
+    code, said = results(root, "--check")
+    assert code == 1
+    assert "others: has no place on docs/results.md" in said
+    assert "README.md: no table errors" in said
+
+
+def test_what_a_table_covers_must_be_there(root):
+    save(root, table([git(root, "rev-parse", "HEAD")], covers=["scr"]))
+    results(root)
+    code, said = results(root, "--check")
+    assert code == 1
+    assert "errors: covers scr, which is not there" in said
+
+
+@pytest.mark.parametrize("kind", ["archive", "archive in a repository", "shallow clone"])
+def test_without_history_nothing_is_checked_and_it_says_so(root, tmp_path_factory, kind):
+    place = tmp_path_factory.mktemp("place")
+    if kind == "archive in a repository":
+        git(place, "init", "--quiet")
+    if kind == "shallow clone":
+        git(place, "clone", "--quiet", "--depth", "1", root.as_uri(), "copy")
+    else:
+        shutil.copytree(root, place / "copy", ignore=shutil.ignore_patterns(".git"))
+    code, said = results(place / "copy", "--check")
+    assert code == 0
+    assert "no history here" in said
+
+
+def test_a_benchmark_saves_the_commit_it_began_with(root, monkeypatch):
+    monkeypatch.chdir(root)
+    monkeypatch.setattr("sys.argv", ["b.py", "--save", "errors", "--seed", "3"])
+    begun = git(root, "rev-parse", "HEAD")
+    keep = saver("errors")
+    (root / "src" / "code.py").write_text("x = 2\n")
+    commit(root)
+    keep(["case", "error"], [["room", 0.5]])
+    found = ResultTable.load(root / "benchmarks" / "results" / "errors.json")
+    assert found.commits == [begun]
+    assert found.rows == [["room", "0.5"]]
+    assert (found.title, found.covers, found.command.split()[-3:]) == ("Errors", ["src"], ["b.py", "--seed", "3"])
+
+
+def test_a_benchmark_of_uncommitted_code_saves_nothing(root, monkeypatch):
+    monkeypatch.chdir(root)
+    (root / "src" / "code.py").write_text("x = 2\n")
+    with pytest.raises(ArgumentTypeError, match="commit first what has changed"):
+        saver("errors")
+
+
+def test_a_benchmark_cannot_save_a_table_that_nobody_described(root, monkeypatch):
+    monkeypatch.chdir(root)
+    with pytest.raises(ArgumentTypeError, match="expected benchmarks/results/unknown.json"):
+        saver("unknown")
+
+
+def test_rows_that_do_not_fit_their_columns_are_refused(root):
+    path = root / "benchmarks" / "results" / "errors.json"
+    path.write_text(path.read_text().replace('["room", "1.0"]', '["room"]'))
+    with pytest.raises(ValueError, match="expected 2 cells a row"):
+        ResultTable.load(path)
