@@ -36,6 +36,7 @@ class History:
     root: Path
 
     def git(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Ask git about the folder."""
         return subprocess.run(["git", "-C", str(self.root), *words], check=False, capture_output=True, text=True)
 
     def is_whole(self) -> bool:

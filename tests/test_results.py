@@ -12,6 +12,7 @@ import pytest
 from magmatch.evaluation.result_table import ResultTable, saver
 
 SCRIPT = Path(__file__).parents[1] / "benchmarks" / "write_results.py"
+SOME = '{"columns": ["error"], "where": {"case": ["walk"]}}'
 OLDER = "**Older than the code.**"
 
 
@@ -50,7 +51,7 @@ def root(tmp_path):
         "src/code.py": "x = 1\n",
         "src/.gitignore": "*.pyc\n",
         "other.txt": "a\n",
-        "README.md": '# R\n<!-- short table: errors {"columns": ["error"], "where": {"case": ["walk"]}} -->\n<!-- end -->\n',
+        "README.md": f"# R\n<!-- short table: errors {SOME} -->\n<!-- end -->\n",
         "docs/results.md": "# Results\n\n<!-- table: errors -->\n<!-- end -->\n",
         "benchmarks/results/.keep": "",
     }.items():
@@ -192,7 +193,7 @@ def test_a_benchmark_of_uncommitted_code_saves_nothing(root, monkeypatch):
 
 def test_a_benchmark_cannot_save_a_table_that_nobody_described(root, monkeypatch):
     monkeypatch.chdir(root)
-    with pytest.raises(ArgumentTypeError, match="expected benchmarks/results/unknown.json"):
+    with pytest.raises(ArgumentTypeError, match="/unknown.json, with title"):
         saver("unknown")
 
 

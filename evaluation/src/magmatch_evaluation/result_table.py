@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A table of results in a file: its cells, the command that prints them, and the commit, machine and day they are of."""
+"""A table of results in a file: its cells, the command that prints them, and their commit, machine and date."""
 
 import json
 import os
@@ -129,7 +129,8 @@ def typed() -> str:
 def this_machine() -> str:
     """Describe the machine, and the libraries that take the time."""
     installed = ", ".join(f"{name} {installed_version(name)}" for name in PACKAGES)
-    return f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}; Python {platform.python_version()}, {installed}"
+    machine = f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}"
+    return f"{machine}; Python {platform.python_version()}, {installed}"
 
 
 def installed_version(package: str) -> str:
