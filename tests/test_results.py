@@ -193,7 +193,7 @@ def test_a_benchmark_of_uncommitted_code_saves_nothing(root, monkeypatch):
 
 def test_a_benchmark_cannot_save_a_table_that_nobody_described(root, monkeypatch):
     monkeypatch.chdir(root)
-    with pytest.raises(ArgumentTypeError, match="/unknown.json, with title"):
+    with pytest.raises(ArgumentTypeError, match=r"unknown\.json, with title"):
         saver("unknown")
 
 

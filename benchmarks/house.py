@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Figures of the house: lines, files, settings, names, pages, contracts, and how deep the search lies.
+
+    python benchmarks/house.py [CHECKOUT] [CHECKOUT]
+
+Lines are of all Python in a checkout but the tests, whose own stand below for comparison: of code, of docstring, of
+comment alone, and all. Settings are the leaves of `RegistrationConfig`, a model within a model counted leaf by leaf.
+The depth is the number of calls from `register` to the first step of the search, `register` not counted. With two
+checkouts: before and after.
+"""
+
+import ast
+import io
+import json
+import subprocess
+import sys
+import tokenize
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+HERE = Path(__file__).resolve()
+# The file of each room that reads as its algorithm, wherever it lies.
+VERBS = (
+    "build.py", "extract.py", "localize.py", "prepare.py", "published.py", "register.py", "register_map.py",
+    "register_walk.py", "simulate.py",
+)  # fmt: skip
+# What registration/search holds, by the names that its files had before that folder was made.
+STEPS = ("annealing", "candidate", "invariant_search", "neighbours", "pair_search", "scoring")
+LINE_KINDS = ("code", "docstring", "comment", "all")
+
+
+def files_of(root: Path, ending: str = ".py") -> list[Path]:
+    """Files that git knows or would add, from the root."""
+    words = ["git", "-C", str(root), "ls-files", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(words, check=True, capture_output=True, text=True).stdout.splitlines()
+    return sorted(Path(name) for name in names if name.endswith(ending) and (root / name).is_file())
+
+
+def count_lines(path: Path) -> Counter[str]:
+    """Lines of a file by kind; a line of code with a comment is code."""
+    source, docstrings, code, comments = path.read_text(encoding="utf-8"), set(), set(), set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0] if node.body and ast.get_docstring(node, clean=False) is not None else None
+            docstrings |= set(range(first.lineno, first.end_lineno + 1)) if first else set()
+    silent = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            comments.add(token.start[0])
+        elif token.type not in silent:
+            code |= set(range(token.start[0], token.end[0] + 1))
+    code -= docstrings
+    sizes = (len(code), len(docstrings), len(comments - code), len(source.splitlines()))
+    return Counter(dict(zip(LINE_KINDS, sizes, strict=True)))
+
+
+def room_of(path: Path) -> str:
+    """Folder under which the lines of a file are added up: a room of the package, or a folder at the top."""
+    depth = 3 if path.parts[0] == "src" and len(path.parts) > 3 else 2 if path.parts[0] == "src" else 1
+    return "/".join(path.parts[:depth])
+
+
+def lines(root: Path) -> dict[str, Counter[str]]:
+    """Lines by room, with the number of files."""
+    rooms: dict[str, Counter[str]] = {}
+    for path in files_of(root):
+        rooms.setdefault(room_of(path), Counter()).update(count_lines(root / path) + Counter(files=1))
+    return dict(sorted(rooms.items()))
+
+
+def verb_pages(root: Path) -> dict[str, int]:
+    """Lines of the files that read as an algorithm, the longest first."""
+    pages = {
+        path.as_posix(): len((root / path).read_text(encoding="utf-8").splitlines())
+        for path in files_of(root)
+        if path.name in VERBS and path.parts[0] == "src" and "cli" not in path.parts
+    }
+    return dict(sorted(pages.items(), key=lambda item: -item[1]))
+
+
+def largest_folders(root: Path) -> list[tuple[str, int]]:
+    """Folders with the most files of their own, ``__init__`` not counted."""
+    counts = Counter(
+        path.parent.as_posix() for path in files_of(root) if path.parts[0] != "tests" and path.name != "__init__.py"
+    )
+    return counts.most_common(6)
+
+
+def public_names(root: Path) -> int:
+    """Functions and classes of all modules outside the tests whose names do not begin with an underscore."""
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    modules = (
+        ast.parse((root / path).read_text(encoding="utf-8")) for path in files_of(root) if path.parts[0] == "src"
+    )
+    return sum(isinstance(n, kinds) and not n.name.startswith("_") for module in modules for n in module.body)
+
+
+def contracts(root: Path) -> int:
+    """Contracts of imports."""
+    settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
+    return len(settings["tool"]["importlinter"]["contracts"])
+
+
+def asked_inside(root: Path, question: str) -> object:
+    """Let another process, which imports the package of that checkout, answer a question about it."""
+    program = f"import sys; sys.path[:0] = [{str(root / 'src')!r}, {str(HERE.parent)!r}]; import house, json"
+    program += f"; print(json.dumps(house.{question}()))"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=root)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def settings() -> int:
+    """Leaves of the configuration of registration, in the package that is imported."""
+    from pydantic import BaseModel
+
+    from magmatch.registration.config import RegistrationConfig
+
+    def models_in(annotation: object) -> Iterator[type[BaseModel]]:
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            yield annotation
+        for part in getattr(annotation, "__args__", ()):
+            yield from models_in(part)
+
+    def leaves(model: type[BaseModel]) -> int:
+        inner = [list(models_in(field.annotation)) for field in model.model_fields.values()]
+        return sum(sum(map(leaves, models)) if models else 1 for models in inner)
+
+    return leaves(RegistrationConfig)
+
+
+def exported() -> int:
+    """Names that the package itself gives."""
+    import magmatch
+
+    return len(magmatch.__all__)
+
+
+def calls_to_search() -> list[str]:
+    """Functions on the stack below `register` when the first step of the search begins, outermost first."""
+    import threading
+    from inspect import unwrap
+
+    import magmatch as mm
+    from magmatch.registration.register import register
+
+    class Found(BaseException):
+        """The first step has begun."""
+
+    pair = mm.simulate("office-random", 0)
+    maps = [mm.build_map(survey) for survey in (pair.base, pair.target)]
+    found: list[str] = []
+
+    def watch(frame: object, event: str, _: object) -> None:
+        path = Path(frame.f_code.co_filename)
+        is_search = "registration/search/" in path.as_posix() or (
+            path.parent.name == "registration" and path.stem in STEPS
+        )
+        if event != "call" or not is_search:
+            return
+        stack = [frame]
+        while stack[-1] is not None and stack[-1].f_code is not unwrap(register).__code__:
+            stack.append(stack[-1].f_back)
+        if stack.pop() is None:
+            return
+        found[:] = [f"{Path(f.f_code.co_filename).name}:{f.f_code.co_name}" for f in stack[::-1]]
+        raise Found
+
+    threading.setprofile(watch)
+    sys.setprofile(watch)
+    try:
+        register(*maps)
+    except Found:
+        pass
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+    return found
+
+
+def figures(root: Path) -> dict[str, object]:
+    """All figures of one checkout."""
+    rooms = lines(root)
+    counted = sum((found for room, found in rooms.items() if room != "tests"), Counter())
+    path = asked_inside(root, "calls_to_search")
+    pages = verb_pages(root)
+    return {
+        "Python files outside the tests": counted["files"],
+        **{f"lines, {kind}": counted[kind] for kind in LINE_KINDS},
+        "lines, code and docstring": counted["code"] + counted["docstring"],
+        "lines of the tests, all": rooms.get("tests", Counter())["all"],
+        "words of the documentation": sum(len((root / p).read_text().split()) for p in files_of(root, ".md")),
+        "largest folders": ", ".join(f"{name} {n}" for name, n in largest_folders(root)),
+        "settings of registration": asked_inside(root, "settings"),
+        "names of the package": asked_inside(root, "exported"),
+        "public functions and classes": public_names(root),
+        "longest page of an algorithm": "; ".join(f"{name} {n}" for name, n in pages.items()),
+        "import contracts": contracts(root),
+        "calls from register to the search": f"{len(path)}: {' > '.join(path)}",
+    }
+
+
+def print_table(rows: list[list[object]]) -> None:
+    for k, row in enumerate(rows):
+        print("| " + " | ".join(f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row) + " |")
+        if k == 0:
+            print("| " + " | ".join("---" for _ in row) + " |")
+
+
+def main() -> None:
+    roots = [Path(word).resolve() for word in sys.argv[1:]] or [HERE.parents[1]]
+    found = [figures(root) for root in roots]
+    print_table(
+        [["figure", *[root.name for root in roots]], *([name, *(f[name] for f in found)] for name in found[0])]
+    )
+    for root in roots:
+        print(f"\n{root.name}\n")
+        rooms = lines(root)
+        print_table(
+            [
+                ["folder", "files", *LINE_KINDS],
+                *([r, n["files"], *(n[k] for k in LINE_KINDS)] for r, n in rooms.items()),
+            ]
+        )
+
+
+if __name__ == "__main__":
+    main()
