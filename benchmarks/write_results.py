@@ -17,10 +17,10 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from magmatch.evaluation.result_table import FOLDER, ResultTable
+from magmatch.evaluation.result_table import FOLDER, ResultTable, markdown_table
 
 PAGES = (Path("README.md"), Path("docs") / "results.md")
 # The one on which every table stands.
@@ -65,7 +65,12 @@ def caption(table: ResultTable, history: History) -> str:
 
 def whole(table: ResultTable, history: History) -> str:
     """Lay out a table with its heading, its note and its origin."""
-    blocks = (f"### {table.title}", table.note, table.markdown(), f"{caption(table, history)} {table.machine}.")
+    blocks = (
+        f"### {table.title}",
+        table.note,
+        markdown_table(table.columns, table.rows),
+        f"{caption(table, history)} {table.machine}.",
+    )
     return "\n\n".join(block for block in blocks if block)
 
 
@@ -76,8 +81,8 @@ def short(table: ResultTable, history: History, columns: list[str], where: dict[
     if not rows:
         message = f"no row of {table.title!r} is where {where}"
         raise ValueError(message)
-    kept = replace(table, columns=columns, rows=[[row[place[name]] for name in columns] for row in rows])
-    return f"{kept.markdown()}\n\n{table.title}: {caption(table, history)}"
+    cells = [[row[place[name]] for name in columns] for row in rows]
+    return f"{markdown_table(columns, cells)}\n\n{table.title}: {caption(table, history)}"
 
 
 def filled(page: str, tables: dict[str, ResultTable], history: History) -> str:

@@ -177,7 +177,7 @@ def test_a_benchmark_saves_the_commit_it_began_with(root, monkeypatch):
     keep = saver("errors")
     (root / "src" / "code.py").write_text("x = 2\n")
     commit(root)
-    keep(["case", "error"], [["room", 0.5]])
+    keep(["case", "error"], [["room", "0.5"]])
     found = ResultTable.load(root / "benchmarks" / "results" / "errors.json")
     assert found.commits == [begun]
     assert found.rows == [["room", "0.5"]]

@@ -8,13 +8,15 @@ import shlex
 import subprocess
 import sys
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 FOLDER = Path("benchmarks") / "results"
+# Saves columns and rows.
+Saver = Callable[[Sequence[str], Sequence[Sequence[str]]], None]
 PACKAGES = ("numpy", "scipy", "numba")
 
 
@@ -63,13 +65,8 @@ class ResultTable:
         cells = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in rows)
         path.write_text("\n".join(["{", *lines, ' "rows": [', cells, " ]", "}"]) + "\n", encoding="utf-8")
 
-    def markdown(self) -> str:
-        """Lay out the cells for a Markdown page."""
-        lines = [self.columns, ["---"] * len(self.columns), *self.rows]
-        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines)
 
-
-def saver(name: str) -> Callable[[Sequence[str], Iterable[Sequence[object]]], None]:
+def saver(name: str) -> Saver:
     """Give the function that saves a benchmark's table: the type of its option ``--save NAME``.
 
     The commit is noted now, before hours of work during which others may commit.
@@ -96,12 +93,25 @@ def saver(name: str) -> Callable[[Sequence[str], Iterable[Sequence[object]]], No
         raise ArgumentTypeError(message) from None
     commit = clean_commit(old.covers)
 
-    def save(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        cells = [[str(cell) for cell in row] for row in rows]
+    def save(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         new = replace(old, command=typed(), commits=[commit], machine=this_machine(), date=today())
-        replace(new, columns=columns, rows=cells).save(path)
+        replace(new, columns=columns, rows=rows).save(path)
 
     return save
+
+
+def show(columns: Sequence[str], rows: Sequence[Sequence[object]], save: Saver | None = None) -> None:
+    """Print a table as Markdown, and save it where that is asked for."""
+    cells = [[str(cell) for cell in row] for row in rows]
+    print(markdown_table(columns, cells), flush=True)  # noqa: T201
+    if save is not None:
+        save(columns, cells)
+
+
+def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lay out cells for a Markdown page."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines)
 
 
 def clean_commit(covers: Sequence[str]) -> str:
@@ -119,9 +129,9 @@ def git(*words: str) -> str:
 
 
 def typed() -> str:
-    """Give the command as it was typed, without ``--save``."""
+    """Give the command as it was typed, without the options that save."""
     words = iter(sys.argv)
-    kept = [word for word in words if word != "--save" or not next(words)]
+    kept = [word for word in words if not word.startswith("--save") or not next(words)]
     threads = os.environ.get("OPENBLAS_NUM_THREADS")
     return (f"OPENBLAS_NUM_THREADS={threads} " if threads else "") + shlex.join(["python", *kept])
 
