@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Take the pictures of docs/viewing.md anew: reports and the viewer, in a headless Chromium.
+"""Take the pictures of README.md and docs/viewing.md anew: reports and the viewer, in a headless Chromium.
 
 Run: make screenshots
 """
@@ -19,6 +19,19 @@ from magmatch.viz.viewer import address_of, serve
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SCENARIO, SEED = "office-overlap", "4"
+FRONT, FRONT_SEED = "table", "1"
+# The front page shows four figures of a report: both surveys before and after, and the field of both maps; without the
+# buttons that a picture does not answer to.
+FRONT_FIGURES = """
+    const kept = [...document.querySelectorAll('main figure')].slice(0, 4);
+    document.querySelector('main').replaceChildren(...[kept.slice(0, 2), kept.slice(2)].map(pair => {
+        const row = document.createElement('div');
+        row.className = 'row';
+        row.replaceChildren(...pair);
+        return row;
+    }));
+    document.querySelectorAll('.modebar-container').forEach(n => n.remove());
+"""
 # Scenes are drawn in software, which takes a moment longer than the page says.
 SETTLING = 3.0
 CLIPPED = "main > section:nth-of-type({})"
@@ -31,7 +44,8 @@ def main() -> None:
         sys.exit("needs Chromium")
     with TemporaryDirectory() as name, Browser(path, patience=180.0) as browser:
         folder = Path(name)
-        base, target, result = registered(folder)
+        of_the_front(browser, folder / "front")
+        base, target, result = registered(folder, SCENARIO, SEED)
         write_report(folder / "r.html", base, target, result)
         on_a_desk(browser, folder / "r.html")
         on_a_phone(browser, folder / "r.html")
@@ -39,9 +53,9 @@ def main() -> None:
         of_the_viewer(browser, base, target, result)
 
 
-def registered(folder: Path) -> tuple[FieldMap, FieldMap, RegistrationResult]:
-    """A pair that overlaps in part, its maps, and the result."""
-    magmatch(["simulate", SCENARIO, "--seed", SEED, "--out", str(folder / "pair")])
+def registered(folder: Path, scenario: str, seed: str) -> tuple[FieldMap, FieldMap, RegistrationResult]:
+    """The maps of a pair, and the result."""
+    magmatch(["simulate", scenario, "--seed", seed, "--out", str(folder / "pair")])
     for side in ("base", "target"):
         words = ["map", str(folder / "pair" / f"{side}.csv"), "--out", str(folder / f"{side}.map")]
         magmatch([*words, "--report", str(folder / "map.html")] if side == "base" else words)
@@ -49,6 +63,15 @@ def registered(folder: Path) -> tuple[FieldMap, FieldMap, RegistrationResult]:
     magmatch(["register", *maps, "--out", str(folder / "result.json")])
     loaded = [FieldMap.load(path) for path in maps]
     return loaded[0], loaded[1], RegistrationResult.load(folder / "result.json")
+
+
+def of_the_front(browser: Browser, folder: Path) -> None:
+    """Two surveys of a table over hidden magnets, before and after, and the field of both maps."""
+    base, target, result = registered(folder, FRONT, FRONT_SEED)
+    write_report(folder / "r.html", base, target, result)
+    open_page(browser, folder / "r.html", 1000, 1000)
+    browser.evaluate(FRONT_FIGURES)
+    take(browser, "table", clip="main")
 
 
 def on_a_desk(browser: Browser, page: Path) -> None:
