@@ -20,7 +20,7 @@ from magmatch.viz.viewer import address_of, serve
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SCENARIO, SEED = "office-overlap", "4"
 FRONT, FRONT_SEED = "table", "1"
-# The front page shows four figures of a report: both surveys before and after, and the field of both maps; without the
+# The front page shows four figures of a report, both surveys before and after and the field of both maps, without the
 # buttons that a picture does not answer to.
 FRONT_FIGURES = """
     const kept = [...document.querySelectorAll('main figure')].slice(0, 4);
