@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from magmatch.evaluation.result_table import FOLDER, ResultTable, markdown_table
+from magmatch_evaluation.saved_table import FOLDER, ResultTable, markdown_table
 
 PAGES = (Path("README.md"), Path("docs") / "results.md")
 # The one on which every table stands.

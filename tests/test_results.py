@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magmatch.evaluation.result_table import ResultTable, saver
+from magmatch_evaluation.saved_table import ResultTable, saver
 
 SCRIPT = Path(__file__).parents[1] / "benchmarks" / "write_results.py"
 SOME = '{"columns": ["error"], "where": {"case": ["walk"]}}'

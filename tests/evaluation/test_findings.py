@@ -8,14 +8,12 @@ from dataclasses import replace
 import pytest
 import toy
 
-from magmatch.errors import DataFormatError
 from magmatch_evaluation.experiments import EXPERIMENTS, QUICK, Tolerance
 from magmatch_evaluation.findings import (
     Findings,
     markdown,
-    replace_between_marks,
     result_tables,
-    short_markdown,
+    save_tables,
     write_html,
 )
 from magmatch_evaluation.notes import PUBLISHED
@@ -23,9 +21,6 @@ from magmatch_evaluation.plan import ALL
 from magmatch_evaluation.result_tables import mapping_table
 from magmatch_evaluation.rows import MapRow, Row
 from magmatch_evaluation.statistics import shortfalls, summarize
-
-BEGIN, END = "<!-- evaluation: begin -->", "<!-- evaluation: end -->"
-SHORT_BEGIN, SHORT_END = "<!-- evaluation table: begin -->", "<!-- evaluation table: end -->"
 
 
 def row(experiment, method, seed, distance=0.002, angle=0.001, *, is_accepted=True, is_there=True):
@@ -102,24 +97,17 @@ def test_costs_do_not_touch_the_tables_of_results(findings):
     assert markdown(findings) != markdown(other)
 
 
-def test_results_go_between_the_marks_and_nowhere_else(findings, tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{BEGIN}\nold\n{END}\nmiddle\n{SHORT_BEGIN}\n{SHORT_END}\nafter\n")
-    for _ in range(2):
-        replace_between_marks(page, findings)
-        text = page.read_text()
-        assert text.startswith(f"before\n{BEGIN}\n{markdown(findings)[:40]}")
-        assert text.endswith(f"{short_markdown(findings).strip()}\n{SHORT_END}\nafter\n")
-        assert f"\n{END}\nmiddle\n{SHORT_BEGIN}\n" in text
-        assert "old" not in text.split(BEGIN)[1][:10]
+def test_each_table_is_saved_under_the_name_of_its_group(findings):
+    saved = {}
 
+    def keeper(name):
+        return lambda columns, rows, command: saved.update({name: (columns, rows, command)})
 
-def test_page_without_marks_is_left_alone(findings, tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text(f"{END}\n{BEGIN}\n")
-    with pytest.raises(DataFormatError, match="expected the lines '<!-- evaluation: begin -->'"):
-        replace_between_marks(page, findings)
-    assert page.read_text() == f"{END}\n{BEGIN}\n"
+    save_tables(findings, {name: keeper(name) for name in (*findings.groups, "costs", "behind")})
+    for group, table in zip(findings.groups, result_tables(findings), strict=True):
+        assert saved[group] == (table.header, table.rows, "magmatch evaluate")
+    assert saved["costs"][0][0] == "experiment"
+    assert all(len(row) == 2 for row in saved["behind"][1])
 
 
 def test_html_page_is_one_file_with_all_tables_and_a_figure_for_each_condition(findings, tmp_path):

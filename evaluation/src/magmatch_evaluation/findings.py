@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a run found, as Markdown, as one HTML page with figures, and as parts of pages that others own."""
+"""What a run found, as Markdown, as one HTML page with figures, and as tables for the page of results."""
 
 import os
 import platform
@@ -11,7 +11,6 @@ from pathlib import Path
 
 from magmatch._version import __version__
 from magmatch.atomic import atomic_write
-from magmatch.errors import DataFormatError
 from magmatch.viz.page import Section, bullets, figure_row, note, paragraph, table, to_copy, write_page
 from magmatch_evaluation.experiments import MAPPING, SWEEP_AXES, SWEEP_WORDS, Experiment
 from magmatch_evaluation.figures import curve_figures, error_figure
@@ -25,12 +24,12 @@ from magmatch_evaluation.result_tables import (
     refusal_table,
 )
 from magmatch_evaluation.rows import AnyRow, MapRow
+from magmatch_evaluation.saved_table import Saver
 from magmatch_evaluation.statistics import Summaries, shortfalls, summaries
 
 NOWHERE = "Nowhere in this run."
-SECTION, SHORT = "evaluation", "evaluation table"
-SHORT_METHODS = ("default", "paper", "sift", "sift-best")
-SHORT_COLUMNS = ("experiment", "method", "right", "RMSE ± sd, mm", "RMSE ± sd, deg", "median, mm / deg")
+# Tables that are no group's.
+COSTS, BEHIND = "costs", "behind"
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "small-gicp", "kiss-matcher")
 
 
@@ -102,18 +101,6 @@ def markdown(findings: Findings) -> str:
     return "\n\n".join([provenance, HOW_TO_READ, *tables, f"### Where `default` is not ahead\n\n{behind}"]) + "\n"
 
 
-def short_markdown(findings: Findings) -> str:
-    """Lay out the published experiments for a first page."""
-    experiments, found = findings.of("published")
-    whole = error_table("", {key: s for key, s in found.items() if key[1] in SHORT_METHODS}, {})
-    columns = [whole.header.index(name) for name in SHORT_COLUMNS]
-    rows = tuple(tuple(row[k] for k in columns) for row in whole.rows)
-    text = TextTable("", SHORT_COLUMNS, rows).markdown().partition("\n\n")[2]
-    names = "; ".join(f"`{e.name}`: {e.title}" for e in experiments)
-    gaps = " ".join(findings.gaps[:1]) if findings.n_planned else ""
-    return f"{text.strip()}\n\n{names}. `{findings.command}`, {date.today().isoformat()}. {gaps}".rstrip() + "\n"
-
-
 def write_html(path: Path, findings: Findings) -> None:
     """Write one self-contained page with all tables and figures."""
     sections = [Section("", [paragraph(HOW_TO_READ)])]
@@ -135,22 +122,13 @@ def write_html(path: Path, findings: Findings) -> None:
     write_page(path, "magmatch: evaluation", sections)
 
 
-def replace_between_marks(path: Path, findings: Findings) -> None:
-    """Put results between the marks of a page: the whole section, the short table, or both.
-
-    The marks are the lines ``<!-- evaluation: begin -->`` and ``<!-- evaluation: end -->``, or the same with
-    ``evaluation table``; a page without any raises `DataFormatError`.
-    """
-    text, n_found = path.read_text(encoding="utf-8"), 0
-    for name, content in ((SECTION, markdown), (SHORT, short_markdown)):
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, opened, rest = text.partition(begin)
-        _, closed, after = rest.partition(end)
-        if opened and closed:
-            text, n_found = f"{before}{begin}\n{content(findings).strip()}\n{end}{after}", n_found + 1
-    if not n_found:
-        raise DataFormatError(path, f"expected the lines '<!-- {SECTION}: begin -->' and '<!-- {SECTION}: end -->'")
-    write_text(path, text)
+def save_tables(findings: Findings, savers: Mapping[str, Saver]) -> None:
+    """Give each table to what saves it, by the name of its group."""
+    laid = {group: group_table(findings, group) for group in findings.groups} | {COSTS: costs(findings)}
+    for name, text in laid.items():
+        savers[name](text.header, text.rows, findings.command)
+    lines = [line.split(": ", 1) for line in findings.shortfalls]
+    savers[BEHIND](("experiment", "where another method is ahead"), lines, findings.command)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -4,6 +4,8 @@
 import math
 import sys
 import time
+from argparse import ArgumentTypeError
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +16,8 @@ from magmatch.cli.outputs import check_folder
 
 if TYPE_CHECKING:
     from magmatch_evaluation.benchmark import Progress
+    from magmatch_evaluation.experiments import Experiment
+    from magmatch_evaluation.saved_table import Saver
 
 EXAMPLES = (
     "magmatch evaluate list",
@@ -24,7 +28,7 @@ EXAMPLES = (
 # Where stderr is no terminal, a line of progress now and then.
 TELL_SECONDS = 30.0
 # Options that say where files lie and how long this machine was free: the same results come out without them.
-PLACES = ("--out", "--from", "--write-results", "--scheduler", "--minutes")
+PLACES = ("--out", "--from", "--scheduler", "--minutes")
 
 
 def evaluate(
@@ -52,10 +56,7 @@ def evaluate(
         float | None,
         typer.Option(min=0, help="Begin no trial after this time and report what there is; 0 only reports."),
     ] = None,
-    write_results: Annotated[
-        list[Path] | None,
-        typer.Option(help="Also put the results between the marks of this page (several times: several pages)."),
-    ] = None,
+    save: Annotated[bool, typer.Option("--save", help="Also save the tables in benchmarks/results.")] = False,
 ) -> None:
     """Run the benchmark: named experiments, several methods, paired seeds.
 
@@ -71,6 +72,7 @@ def evaluate(
         plan.chosen_experiments(names or (), quick=quick), plan.chosen_methods(methods),
         n_seeds=seeds, first_seed=first, recordings=recordings,
     )  # fmt: skip
+    savers = _savers(planned.experiments) if save else {}
     deadline = math.inf if minutes is None else time.monotonic() + 60 * minutes
     rows = benchmark.evaluate(planned, out, jobs=jobs, scheduler=scheduler, tell=_Teller(), deadline=deadline)
     found = findings.Findings(planned.experiments, rows, planned.left_out, _command(), len(planned.keys()))
@@ -78,11 +80,22 @@ def evaluate(
         say(f"Left out: {what}: {why}")
     text = findings.markdown(found)
     findings.write_text(out / "results.md", text)
-    for page in write_results or ():
-        findings.replace_between_marks(page, found)
+    if save:
+        findings.save_tables(found, savers)
     put(text)
     findings.write_html(out / "report.html", found)
     say(f"{len(rows)} trials; rows, tables and report are in {out}")
+
+
+def _savers(experiments: "Sequence[Experiment]") -> "dict[str, Saver]":
+    """What saves each table; that it cannot be saved is said before the work."""
+    from magmatch_evaluation.findings import BEHIND, COSTS
+    from magmatch_evaluation.saved_table import saver
+
+    try:
+        return {name: saver(f"evaluation-{name}") for name in ({e.group for e in experiments} | {COSTS, BEHIND})}
+    except ArgumentTypeError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 class _Teller:
@@ -133,6 +146,6 @@ def _command() -> str:
     for word in words:
         if word in PLACES:
             next(words, None)
-        elif not word.startswith(tuple(f"{place}=" for place in PLACES)):
+        elif word != "--save" and not word.startswith(tuple(f"{place}=" for place in PLACES)):
             kept.append(word)
     return " ".join(kept)

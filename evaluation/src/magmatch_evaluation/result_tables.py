@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from magmatch_evaluation.experiments import Experiment
 from magmatch_evaluation.notes import PUBLISHED
 from magmatch_evaluation.rows import MapRow
+from magmatch_evaluation.saved_table import markdown_table
 from magmatch_evaluation.statistics import Spread, Summaries, Summary
 
 
@@ -22,10 +23,8 @@ class TextTable:
 
     def markdown(self) -> str:
         """Lay the table out for a Markdown page."""
-        lines = [self.header, tuple("---" for _ in self.header), *self.rows]
-        body = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines)
         note = f"\n{self.note}\n" if self.note else ""
-        return f"### {self.title}\n{note}\n{body}\n"
+        return f"### {self.title}\n{note}\n{markdown_table(self.header, self.rows)}\n"
 
 
 ERROR_HEADER = (

@@ -8,16 +8,23 @@ import shlex
 import subprocess
 import sys
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Protocol
 
 FOLDER = Path("benchmarks") / "results"
-# Saves columns and rows.
-Saver = Callable[[Sequence[str], Sequence[Sequence[str]]], None]
 PACKAGES = ("numpy", "scipy", "numba")
+
+
+class Saver(Protocol):
+    """Saves the columns and rows of one table, and the command if it is not the one that was typed."""
+
+    def __call__(  # noqa: D102
+        self, columns: Sequence[str], rows: Sequence[Sequence[str]], command: str | None = None
+    ) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +85,7 @@ def saver(name: str) -> Saver:
 
     Returns
     -------
-    callable of columns and rows
+    Saver
 
     Raises
     ------
@@ -93,8 +100,8 @@ def saver(name: str) -> Saver:
         raise ArgumentTypeError(message) from None
     commit = clean_commit(old.covers)
 
-    def save(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        new = replace(old, command=typed(), commits=[commit], machine=this_machine(), date=today())
+    def save(columns: Sequence[str], rows: Sequence[Sequence[str]], command: str | None = None) -> None:
+        new = replace(old, command=command or typed(), commits=[commit], machine=this_machine(), date=today())
         replace(new, columns=columns, rows=rows).save(path)
 
     return save
