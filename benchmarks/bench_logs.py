@@ -11,8 +11,10 @@ from pathlib import Path
 
 from bench_formats import TOPICS, measure, messages, with_magmatch
 
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import alone, arguments
 
+COLUMNS = ("reader", "messages", "processor", "clock", "peak memory", "speed of magmatch over it")
 WANTED = [topic for topic in TOPICS if topic != "/camera"]
 
 
@@ -72,16 +74,18 @@ def compare(path, repeats):
         for name, found in runs.items():
             found.append(alone(__file__, "--measure", name, path))
     ours = min(run["cpu"] for run in runs["with_magmatch"])
-    print(f"{'reader':24} {'messages':>9} {'s':>7} {'cpu s':>7} {'MB/cpu s':>9} {'peak MiB':>9} {'speed':>6}")
+    rows = []
     for name, found in runs.items():
         best, cpu = min(run["seconds"] for run in found), min(run["cpu"] for run in found)
-        mib, rate = max(run["mib"] for run in found), path.stat().st_size / 1e6 / cpu
-        print(f"{name:24} {found[0]['n']:9} {best:7.1f} {cpu:7.1f} {rate:9.0f} {mib:9.0f} {cpu / ours:6.2f}")
-    print("speed: of magmatch over that of the reader, in processor time (the claim: at least 0.5)")
+        mib, title = max(run["mib"] for run in found), name.removeprefix("with_").replace("_", " ")
+        rows.append(
+            [title, f"{found[0]['n']:,}", f"{cpu:.1f} s", f"{best:.1f} s", f"{mib:.0f} MiB", f"{cpu / ours:.2f}"]
+        )
+    return rows
 
 
 def main():
-    asked = arguments(__doc__, gigabytes=1.0, compression="NONE", folder=Path, repeats=2, measure=[])
+    asked = arguments(__doc__, gigabytes=1.0, compression="NONE", folder=Path, repeats=2, measure=[], save=saver)
     if asked.measure:
         measure(READERS[asked.measure[0]], asked.measure[1])
         return
@@ -90,7 +94,7 @@ def main():
         seconds = write_log(path, asked.gigabytes, asked.compression)
         print(f"{path.stat().st_size / 1e9:.2f} GB, {seconds / 3600:.2f} h, chunks {asked.compression.lower()};")
         print(", ".join(f"{name} {version(name)}" for name in ("mcap", "rosbags", "numpy")))
-        compare(path, asked.repeats)
+        show(COLUMNS, compare(path, asked.repeats), asked.save)
 
 
 if __name__ == "__main__":

@@ -13,16 +13,19 @@ import numpy as np
 import magmatch as mm
 from magmatch.geometry import log_se3, random_transform
 from magmatch.simulation.config import SimulationConfig
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, timed
 
 SAMPLES = (750, 1500, 3000, 6000, 12_000, 24_000)
 SIDES = (2.0, 2.83, 4.0, 5.66, 8.0, 11.3, 16.0)
+GROWTH = ("samples", "floor, m^2", "two maps, s", "registration with maps kept, s", "status")
+FRAMES = ("what", "accepted", "strays by at most")
 DENSITY = 333.0  # samples per m^2 of floor: 3,000 in 9 m^2
 
 
-def grow(seed: int) -> None:
-    """Table of processor times by size."""
-    print("samples   floor m^2   two maps s   register s   status")
+def grow(seed: int) -> list[list[str]]:
+    """Processor times by size."""
+    rows = []
     sizes = [(n, 3.0) for n in SAMPLES] + [(round(DENSITY * side**2), side) for side in SIDES]
     for n, side in sizes:
         config = SimulationConfig(n_samples=n, room_size=(side, side, 0.8))
@@ -30,15 +33,17 @@ def grow(seed: int) -> None:
         maps, _, mapping = timed(lambda pair=pair: [mm.build_map(s) for s in (pair.base, pair.target)])
         mm.register(*maps)
         result, _, matching = timed(mm.register, *maps)
-        print(f"{n:7d} {side**2:9.1f} {mapping:12.2f} {matching:12.2f}   {result.status.value}", flush=True)
+        rows.append([f"{n:,}", f"{side**2:.0f}", f"{mapping:.2f}", f"{matching:.2f}", result.status.value])
+        print(*rows[-1], flush=True)
+    return rows
 
 
-def turn(seed: int, n_frames: int) -> None:
+def turn(seed: int, n_frames: int) -> list[list[str]]:
     """Largest deviations over random frames, in standard deviations and in m and rad."""
     rng = np.random.default_rng(seed)
     pair = mm.simulate("office-random", seed, SimulationConfig(n_samples=3000))
     maps = [mm.build_map(s) for s in (pair.base, pair.target)]
-    own = mm.register(*maps)
+    own, rows = mm.register(*maps), []
     n_anew = max(1, n_frames // 50)
     for title, n in (("maps carried along", n_frames), ("surveys mapped anew", n_anew)):
         strays = []
@@ -51,9 +56,10 @@ def turn(seed: int, n_frames: int) -> None:
             found = mm.register(*moved)
             T = None if found.T_base_target is None else A.inv() * found.T_base_target * B
             strays.append(stray(own, T))
-        report(f"{n} pairs of frames, {title}", strays)
+        rows.append(row_of(f"{title}, {n} pairs of frames", strays))
     swapped = mm.register(maps[1], maps[0])
-    report("swapped", [stray(own, swapped.T_base_target.inv() if swapped.T_base_target is not None else None)])
+    found = swapped.T_base_target.inv() if swapped.T_base_target is not None else None
+    return [*rows, row_of("base and target swapped", [stray(own, found)])]
 
 
 def stray(own: mm.RegistrationResult, T: object) -> tuple[float, float, float]:
@@ -65,21 +71,19 @@ def stray(own: mm.RegistrationResult, T: object) -> tuple[float, float, float]:
     return float(np.abs(xi / sd).max()), float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
 
 
-def report(title: str, strays: list[tuple[float, float, float]]) -> None:
-    """One line: how many were accepted, and the largest deviation."""
+def row_of(title: str, strays: list[tuple[float, float, float]]) -> list[str]:
+    """How many were accepted, and the largest deviation."""
     worst = np.max(strays, axis=0)
     accepted = np.isfinite(np.array(strays)[:, 0]).sum()
-    print(
-        f"{title}: {accepted} accepted; at most {worst[0]:.1e} sd, {worst[1]:.1e} rad, {worst[2]:.1e} m", flush=True
-    )
+    return [title, str(accepted), f"{worst[0]:.1e} sd, {worst[1]:.1e} rad, {worst[2]:.1e} m"]
 
 
 def main() -> None:
-    asked = arguments(__doc__, ("growth", "frames"), frames=1000, seed=30)
+    asked = arguments(__doc__, ("growth", "frames"), frames=1000, seed=30, save_growth=saver, save_frames=saver)
     if "growth" in asked.words:
-        grow(asked.seed)
+        show(GROWTH, grow(asked.seed), asked.save_growth)
     if "frames" in asked.words:
-        turn(asked.seed, asked.frames)
+        show(FRAMES, turn(asked.seed, asked.frames), asked.save_frames)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Many rooms at every overlap, and very many pairs of different places: rates that six of a kind cannot show.
 
     python benchmarks/experiments/many_rooms.py --out DIR [--first 8000] [--rooms 40] [--pairs 2000] [--jobs 2]
-        [--maps FOLDER ...] [--minutes M]
+        [--maps FOLDER ...] [--minutes M] [--save NAME] [--save-pairs NAME]
 
 Each room (3 x 3 x 0.6 m, 2,500 samples, 0.4 uT of noise) is surveyed twice in frames that are any SE(3), with the
 target's region covered to 100, 75, 50, 30 and 15 %; each overlap has rooms of its own. Found: within the tolerance
@@ -12,6 +12,7 @@ first ended; ``--minutes`` ends each part early, with the table of what there is
 """
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache, partial
 from itertools import permutations
@@ -21,12 +22,23 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.simulation.config import SimulationConfig
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, pose_error, timed
 from magmatch_evaluation.statistics import wilson_interval
 from magmatch_evaluation.trial import nees_of
 
 # Overlap: tolerance in m and degrees.
 TOLERANCE = {1.0: (0.005, 0.2), 0.75: (0.01, 0.3), 0.5: (0.015, 0.4), 0.3: (0.02, 0.6), 0.15: (0.03, 0.8)}
+ROOM_COLUMNS = (
+    "overlap", "accepted within tolerance", "95 % bounds", "accepted, wrong", "refused",
+    "median", "95 %", "NEES", "s a pair",
+)  # fmt: skip
+# Why pairs of different places are refused, and evidence that is remarkable there, in nats.
+STATUSES = ("accepted", "inconsistent", "uninformative", "ambiguous", "no_overlap", "degenerate")
+NATS = (15, 50)
+PAIR_COLUMNS = (
+    "drawing", "pairs", *(s.replace("_", " ") for s in STATUSES), *(f"above {nats} nats" for nats in NATS)
+)  # fmt: skip
 ROOM = SimulationConfig(room_size=(3.0, 3.0, 0.6))
 # Pairs are drawn within blocks of so many maps, so that a worker need not load one for each, nor keep them all.
 BLOCK, PAIRS_OF_A_BLOCK = 40, 400
@@ -95,9 +107,9 @@ def site_of(path: Path) -> str:
     return {"aalto": "hall", "jidling": "hall"}.get(words[0], "-".join(words[:2]) if words[0] == "cea" else words[-1])
 
 
-def report_rooms(found: Rows) -> None:
-    """One line per overlap."""
-    print("overlap  pairs  accepted within tolerance (95 % bounds)  wrong  refused  mm / deg: median, 95 %  NEES  s")
+def table_of_rooms(found: Rows) -> list[list[str]]:
+    """One row per overlap."""
+    lines = []
     for overlap, (max_m, max_deg) in TOLERANCE.items():
         rows = [r for name, r in found.items() if name.startswith(f"{round(100 * overlap)}-")]
         if not rows:
@@ -107,30 +119,40 @@ def report_rooms(found: Rows) -> None:
         good = accepted & (distance < max_m) & (angle < max_deg)
         wrong = accepted & ((distance > 0.1) | (angle > 3))
         low, high = wilson_interval(int(good.sum()), len(rows))
-        quantiles = " ".join(
-            f"{1e3 * np.quantile(distance, q, method='higher'):7.1f} / {np.quantile(angle, q, method='higher'):.2f}"
-            for q in (0.5, 0.95)
-        )
-        seconds = np.median([r["seconds"] for r in rows])
-        print(
-            f"{overlap:6.0%} {len(rows):6d}  {good.sum():5d} within {1e3 * max_m:.0f} mm, {max_deg} deg"
-            f" ({low:.1%} to {high:.1%}) {wrong.sum():6d} {(~accepted).sum():6d} {quantiles}"
-            f" {nees[accepted].mean() if accepted.any() else np.nan:6.2f} {seconds:.2f}"
-        )
+        errors = np.quantile([1e3 * distance, angle], (0.5, 0.95), axis=1, method="higher")
+        lines.append([
+            f"{overlap:.0%}", f"{good.sum():,} of {len(rows):,} within {1e3 * max_m:.0f} mm, {max_deg} deg",
+            f"{low:.1%} to {high:.1%}", f"{wrong.sum()}", f"{(~accepted).sum()}",
+            *(f"{mm:.1f} mm, {deg:.2f} deg" for mm, deg in errors),
+            f"{nees[accepted].mean() if accepted.any() else np.nan:.2f}",
+            f"{np.median([r['seconds'] for r in rows]):.2f}",
+        ])  # fmt: skip
+    return lines
+
+
+def table_of_pairs(found: Rows) -> list[list[str]]:
+    """How many pairs of different places were accepted, and why the others were refused."""
+    reasons = Counter(str(row["status"]) for row in found.values())
+    evidence = np.array([-np.inf if row["log_odds"] is None else row["log_odds"] for row in found.values()])
+    counts = [len(found), *(reasons[status] for status in STATUSES), *((evidence > nats).sum() for nats in NATS)]
+    return [["together", *(f"{count:,}" for count in counts)]]
 
 
 def main() -> None:
     asked = arguments(
-        __doc__, out=Path, first=8000, rooms=40, pairs=2000, maps=[], jobs=os.cpu_count(), minutes=np.inf
-    )
+        __doc__, out=Path, first=8000, rooms=40, pairs=2000, maps=[], jobs=os.cpu_count(), minutes=np.inf,
+        save=saver, save_pairs=saver,
+    )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
     make, how = partial(work, asked.out), {"jobs": asked.jobs, "minutes": asked.minutes}
-    report_rooms(kept(asked.out / "rooms.jsonl", rooms(asked.first, asked.rooms), make, **how))
+    found = kept(asked.out / "rooms.jsonl", rooms(asked.first, asked.rooms), make, **how)
+    show(ROOM_COLUMNS, table_of_rooms(found), asked.save)
     names = crossed([asked.out, *map(Path, asked.maps)], asked.pairs, asked.first)
     found = kept(asked.out / "pairs.jsonl", names, make, **how)
     accepted = [name for name, row in found.items() if row["status"] == "accepted"]
     each = np.median([float(r["seconds"]) for r in found.values()]) if found else np.nan  # type: ignore[arg-type]
-    print(f"different places: {len(found)} pairs, {len(accepted)} accepted, {each:.2f} s each")
+    show(PAIR_COLUMNS, table_of_pairs(found), asked.save_pairs)
+    print(f"{each:.2f} s each")
     for name in accepted:
         print("  ", name, found[name])
 

@@ -29,7 +29,8 @@ RECORDINGS = next(filter(Path.is_dir, [Path("../shared/data")]), None)
 def arguments(doc: str | None, words: Sequence[str] | None = None, **defaults: Any) -> argparse.Namespace:
     """Read the command line: free words, if any are named, and an option for each default or type.
 
-    A default of False makes a switch, a list an option of several words; ``recordings`` is a folder, ``--from``.
+    A default of False makes a switch, a list an option of several words, a function one whose word it is given
+    (`saved_table.saver`); ``recordings`` is a folder, ``--from``.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     if words is not None:
@@ -43,7 +44,7 @@ def arguments(doc: str | None, words: Sequence[str] | None = None, **defaults: A
             how = {"nargs": "+", "type": type(default[0]) if default else str, "default": default}
         elif name == "recordings":
             how = {"type": Path, "default": RECORDINGS}
-        elif isinstance(default, type):
+        elif callable(default):
             how = {"type": default}
         parser.add_argument(flag, dest=name, **how)
     return parser.parse_args()
