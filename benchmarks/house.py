@@ -23,11 +23,13 @@ from pathlib import Path
 HERE = Path(__file__).resolve()
 # The file of each room that reads as its algorithm, wherever it lies.
 VERBS = (
-    "build.py", "extract.py", "localize.py", "prepare.py", "published.py", "register.py", "register_map.py",
-    "register_walk.py", "simulate.py",
+    "benchmark.py", "build.py", "compare.py", "extract.py", "localize.py", "map_strategy.py", "method.py",
+    "prepare.py", "register.py", "register_map.py", "register_walk.py", "run.py", "simulate.py", "walk_strategy.py",
 )  # fmt: skip
 # What registration/search holds, by the names that its files had before that folder was made.
 STEPS = ("annealing", "candidate", "invariant_search", "neighbours", "pair_search", "scoring")
+# Where packages lie.
+PACKAGES = ("src", "evaluation")
 LINE_KINDS = ("code", "docstring", "comment", "all")
 
 
@@ -75,7 +77,7 @@ def verb_pages(root: Path) -> dict[str, int]:
     pages = {
         path.as_posix(): len((root / path).read_text(encoding="utf-8").splitlines())
         for path in files_of(root)
-        if path.name in VERBS and path.parts[0] == "src" and "cli" not in path.parts
+        if path.name in VERBS and path.parts[0] in PACKAGES and "cli" not in path.parts
     }
     return dict(sorted(pages.items(), key=lambda item: -item[1]))
 
@@ -92,7 +94,7 @@ def public_names(root: Path) -> int:
     """Functions and classes of all modules outside the tests whose names do not begin with an underscore."""
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
     modules = (
-        ast.parse((root / path).read_text(encoding="utf-8")) for path in files_of(root) if path.parts[0] == "src"
+        ast.parse((root / path).read_text(encoding="utf-8")) for path in files_of(root) if path.parts[0] in PACKAGES
     )
     return sum(isinstance(n, kinds) and not n.name.startswith("_") for module in modules for n in module.body)
 
