@@ -69,7 +69,7 @@ def whole(table: ResultTable, history: History) -> str:
         f"### {table.title}",
         table.note,
         markdown_table(table.columns, table.rows),
-        f"{caption(table, history)} {table.machine}.",
+        " ".join(text for text in (table.remark, caption(table, history), f"{table.machine}.") if text),
     )
     return "\n\n".join(block for block in blocks if block)
 

@@ -37,7 +37,9 @@ def results(root, *options):
 
 def table(commits, covers=("src",)):
     rows = [["room", "1.0"], ["walk", "2.0"]]
-    return ResultTable("Errors", "In mm.", "python b.py", commits, "m", "2026-01-02", covers, ["case", "error"], rows)
+    return ResultTable(
+        "Errors", "In mm.", "python b.py", commits, "m", "2026-01-02", covers, "One run.", ["case", "error"], rows
+    )
 
 
 def save(root, made, name="errors"):
@@ -71,7 +73,7 @@ def page(root):
 def test_a_page_gets_tables_with_what_printed_them(root):
     commits = table([]).load(root / "benchmarks" / "results" / "errors.json").commits
     assert "### Errors\n\nIn mm.\n\n| case | error |\n| --- | --- |\n| room | 1.0 |\n| walk | 2.0 |\n" in page(root)
-    assert f"`python b.py`; commit {commits[0][:7]}, 2026-01-02. m." in page(root)
+    assert f"One run. `python b.py`; commit {commits[0][:7]}, 2026-01-02. m." in page(root)
     assert "| error |\n| --- |\n| 2.0 |\n" in (root / "README.md").read_text()
 
 
@@ -172,7 +174,7 @@ def test_without_history_nothing_is_checked_and_it_says_so(root, tmp_path_factor
 
 def test_a_benchmark_saves_the_commit_it_began_with(root, monkeypatch):
     monkeypatch.chdir(root)
-    monkeypatch.setattr("sys.argv", ["b.py", "--save", "errors", "--seed", "3"])
+    monkeypatch.setattr("sys.argv", ["b.py", "--save", "errors", "--seed", "3", "--from", "/home/me/data"])
     begun = git(root, "rev-parse", "HEAD")
     keep = saver("errors")
     (root / "src" / "code.py").write_text("x = 2\n")
@@ -181,7 +183,8 @@ def test_a_benchmark_saves_the_commit_it_began_with(root, monkeypatch):
     found = ResultTable.load(root / "benchmarks" / "results" / "errors.json")
     assert found.commits == [begun]
     assert found.rows == [["room", "0.5"]]
-    assert (found.title, found.covers, found.command.split()[-3:]) == ("Errors", ["src"], ["b.py", "--seed", "3"])
+    assert (found.title, found.note, found.remark, found.covers) == ("Errors", "In mm.", "", ["src"])
+    assert found.command.endswith("python b.py --seed 3 --from DIR")
 
 
 def test_a_benchmark_of_uncommitted_code_saves_nothing(root, monkeypatch):

@@ -4,6 +4,7 @@
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -35,6 +36,8 @@ class ResultTable:
     ----------
     title, note : str
         The note says what the cells mean; it holds no result.
+    remark : str
+        About these figures alone; gone when they are taken anew.
     command : str
         Prints the figures.
     commits : sequence of str
@@ -53,6 +56,7 @@ class ResultTable:
     machine: str
     date: str
     covers: Sequence[str]
+    remark: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
 
@@ -101,7 +105,9 @@ def saver(name: str) -> Saver:
     commit = clean_commit(old.covers)
 
     def save(columns: Sequence[str], rows: Sequence[Sequence[str]], command: str | None = None) -> None:
-        new = replace(old, command=command or typed(), commits=[commit], machine=this_machine(), date=today())
+        new = replace(
+            old, remark="", command=command or typed(), commits=[commit], machine=this_machine(), date=today()
+        )
         replace(new, columns=columns, rows=rows).save(path)
 
     return save
@@ -136,9 +142,14 @@ def git(*words: str) -> str:
 
 
 def typed() -> str:
-    """Give the command as it was typed, without the options that save."""
-    words = iter(sys.argv)
-    kept = [word for word in words if not word.startswith("--save") or not next(words)]
+    """Give the command as it was typed, without the options that save, and with DIR for where files lie."""
+    script, *rest = sys.argv
+    words, kept = iter(rest), [Path(script).absolute().relative_to(Path.cwd()).as_posix()]
+    for word in words:
+        if word.startswith("--save"):
+            next(words, None)
+        else:
+            kept.append(re.sub(r"[^=]*/.*", "DIR", word))
     threads = os.environ.get("OPENBLAS_NUM_THREADS")
     return (f"OPENBLAS_NUM_THREADS={threads} " if threads else "") + shlex.join(["python", *kept])
 
