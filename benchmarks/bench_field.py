@@ -15,7 +15,10 @@ from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.tiles.region_model import fit_splines
 from magmatch.threads import single_threaded
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import UT, arguments, rmse_ut
+
+COLUMNS = ("case", "RMSE, uT", "95 % interval covers", "numbers / fit / field / sd, s", "together, s")
 
 
 def dipole_field(x, position, moment):
@@ -117,42 +120,38 @@ def measure(name, scenario, has_truth=True, repeat=1):
     rounds = [timed(x, b, q) for _ in range(repeat)]
     h, model, posterior, _ = rounds[0]
     times = np.min([seconds for *_, seconds in rounds], axis=0)
-    steps = ", ".join(f"{s} {d:.3f}" for s, d in zip(("numbers", "fit", "field", "sd"), times, strict=True))
     size = f"{model.cells.n_nodes} nodes" if isinstance(model, SplineModel) else f"{len(model.tiles)} tiles"
-    print(f"{name}: {len(x)} samples, {size} at {h.spacing:.3f} m")
-    print(f"    lengthscale {h.lengthscale:.2f} m, noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.1f}")
-    print(f"    {steps}; together {times.sum():.2f} s of the processor")
+    print(f"{name}: {len(x)} samples, {size} at {h.spacing:.3f} m; lengthscale {h.lengthscale:.2f} m,")
+    print(f"    noise {h.noise_sd / UT:.2f} uT, inflation {h.inflation:.1f}")
+    seconds, rows = [" / ".join(f"{s:.2f}" for s in times), f"{times.sum():.2f}"], []
     for label, (points, truth) in tests.items():
         field = posterior.evaluate(points).field
         variance = np.diagonal(posterior.covariance(points), axis1=1, axis2=2)
         sd = np.sqrt(variance if has_truth else variance + h.noise_sd**2)
         rmse, cover = rmse_ut(field, truth), np.mean(abs(field - truth) < 1.96 * sd)
-        print(f"    {label}: RMSE {rmse:.3f} uT (3-vectors), 95 % intervals cover {cover:.1%}", flush=True)
+        rows.append([f"{name}, {len(x):,} samples: {label}", f"{rmse:.3f}", f"{cover:.1%}", *seconds])
+        print(*rows[-1], flush=True)
+    return rows
 
 
 @single_threaded
 def main():
-    asked = arguments(__doc__, recordings=None, quick=False, repeat=3)
+    asked = arguments(__doc__, recordings=None, quick=False, repeat=3, save=saver)
     # Compiles, or loads what was compiled.
     for scenario in (room(99, 400), lanes(99, 900)):
         timed(*scenario[:2], scenario[0])
-    few, repeat = range(1 if asked.quick else 4), asked.repeat
-    for seed in few:
-        measure(f"room {seed}", room(seed), repeat=repeat)
-    measure("room, 3,000 samples", room(4, 3000), repeat=repeat)
-    for n in (300, 1000):
-        for seed in few:
-            measure(f"room {seed}, {n} samples", room(10 + seed, n), repeat=repeat)
-    for n in (400, 1000, 3000):
-        for seed in few:
-            measure(f"lanes {seed}, {n} samples", lanes(seed, n), repeat=repeat)
-    measure("plane", plane(1), repeat=repeat)
-    for seed in few[:2]:
-        measure(f"table {seed}", table(seed), repeat=repeat)
+    few = range(1 if asked.quick else 4)
+    cases = [(f"room {seed}", room(seed)) for seed in few]
+    cases += [("room", room(4, 3000))]
+    cases += [(f"room {seed}", room(10 + seed, n)) for n in (300, 1000) for seed in few]
+    cases += [(f"lanes {seed}", lanes(seed, n)) for n in (400, 1000, 3000) for seed in few]
+    cases += [("plane", plane(1)), *((f"table {seed}", table(seed)) for seed in few[:2])]
+    rows = [row for name, case in cases for row in measure(name, case, repeat=asked.repeat)]
     if asked.recordings and not asked.quick:
         walks = load_recordings("cea", asked.recordings)
-        measure("building", walk(walks, "training", "test"), has_truth=False, repeat=repeat)
-        measure("building, reversed", walk(walks, "test", "training"), has_truth=False, repeat=repeat)
+        for name, order in (("building", ("training", "test")), ("building, reversed", ("test", "training"))):
+            rows += measure(name, walk(walks, *order), has_truth=False, repeat=asked.repeat)
+    show(COLUMNS, rows, asked.save)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 """Short stretches of one walk through a two-floor building, found in the map of the whole building from another walk.
 
     python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20 10 5] [--tries 100] [--seed 100]
-        [--floors 1 2] [--cut-out] [--spacing M --lengthscale M]
+        [--floors 1 2] [--cut-out] [--spacing M --lengthscale M] [--save NAME]
 
 CEA: base = walk one, both floors; targets = stretches of walk two on either floor, each moved by a random SE(3).
 Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
@@ -30,6 +30,7 @@ from magmatch.registration.index.walk_index import index_walks
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import tabulate_pairs
 from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, pose_error, timed
 from magmatch_evaluation.trial import nees_of
 
@@ -37,6 +38,12 @@ CONFIG = PRESETS["default"]
 MAX_M, MAX_DEG = 0.25, 3.0
 # Farther than this from the truth is another place rather than a rough answer.
 OTHER_PLACE_M = 1.0
+
+
+COLUMNS = (
+    "floor", "length", "accepted and right", "best pose right", "accepted, out of tolerance", "accepted elsewhere",
+    "median error", "NEES", "s a query", "s a query, one core",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -98,38 +105,29 @@ def try_one(index: MapIndex, stretch: Survey, rng: np.random.Generator) -> Outco
     return Outcome(result, distance, float(np.degrees(angle)), nees_of(result, T_base_target), *seconds)
 
 
-def report(length: float, outcomes: list[Outcome]) -> None:
-    accepted = [o for o in outcomes if o.result.is_accepted]
-    elsewhere = [o for o in accepted if o.distance > OTHER_PLACE_M]
-    good = [o for o in accepted if o.is_right]
-    print(
-        f"{length:4.0f} m: {len(outcomes)} tries, best pose right {sum(o.is_right for o in outcomes)}, "
-        f"accepted and right {len(good)} ({len(good) / len(outcomes):.0%}), "
-        f"accepted in another place {len(elsewhere)}, "
-        f"accepted in place but out of tolerance {len(accepted) - len(good) - len(elsewhere)}"
-    )
-    refusals = Counter(o.result.status for o in outcomes if not o.result.is_accepted)
-    print(f"        refused: {', '.join(f'{n} {status}' for status, n in refusals.most_common()) or 'none'}")
-    if accepted:
-        print(
-            f"        median error {1e3 * np.median([o.distance for o in accepted]):.0f} mm, "
-            f"{np.median([o.angle_deg for o in accepted]):.2f} deg; NEES/6 mean "
-            f"{np.mean([o.nees for o in accepted]):.2f}, median {np.median([o.nees for o in accepted]):.2f}"
-        )
-    seconds = [o.seconds for o in outcomes[1:]]
-    print(
-        f"        seconds per query: median {np.median(seconds):.3f}, 95 % {np.quantile(seconds, 0.95):.3f}; "
-        f"of one core: median {np.median([o.cpu_seconds for o in outcomes[1:]]):.3f}"
-    )
+def report(floor: int, length: float, outcomes: list[Outcome]) -> list[str]:
+    """One row; what was accepted though wrong is told aloud."""
+    accepted, n = [o for o in outcomes if o.result.is_accepted], len(outcomes)
+    good, elsewhere = [o for o in accepted if o.is_right], [o for o in accepted if o.distance > OTHER_PLACE_M]
+    wrong = len(accepted) - len(good) - len(elsewhere)
+    refusals = Counter(str(o.result.status) for o in outcomes if not o.result.is_accepted)
+    print(f"floor {floor}, {length:.0f} m: refused {dict(refusals) or 'none'}", flush=True)
     for o in accepted:
         if not o.is_right:
-            print(f"        ACCEPTED {o.distance:.2f} m {o.angle_deg:.2f} deg off: {o.result.reason}")
+            print(f"    ACCEPTED {o.distance:.2f} m {o.angle_deg:.2f} deg off: {o.result.reason}")
+    error, consistency = "none", "none"
+    if accepted:
+        distance, angle = np.median([[1e3 * o.distance, o.angle_deg] for o in accepted], axis=0)
+        error, consistency = f"{distance:.0f} mm, {angle:.2f} deg", f"{np.mean([o.nees for o in accepted]):.2f}"
+    seconds = [f"{np.median([getattr(o, name) for o in outcomes[1:]]):.3f}" for name in ("seconds", "cpu_seconds")]
+    counts = [f"{len(good)} of {n}", sum(o.is_right for o in outcomes), wrong, len(elsewhere)]
+    return [str(floor), f"{length:.0f} m", *map(str, counts), error, consistency, *seconds]
 
 
 def main() -> None:
     asked = arguments(
         __doc__, recordings=None, lengths=[20.0, 10.0, 5.0], tries=100, seed=100, floors=[1, 2], cut_out=False,
-        spacing=float, lengthscale=float,
+        spacing=float, lengthscale=float, save=saver,
     )  # fmt: skip
     walks = load_recordings("cea", asked.recordings)
     rng = np.random.default_rng(0)
@@ -141,6 +139,7 @@ def main() -> None:
         f"base: {len(walks['training'])} samples, map {mapping:.1f} s, index {indexing:.1f} s "
         f"({len(walk_index.table.first)} pairs of points), field length {walk_index.length:.2f} m\n{walk_index.noise}"
     )
+    rows = []
     for floor, length in product(asked.floors, asked.lengths):
         rng = np.random.default_rng([asked.seed, int(length)])
         outcomes = []
@@ -148,8 +147,8 @@ def main() -> None:
             path_model = transform_points(stretch.positions, base_map.T_map_model.inv())
             seen = cut_out(index, path_model, 3.0) if asked.cut_out else index
             outcomes.append(try_one(seen, stretch, rng))
-        print(f"floor {floor}")
-        report(length, outcomes)
+        rows.append(report(floor, length, outcomes))
+    show(COLUMNS, rows, asked.save)
 
 
 if __name__ == "__main__":
