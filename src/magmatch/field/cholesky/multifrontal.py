@@ -6,17 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.linalg import blas
 
-from magmatch.field.cholesky.blas import cholesky, divide_right_transposed, subtract_square
+from magmatch.compiled import compiled
+from magmatch.field.cholesky.blas import (
+    LOWER,
+    NOT_UNIT,
+    PLAIN,
+    RIGHT,
+    STRIP,
+    TRANSPOSED,
+    address_of,
+    gemm,
+    potrf,
+    syrk,
+    trsm,
+)
 from magmatch.field.cholesky.cells import HALF_STENCIL
 from magmatch.field.cholesky.nested_dissection import Elimination
 from magmatch.field.cholesky.reserve import RESERVE
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
 
-NOTHING = np.zeros((0, 0))
+_NO_SINGLES, _NO_DOUBLES = np.zeros(0, np.float32), np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,147 +114,179 @@ def factorise(
     numpy.linalg.LinAlgError
         If the matrix is not positive definite; names the pivot.
     """
-    pivots, below = _blocks(elimination, precision)
+    pivots, below, blocks = _blocks(elimination, precision)
     root = len(elimination.fronts) - 1
-    updates = [NOTHING] * len(elimination.fronts)
+    updates = [blocks[0][:0]] * len(elimination.fronts)
 
     def eliminate(fronts: range) -> None:
         row_at = np.full(len(elimination.node_index), -1, dtype=np.int32)
         for k in fronts:
-            updates[k] = _eliminate(elimination, k, matrix, row_at, updates, pivots[k], below[k])
+            updates[k] = _eliminate(elimination, k, matrix, row_at, updates, blocks[k])
 
     side_by_side(eliminate, elimination.branches)
     eliminate(range(root, root + 1))
     return CholeskyFactor(elimination, pivots, below)
 
 
-def _blocks(elimination: Elimination, precision: npt.DTypeLike) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Where a factor's pivots and what is below them are to lie: one piece of memory."""
+def _blocks(
+    elimination: Elimination, precision: npt.DTypeLike
+) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+    """Where a factor's pivots and what is below them are to lie, and both of a front as one: one piece of memory."""
     sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
     memory = RESERVE.take(sum(n * (n + k) for n, k in sizes), 1, precision).ravel(order="K")
-    pivots, below, start = [], [], 0
+    pivots, below, blocks, start = [], [], [], 0
     for n, k in sizes:
-        pivots.append(memory[start : start + n * n].reshape((n, n), order="F"))
-        below.append(memory[start + n * n : start + n * (n + k)].reshape((k, n), order="F"))
-        start += n * (n + k)
-    return pivots, below
+        block = memory[start : start + n * (n + k)]
+        pivots.append(block[: n * n].reshape((n, n), order="F"))
+        below.append(block[n * n :].reshape((k, n), order="F"))
+        blocks.append(block)
+        start += len(block)
+    return pivots, below, blocks
 
 
 def _eliminate(
-    e: Elimination,
-    k: int,
-    matrix: StencilMatrix,
-    row_at: np.ndarray,
-    updates: list[np.ndarray],
-    A: np.ndarray,
-    X: np.ndarray,
+    e: Elimination, k: int, matrix: StencilMatrix, row_at: np.ndarray, updates: list[np.ndarray], block: np.ndarray
 ) -> np.ndarray:
     """Write a front's columns of the factor; gives what is left for its parent, uses up what its children left."""
-    front, is_leaf = e.fronts[k], True
-    entries = (matrix.stencil, matrix.border, matrix.corner)
-    _assemble(front.unknowns, e.flat_nodes, e.shifts, row_at, *entries, A, X)
-    S = RESERVE.take(len(X), len(X), A.dtype)
+    front, n = e.fronts[k], e.fronts[k].stop - e.fronts[k].start
+    n_below, is_leaf = len(front.border), True
+    block[:] = 0
+    _assemble(
+        front.unknowns, n, e.flat_nodes, e.shifts, row_at, matrix.stencil, matrix.border, matrix.corner,
+        *in_precision(block),
+    )  # fmt: skip
+    update = flat(RESERVE.take(n_below, n_below, block.dtype))
     for child, rows in zip(front.children, front.child_rows, strict=True):
-        _extend_add(updates[child], rows, A, X, S, is_leaf)
+        _extend_add(
+            *in_precision(updates[child]), rows, n, n_below, *in_precision(block), *in_precision(update), is_leaf
+        )
         # Its memory serves the next front.
-        updates[child], is_leaf = NOTHING, False
-    failed = _factor_front(A, X, S, is_leaf)
+        updates[child], is_leaf = updates[child][:0], False
+    failed = 0
+    if n:
+        failed = _factor_front(n, n_below, *in_precision(block), *in_precision(update), not is_leaf)
+    elif is_leaf:
+        update[:] = 0
     if failed:
         msg = f"matrix is not positive definite: pivot {front.start + failed} of {e.n_unknowns} fails"
         raise np.linalg.LinAlgError(msg)
-    return S
+    return update
 
 
-@njit(cache=True, nogil=True)
-def _assemble(unknowns, flat, shifts, row_at, stencil, border, corner, A, X):  # type: ignore[no-untyped-def]
-    """Copy the matrix' own entries of a front's columns into its dense blocks, 0 elsewhere."""
-    # Compiled loops go row by row; these lie column by column.
-    A.T[:], X.T[:] = 0, 0
-    nodes = unknowns[unknowns < len(stencil)]
-    for row in range(len(nodes)):
-        row_at[flat[nodes[row]]] = row
-    _copy_stencils(nodes, flat, shifts, row_at, stencil, A, X)
-    _copy_constant(unknowns, border, corner, A, X)
-    row_at[flat[nodes]] = -1
+def flat(A: np.ndarray) -> np.ndarray:
+    """A matrix stored column by column as one vector: compiled loops see one layout, however narrow it is."""
+    return A.reshape(-1, order="F")
 
 
-@njit(cache=True, nogil=True)
-def _copy_stencils(nodes, flat, shifts, row_at, stencil, A, X):  # type: ignore[no-untyped-def]
-    """Entries between nodes, of which those that were eliminated before have no row."""
-    n = len(A)
-    for j in range(min(n, len(nodes))):
-        for o in range(HALF_STENCIL):
-            row = row_at[flat[nodes[j]] + shifts[HALF_STENCIL - 1 + o]]
-            if row >= n:
-                X[row - n, j] = stencil[nodes[j], o]
-            elif row >= 0:
-                A[max(row, j), min(row, j)] = stencil[nodes[j], o]
-        # The front's own nodes on the other side meet this one on theirs.
-        for o in range(1, HALF_STENCIL):
-            row = row_at[flat[nodes[j]] + shifts[HALF_STENCIL - 1 - o]]
-            if row >= n:
-                X[row - n, j] = stencil[nodes[row], o]
+def in_precision(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A vector as single and as double numbers, of which one is empty: compiled loops see the same types."""
+    return (vector, _NO_DOUBLES) if vector.dtype == np.float32 else (_NO_SINGLES, vector)
 
 
-@njit(cache=True, nogil=True)
-def _copy_constant(unknowns, border, corner, A, X):  # type: ignore[no-untyped-def]
-    """Entries of the constant, which comes last in every front."""
-    n, m, first = len(A), len(border), len(unknowns) - 3
+@compiled
+def _assemble(unknowns, n, flat, shifts, row_at, stencil, border, corner, singles, doubles):  # type: ignore[no-untyped-def]
+    """Copy the matrix' own entries of a front's columns into its block of zeros."""
+    m, n_below, n_nodes, is_single = len(stencil), len(unknowns) - n, len(unknowns) - 3, len(singles) > 0
+    for row in range(n_nodes):
+        row_at[flat[unknowns[row]]] = row
+    for j in range(min(n, n_nodes)):
+        node = unknowns[j]
+        for o in range(1 - HALF_STENCIL, HALF_STENCIL):
+            row = row_at[flat[node] + shifts[HALF_STENCIL - 1 + o]]
+            # Of two nodes, the first holds their entry; what was eliminated before has no row.
+            if row < 0 or (o < 0 and row < n):
+                continue
+            value = stencil[node, o] if o >= 0 else stencil[unknowns[row], -o]
+            if row < n:
+                at = min(row, j) * n + max(row, j)
+            else:
+                at = n * n + j * n_below + row - n
+            if is_single:
+                singles[at] = value
+            else:
+                doubles[at] = value
+    # The constant comes last in every front.
     for j in range(n):
         for c in range(max(0, unknowns[j] - m), 3):
             value = border[unknowns[j], c] if unknowns[j] < m else corner[c, unknowns[j] - m]
-            if first + c < n:
-                A[first + c, j] = value
+            row = n_nodes + c
+            at = j * n + row if row < n else n * n + j * n_below + row - n
+            if is_single:
+                singles[at] = value
             else:
-                X[first + c - n, j] = value
+                doubles[at] = value
+    for row in range(n_nodes):
+        row_at[flat[unknowns[row]]] = -1
 
 
-@njit(cache=True, nogil=True)
-def _extend_add(update, rows, A, X, S, is_first):  # type: ignore[no-untyped-def]
-    """Add the lower triangle of a child's update, S being 0 before the first; rows ascend, so its order is kept."""
-    n = A.shape[0]
-    n_own = np.searchsorted(rows, n)
+@compiled
+def _extend_add(  # type: ignore[no-untyped-def]
+    child_singles, child_doubles, rows, n, n_below, singles, doubles, update_singles, update_doubles, is_first
+):  # fmt: skip
+    """Add the lower triangle of a child's update, this one's being 0 before the first; rows ascend."""
+    is_single, size, n_own = len(child_singles) > 0, len(rows), 0
+    while n_own < size and rows[n_own] < n:
+        n_own += 1
     if is_first:
-        for j in range(len(S)):
-            S[j:, j] = 0
-    # Neighbours mostly stay neighbours: runs of rows are added as vectors.
-    runs = _runs(rows, n_own)
-    for j in range(len(rows)):
+        for j in range(n_below):
+            for at in range(j * n_below + j, (j + 1) * n_below):
+                if is_single:
+                    update_singles[at] = 0.0
+                else:
+                    update_doubles[at] = 0.0
+    # Neighbours mostly stay neighbours: runs of rows, a new one with the first row of the border, are added as vectors.
+    runs, n_runs = np.empty(size + 1, dtype=np.int64), 0
+    for i in range(size):
+        if i in (0, n_own) or rows[i] != rows[i - 1] + 1:
+            runs[n_runs] = i
+            n_runs += 1
+    runs[n_runs] = size
+    for j in range(size):
         q = rows[j]
-        for r in range(len(runs) - 1):
+        for r in range(n_runs):
             first, last = max(runs[r], j), runs[r + 1]
             if first >= last:
                 continue
-            to = rows[last - 1] + 1
-            if last <= n_own:
-                A[to - (last - first) : to, q] += update[first:last, j]
-            elif j < n_own:
-                X[to - (last - first) - n : to - n, q] += update[first:last, j]
+            row, start = rows[first], j * size + first
+            if row < n:
+                to = q * n + row
             else:
-                S[to - (last - first) - n : to - n, q - n] += update[first:last, j]
+                to = row - n + (n * n + q * n_below if q < n else (q - n) * n_below)
+            # Unsigned, or every access would first ask whether to count from the end.
+            a, b, count = np.uint64(to), np.uint64(start), np.uint64(last - first)
+            if is_single and q < n:
+                for i in range(count):
+                    singles[a + i] += child_singles[b + i]
+            elif is_single:
+                for i in range(count):
+                    update_singles[a + i] += child_singles[b + i]
+            elif q < n:
+                for i in range(count):
+                    doubles[a + i] += child_doubles[b + i]
+            else:
+                for i in range(count):
+                    update_doubles[a + i] += child_doubles[b + i]
 
 
-@njit(cache=True, nogil=True)
-def _runs(rows: np.ndarray, n_own: int) -> np.ndarray:
-    """Where runs of consecutive rows start, a new one with the first row of the border; then their end."""
-    starts, count = np.empty(len(rows) + 1, dtype=np.int64), 0
-    for i in range(len(rows)):
-        if i in (0, n_own) or rows[i] != rows[i - 1] + 1:
-            starts[count] = i
-            count += 1
-    starts[count] = len(rows)
-    return starts[: count + 1]
-
-
-@njit(cache=True, nogil=True)
-def _factor_front(A: np.ndarray, X: np.ndarray, S: np.ndarray, is_leaf: bool) -> int:
-    """Factor a front in place; the pivot that fails, 0 where none does."""
-    if len(A) == 0:
-        if is_leaf:
-            S.T[:] = 0
-        return 0
-    failed = cholesky(A)
-    if failed == 0 and len(X):
-        divide_right_transposed(A, X)
-        subtract_square(X, S, not is_leaf)
-    return failed
+@compiled
+def _factor_front(n_own, n_below, singles, doubles, update_singles, update_doubles, keep):  # type: ignore[no-untyped-def]
+    """Factor a front in place and subtract its square from the update, or from 0; the pivot that fails, 0 if none."""
+    is_single = len(singles) > 0
+    size = 4 if is_single else 8
+    A = address_of(singles) if is_single else address_of(doubles)
+    S = address_of(update_singles) if is_single else address_of(update_doubles)
+    X, n, m, info = A + size * n_own * n_own, np.int32(n_own), np.int32(n_below), np.zeros(1, np.int32)
+    potrf(is_single, LOWER, n, A, n, info)
+    if info[0] != 0 or n_below == 0:
+        return info[0]
+    # X L^-T, strip by strip.
+    for j in range(0, n_own, STRIP):
+        width, before = np.int32(min(STRIP, n_own - j)), np.int32(j)
+        block, row = X + size * j * n_below, A + size * j
+        if j > 0:
+            gemm(is_single, PLAIN, TRANSPOSED, m, width, before, -1.0, X, m, row, n, 1.0, block, m)
+        trsm(
+            is_single, RIGHT, LOWER, TRANSPOSED, NOT_UNIT, m, width, 1.0, row + size * j * n_own, n, block, m
+        )  # fmt: skip
+    syrk(is_single, LOWER, PLAIN, m, n, -1.0, X, m, 1.0 if keep else 0.0, S, m)
+    return info[0]

@@ -2,17 +2,26 @@
 """The entries of the inverse that a field's covariance needs: those between nodes of one cell."""
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.cholesky.blas import (
-    invert_triangle,
-    minus_symmetric_product,
-    multiply_right,
-    square_transposed,
-    subtract_transposed_product,
+    LEFT,
+    LOWER,
+    NOT_UNIT,
+    PLAIN,
+    RIGHT,
+    STRIP,
+    TRANSPOSED,
+    address_of,
+    gemm,
+    lacpy,
+    lauum,
+    symm,
+    trmm,
+    trtri,
 )
 from magmatch.field.cholesky.cells import FULL_STENCIL, HALF_STENCIL
-from magmatch.field.cholesky.multifrontal import CholeskyFactor
+from magmatch.field.cholesky.multifrontal import CholeskyFactor, flat, in_precision
 from magmatch.field.cholesky.reserve import RESERVE
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
@@ -28,19 +37,21 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     e = factor.elimination
     out = StencilMatrix.zeros(e.n_unknowns - 3)
     root = len(e.fronts) - 1
-    inherited: dict[int, np.ndarray] = {root: np.zeros((0, 0), dtype=factor.precision, order="F")}
+    inherited: dict[int, np.ndarray] = {root: np.zeros(0, dtype=factor.precision)}
 
     def descend(fronts: range) -> None:
         row_of = np.full(e.n_unknowns, -1, dtype=np.int64)
         for k in reversed(fronts):
-            front, L, X, Z22 = e.fronts[k], factor.pivots[k], factor.below[k], inherited.pop(k)
-            L_inverse, W, Z11, Z21 = (RESERVE.take(len(A), len(L), factor.precision) for A in (L, X, L, X))
-            _front_inverse(L, X, Z22, L_inverse, W, Z11, Z21)
+            front, L, X, Z22 = e.fronts[k], factor.pivots[k], factor.below[k], in_precision(inherited.pop(k))
+            n, n_below = len(L), len(X)
+            scratch, Z = (in_precision(flat(RESERVE.take(n + n_below, n, factor.precision))) for _ in range(2))
+            if n:
+                _front_inverse(n, n_below, *in_precision(flat(L)), *in_precision(flat(X)), *Z22, *scratch, *Z)
             for child, rows in zip(front.children, front.child_rows, strict=True):
-                inherited[child] = RESERVE.take(len(rows), len(rows), factor.precision)
-                _take_block(Z11, Z21, Z22, rows, inherited[child])
+                inherited[child] = flat(RESERVE.take(len(rows), len(rows), factor.precision))
+                _take_block(n, n_below, *Z, *Z22, rows, *in_precision(inherited[child]))
             _store(
-                front.unknowns, e.flat_nodes, e.shifts, e.node_index, row_of, Z11, Z21,
+                front.unknowns, n, e.flat_nodes, e.shifts, e.node_index, row_of, *Z,
                 out.stencil, out.border, out.corner,
             )  # fmt: skip
 
@@ -49,72 +60,91 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     return out
 
 
-@njit(cache=True, nogil=True)
-def _front_inverse(
-    L: np.ndarray,
-    X: np.ndarray,
-    Z22: np.ndarray,
-    L_inverse: np.ndarray,
-    W: np.ndarray,
-    Z11: np.ndarray,
-    Z21: np.ndarray,
-) -> None:
-    """Write the inverse among a front's own unknowns (lower triangle), and between its border and them."""
-    if len(L) == 0:
+@compiled
+def _front_inverse(  # type: ignore[no-untyped-def]
+    n_own, n_below, L_singles, L_doubles, X_singles, X_doubles, Z22_singles, Z22_doubles,
+    scratch_singles, scratch_doubles, Z_singles, Z_doubles,
+):  # fmt: skip
+    """Write the inverse among a front's own unknowns (lower triangle), then that between its border and them."""
+    is_single = len(L_singles) > 0
+    size = 4 if is_single else 8
+    L, X = (address_of(L_singles), address_of(X_singles)) if is_single else (address_of(L_doubles), address_of(X_doubles))
+    Z22 = address_of(Z22_singles) if is_single else address_of(Z22_doubles)
+    inverse = address_of(scratch_singles) if is_single else address_of(scratch_doubles)
+    Z11 = address_of(Z_singles) if is_single else address_of(Z_doubles)
+    W, Z21 = inverse + size * n_own * n_own, Z11 + size * n_own * n_own
+    n, m, info = np.int32(n_own), np.int32(n_below), np.zeros(1, np.int32)
+    lacpy(is_single, LOWER, n, n, L, n, inverse, n)
+    trtri(is_single, LOWER, NOT_UNIT, n, inverse, n, info)
+    lacpy(is_single, LOWER, n, n, inverse, n, Z11, n)
+    lauum(is_single, LOWER, n, Z11, n, info)
+    if n_below == 0:
         return
-    # Transposed, since compiled loops go row by row and these lie column by column.
-    L_inverse.T[:] = L.T
-    invert_triangle(L_inverse)
-    Z11.T[:] = L_inverse.T
-    square_transposed(Z11)
-    if len(X) == 0:
-        return
-    W.T[:] = X.T
-    multiply_right(L_inverse, W)
-    minus_symmetric_product(Z22, W, Z21)
-    # Minus W^T (-Z22 W).
-    subtract_transposed_product(W, Z21, Z11)
+    lacpy(is_single, PLAIN, m, n, X, m, W, m)
+    trmm(is_single, RIGHT, LOWER, PLAIN, NOT_UNIT, m, n, 1.0, inverse, n, W, m)
+    symm(is_single, LEFT, LOWER, m, n, -1.0, Z22, m, W, m, 0.0, Z21, m)
+    # Minus W^T (-Z22 W), strip by strip; above the diagonal anything may be left.
+    for j in range(0, n_own, STRIP):
+        rows, columns, start = np.int32(n_own - j), np.int32(min(STRIP, n_own - j)), size * j * n_below
+        gemm(
+            is_single, TRANSPOSED, PLAIN, rows, columns, m, -1.0, W + start, m, Z21 + start, m,
+            1.0, Z11 + size * j * (n_own + 1), n,
+        )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def _take_block(Z11: np.ndarray, Z21: np.ndarray, Z22: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
+@compiled
+def _take_block(  # type: ignore[no-untyped-def]
+    n, n_below, Z_singles, Z_doubles, Z22_singles, Z22_doubles, rows, block_singles, block_doubles
+):  # fmt: skip
     """Copy the lower triangle of some rows and columns of a front's inverse; rows ascend."""
-    n, n_own = len(Z11), np.searchsorted(rows, len(Z11))
-    for j in range(len(rows)):
-        if j < n_own:
-            for i in range(j, n_own):
-                block[i, j] = Z11[rows[i], rows[j]]
-            for i in range(n_own, len(rows)):
-                block[i, j] = Z21[rows[i] - n, rows[j]]
-        else:
-            for i in range(j, len(rows)):
-                block[i, j] = Z22[rows[i] - n, rows[j] - n]
+    size, is_single = len(rows), len(block_singles) > 0
+    for j in range(size):
+        q = rows[j]
+        for i in range(j, size):
+            p = rows[i]
+            if q >= n:
+                at = (q - n) * n_below + p - n
+                if is_single:
+                    block_singles[j * size + i] = Z22_singles[at]
+                else:
+                    block_doubles[j * size + i] = Z22_doubles[at]
+            else:
+                at = q * n + p if p < n else n * n + q * n_below + p - n
+                if is_single:
+                    block_singles[j * size + i] = Z_singles[at]
+                else:
+                    block_doubles[j * size + i] = Z_doubles[at]
 
 
-@njit(cache=True, nogil=True)
-def _store(unknowns, flat, shifts, lookup, row_of, Z11, Z21, stencil, border, corner):  # type: ignore[no-untyped-def]
-    m, n = stencil.shape[0], len(Z11)
+@compiled
+def _store(unknowns, n, flat, shifts, lookup, row_of, singles, doubles, stencil, border, corner):  # type: ignore[no-untyped-def]
+    """Copy the inverse among a front's own unknowns, and between its border and them, to where it is kept."""
+    m, n_below, is_single = stencil.shape[0], len(unknowns) - n, len(singles) > 0
     for row in range(len(unknowns)):
         row_of[unknowns[row]] = row
     for j in range(n):
         i = unknowns[j]
-        if i >= m:
-            for c in range(i - m, 3):
-                value = Z11[row_of[m + c], j]
+        for c in range(max(0, i - m), 3):
+            row = row_of[m + c]
+            at = j * n + row if row < n else n * n + j * n_below + row - n
+            value = singles[at] if is_single else doubles[at]
+            if i < m:
+                border[i, c] = value
+            else:
                 corner[c, i - m] = value
                 corner[i - m, c] = value
+        if i >= m:
             continue
         for o in range(FULL_STENCIL):
             q = lookup[flat[i] + shifts[o]]
             if q < 0 or row_of[q] < j:
                 continue
             row = row_of[q]
-            value = Z11[row, j] if row < n else Z21[row - n, j]
+            at = j * n + row if row < n else n * n + j * n_below + row - n
+            value = singles[at] if is_single else doubles[at]
             if o >= HALF_STENCIL - 1:
                 stencil[i, o - HALF_STENCIL + 1] = value
             else:
                 stencil[q, HALF_STENCIL - 1 - o] = value
-        for c in range(3):
-            row = row_of[m + c]
-            border[i, c] = Z11[row, j] if row < n else Z21[row - n, j]
-    row_of[unknowns] = -1
+    for row in range(len(unknowns)):
+        row_of[unknowns[row]] = -1
