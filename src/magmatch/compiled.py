@@ -17,6 +17,8 @@ NOTICE = 25
 
 # The numpy error model: a division by 0 gives infinity, and nothing can be raised.
 compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+# Becomes part of the loop that calls it before that is compiled, so that counts known there are known here.
+inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
 
 
 class _Announcement(event.Listener):

@@ -9,8 +9,8 @@ hundred maps are asked without reading their fields. Other targets score a few p
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
@@ -94,7 +94,7 @@ def _best_score(
     return max(float(scores.max()), 0.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _largest_agreement(R, centers, pair_rows, weights, angle, distance):  # type: ignore[no-untyped-def]
     """Largest weight of poses around one of the poses, each pair counted once; poses of a pair stand together."""
     least_trace, best = 1.0 + 2.0 * np.cos(angle), 0.0

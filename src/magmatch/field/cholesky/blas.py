@@ -37,7 +37,9 @@ def _routine(module: str, name: str, n_arguments: int) -> Any:
             with builder.if_else(values[0]) as branches:
                 for branch, symbol, number in zip(branches, symbols, (ir.FloatType(), ir.DoubleType()), strict=True):
                     with branch:
-                        places = [_place(context, builder, k, v, number) for k, v in zip(kinds, values[1:], strict=True)]
+                        places = [
+                            _place(context, builder, k, v, number) for k, v in zip(kinds, values[1:], strict=True)
+                        ]
                         function = cgutils.get_or_insert_function(builder.module, kind_of_function, symbol)  # type: ignore[no-untyped-call]
                         builder.call(function, places)
             return context.get_dummy_value()

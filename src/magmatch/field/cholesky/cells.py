@@ -4,8 +4,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.errors import ConfigurationError
 from magmatch.typing import Points, Scalars
 
@@ -95,7 +95,7 @@ class CellGrid:
         )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _locate(u, cell_index, cell, t):  # type: ignore[no-untyped-def]
     """Active cell of each point, given in cells from the first, and the position in it; -1 where there is none."""
     ijk = np.zeros(3, dtype=np.int64)
@@ -160,11 +160,17 @@ def lay_cells(
     cell_index = np.full(distance.shape, -1, dtype=np.int32)
     cell_index[is_active] = np.arange(len(cells), dtype=np.int32)
     node_index = np.full(tuple(np.add(distance.shape, 3 + 2 * STENCIL_REACH)), -1, dtype=np.int32)
-    _mark_nodes(cells, node_index)
-    nodes = np.argwhere(node_index >= 0)
-    node_index[tuple(nodes.T)] = np.arange(len(nodes), dtype=np.int32)
-    cell_nodes = np.empty((len(cells), 64), dtype=np.int32)
-    _list_nodes(cells, node_index, cell_nodes)
+    is_node = np.pad(is_active, (STENCIL_REACH, 2 * STENCIL_REACH))
+    for axis in range(3):
+        # Nodes i to i + 3 touch cell i: what is one on, then what is two.
+        for step in (1, 2):
+            there, here = (slice(None),) * axis + (slice(step, None),), (slice(None),) * axis + (slice(None, -step),)
+            is_node[there] |= is_node[here].copy()
+    nodes = np.argwhere(is_node)
+    node_index[is_node] = np.arange(len(nodes), dtype=np.int32)
+    corner, offset = (np.ravel_multi_index(tuple((p + STENCIL_REACH).T), node_index.shape) for p in (cells, _LOCAL))
+    shift = offset - offset[0]
+    cell_nodes = node_index.ravel()[corner[:, None] + shift]
     return CellGrid(
         first=first,
         spacing=float(spacing),
@@ -209,29 +215,12 @@ def _distances(occupied: np.ndarray, shape: np.ndarray, reach: float) -> np.ndar
     return distance
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _spread(occupied: np.ndarray, offsets: np.ndarray, length: np.ndarray, distance: np.ndarray) -> None:
     for i in range(occupied.shape[0]):
         for k in range(offsets.shape[0]):
             x, y, z = occupied[i, 0] + offsets[k, 0], occupied[i, 1] + offsets[k, 1], occupied[i, 2] + offsets[k, 2]
             distance[x, y, z] = min(distance[x, y, z], length[k])
-
-
-@njit(cache=True, nogil=True)
-def _mark_nodes(cells: np.ndarray, node_index: np.ndarray) -> None:
-    for n in range(cells.shape[0]):
-        for a in range(4):
-            for b in range(4):
-                for c in range(4):
-                    node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3] = 0
-
-
-@njit(cache=True, nogil=True)
-def _list_nodes(cells: np.ndarray, node_index: np.ndarray, cell_nodes: np.ndarray) -> None:
-    for n in range(cells.shape[0]):
-        for k in range(64):
-            a, b, c = k // 16, (k // 4) % 4, k % 4
-            cell_nodes[n, k] = node_index[cells[n, 0] + a + 3, cells[n, 1] + b + 3, cells[n, 2] + c + 3]
 
 
 def ball_offsets(radius: float) -> np.ndarray:

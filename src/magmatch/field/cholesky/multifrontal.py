@@ -184,7 +184,9 @@ def in_precision(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _assemble(unknowns, n, flat, shifts, row_at, stencil, border, corner, singles, doubles):  # type: ignore[no-untyped-def]
+def _assemble(  # type: ignore[no-untyped-def]
+    unknowns, n, flat, shifts, row_at, stencil, border, corner, singles, doubles
+):  # fmt: skip
     """Copy the matrix' own entries of a front's columns into its block of zeros."""
     m, n_below, n_nodes, is_single = len(stencil), len(unknowns) - n, len(unknowns) - 3, len(singles) > 0
     for row in range(n_nodes):
@@ -197,10 +199,7 @@ def _assemble(unknowns, n, flat, shifts, row_at, stencil, border, corner, single
             if row < 0 or (o < 0 and row < n):
                 continue
             value = stencil[node, o] if o >= 0 else stencil[unknowns[row], -o]
-            if row < n:
-                at = min(row, j) * n + max(row, j)
-            else:
-                at = n * n + j * n_below + row - n
+            at = min(row, j) * n + max(row, j) if row < n else n * n + j * n_below + row - n
             if is_single:
                 singles[at] = value
             else:
@@ -220,7 +219,7 @@ def _assemble(unknowns, n, flat, shifts, row_at, stencil, border, corner, single
 
 
 @compiled
-def _extend_add(  # type: ignore[no-untyped-def]
+def _extend_add(  # type: ignore[no-untyped-def]  # noqa: PLR0912
     child_singles, child_doubles, rows, n, n_below, singles, doubles, update_singles, update_doubles, is_first
 ):  # fmt: skip
     """Add the lower triangle of a child's update, this one's being 0 before the first; rows ascend."""
@@ -234,7 +233,7 @@ def _extend_add(  # type: ignore[no-untyped-def]
                     update_singles[at] = 0.0
                 else:
                     update_doubles[at] = 0.0
-    # Neighbours mostly stay neighbours: runs of rows, a new one with the first row of the border, are added as vectors.
+    # Neighbours mostly stay neighbours: runs of rows are added as vectors; the border's first row begins another.
     runs, n_runs = np.empty(size + 1, dtype=np.int64), 0
     for i in range(size):
         if i in (0, n_own) or rows[i] != rows[i - 1] + 1:
@@ -248,10 +247,7 @@ def _extend_add(  # type: ignore[no-untyped-def]
             if first >= last:
                 continue
             row, start = rows[first], j * size + first
-            if row < n:
-                to = q * n + row
-            else:
-                to = row - n + (n * n + q * n_below if q < n else (q - n) * n_below)
+            to = q * n + row if row < n else row - n + (n * n + q * n_below if q < n else (q - n) * n_below)
             # Unsigned, or every access would first ask whether to count from the end.
             a, b, count = np.uint64(to), np.uint64(start), np.uint64(last - first)
             if is_single and q < n:

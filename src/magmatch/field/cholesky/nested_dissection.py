@@ -8,8 +8,8 @@ the tree becomes a front: the unknowns it eliminates and the later ones they tou
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import STENCIL_REACH, CellGrid
 
 LEAF_SIZE = 200
@@ -182,7 +182,7 @@ def _rows_of(positions: np.ndarray, start: int, stop: int, border: np.ndarray) -
     return np.where(positions < stop, positions - start, later).astype(np.int64)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _collect(
     lists: np.ndarray, chosen: np.ndarray, stop: int, stamp: int, mark: np.ndarray, found: np.ndarray, count: int
 ) -> int:

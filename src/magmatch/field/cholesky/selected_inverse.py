@@ -68,7 +68,11 @@ def _front_inverse(  # type: ignore[no-untyped-def]
     """Write the inverse among a front's own unknowns (lower triangle), then that between its border and them."""
     is_single = len(L_singles) > 0
     size = 4 if is_single else 8
-    L, X = (address_of(L_singles), address_of(X_singles)) if is_single else (address_of(L_doubles), address_of(X_doubles))
+    L, X = (
+        (address_of(L_singles), address_of(X_singles))
+        if is_single
+        else (address_of(L_doubles), address_of(X_doubles))
+    )
     Z22 = address_of(Z22_singles) if is_single else address_of(Z22_doubles)
     inverse = address_of(scratch_singles) if is_single else address_of(scratch_doubles)
     Z11 = address_of(Z_singles) if is_single else address_of(Z_doubles)

@@ -7,8 +7,8 @@ Gram matrices, prior precisions and the needed part of covariances all have this
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import HALF_OFFSET, HALF_STENCIL, CellGrid
 
 
@@ -48,7 +48,14 @@ class StencilMatrix:
         out = np.zeros(len(x))
         shifts = cells.stencil_shifts()[HALF_STENCIL - 1 :]
         _multiply(
-            cells.flat_nodes(), shifts, cells.node_index.ravel(), self.stencil, self.border, self.corner, x, out
+            cells.flat_nodes(),
+            shifts,
+            cells.node_index.ravel(),
+            self.stencil,
+            self.border,
+            self.corner,
+            np.ascontiguousarray(x),
+            out,
         )
         return out
 
@@ -76,24 +83,29 @@ def sum_of_elements(cells: CellGrid, element: np.ndarray, weights: np.ndarray) -
     return stencil
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_element(stencil, element, weights, cell_nodes, half_offset):  # type: ignore[no-untyped-def]
     for n in range(cell_nodes.shape[0]):
         w = weights[n]
         for a in range(64):
-            row = stencil[cell_nodes[n, a]]
+            p = cell_nodes[n, a]
             last = 4 * (a // 4) + 4
             for b in range(a, last):
-                row[half_offset[a, b]] += w * element[a, b]
+                stencil[p, half_offset[a, b]] += w * element[a, b]
             # Four splines along z are neighbours in memory: one instruction.
             for b in range(last, 64, 4):
                 k = half_offset[a, b]
-                s0, s1, s2, s3 = row[k], row[k + 1], row[k + 2], row[k + 3]
+                s0, s1, s2, s3 = stencil[p, k], stencil[p, k + 1], stencil[p, k + 2], stencil[p, k + 3]
                 e0, e1, e2, e3 = element[a, b], element[a, b + 1], element[a, b + 2], element[a, b + 3]
-                row[k], row[k + 1], row[k + 2], row[k + 3] = s0 + w * e0, s1 + w * e1, s2 + w * e2, s3 + w * e3
+                stencil[p, k], stencil[p, k + 1], stencil[p, k + 2], stencil[p, k + 3] = (
+                    s0 + w * e0,
+                    s1 + w * e1,
+                    s2 + w * e2,
+                    s3 + w * e3,
+                )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _multiply(flat, shifts, lookup, stencil, border, corner, x, out):  # type: ignore[no-untyped-def]
     m = stencil.shape[0]
     for c in range(3):

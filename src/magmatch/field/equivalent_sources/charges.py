@@ -7,13 +7,13 @@ the order of `spline_basis.derivative_table`.
 """
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.spline.spline_basis import derivative_table
 from magmatch.typing import Matrix, Points, Scalars
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rows(x: float, y: float, z: float, order: int, out: np.ndarray) -> None:
     """Field and distinct derivatives of a unit charge at offset (x, y, z) from it."""
     q = 1.0 / (x * x + y * y + z * z)
@@ -35,7 +35,7 @@ def _rows(x: float, y: float, z: float, order: int, out: np.ndarray) -> None:
     out[18] = z * (3 * b + c * z * z)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) -> None:
     row = np.zeros(out.shape[0])
     for i in range(len(points)):
@@ -47,7 +47,7 @@ def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) 
                 out[k, i, j] = row[k]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: int, out: np.ndarray) -> None:
     row = np.zeros(out.shape[1])
     for i in range(len(points)):

@@ -6,9 +6,9 @@ are found one after the other, each where it explains most of what is left, and 
 """
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
+from magmatch.compiled import compiled
 from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
 
 # A magnet as charges on the corners of an octahedron and in its middle, of this size in its distance from the
@@ -83,7 +83,7 @@ def _candidate(x: Points, residual: Vectors, tree: cKDTree, nearest: float, reac
     return np.asarray(at.reshape(-1, 3)[np.argmax(gains)])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _seen(x: np.ndarray, residual: np.ndarray, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of one dipole's moment at each place: sums of ``3 r r^T / d^8 + I / d^6`` and of A b."""
     gram, u = np.zeros((*at.shape, 3)), np.zeros(at.shape)
@@ -168,7 +168,7 @@ def _background(x: Points) -> Matrix:
     return out.reshape(8, -1)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _dipoles(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Field of dipoles per unit of each moment: (3 k, 3 n)."""
     out = np.empty((3 * len(positions), 3 * len(x)))
@@ -183,7 +183,7 @@ def _dipoles(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _by_position(x: np.ndarray, positions: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Derivatives of dipoles' fields by their positions: (3 k, 3 n)."""
     out = np.empty((3 * len(positions), 3 * len(x)))

@@ -10,9 +10,9 @@ import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
+from magmatch.compiled import compiled
 from magmatch.field.equivalent_sources.charges import charge_design, charge_field
 from magmatch.field.inducing.kernels import N_ROWS
 from magmatch.field.linear_model import Axes
@@ -185,7 +185,7 @@ def _near_surface(region: Points, distance: float, step: float) -> Points:
     return np.asarray(origin + step * np.argwhere(np.abs(away - distance) <= 1.4 * step))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _first_of(pairs: np.ndarray, n: int) -> np.ndarray:
     """Points of which no earlier one that stays is a close neighbour; pairs in ascending order."""
     stays = np.ones(n, dtype=np.bool_)

@@ -6,8 +6,8 @@ and a cell that was visited for hours takes no more memory than one visited for 
 """
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import HALF_OFFSET, CellGrid
 from magmatch.field.spline.spline_basis import FIRST, derivative_rows, spline_values
 from magmatch.field.spline.spline_model import SplineInformation
@@ -109,7 +109,7 @@ def _grown(array: np.ndarray, n_rows: int) -> np.ndarray:
     return grown
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _absorb(number, t, samples, first, seen, slot, kept, n_kept, sums, n_sums):  # type: ignore[no-untyped-def]
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
     for i in range(len(number)):
@@ -143,7 +143,7 @@ def _absorb(number, t, samples, first, seen, slot, kept, n_kept, sums, n_sums): 
     return n_kept, n_sums
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_sums(rows, number, sums, cell_nodes, half_offset, stencil, border, eta):  # type: ignore[no-untyped-def]
     for k in range(len(rows)):
         one, row_start = sums[rows[k]], 0

@@ -7,7 +7,8 @@ weights' own unit (T) and every further derivative brings a factor ``1 / h``.
 """
 
 import numpy as np
-from numba import njit
+
+from magmatch.compiled import compiled
 
 SPLINES_PER_AXIS = 4
 SPLINES_PER_CELL = SPLINES_PER_AXIS**3
@@ -44,7 +45,7 @@ def derivative_table(order: int) -> np.ndarray:
     return np.concatenate([FIRST, SECOND, THIRD][: order + 1])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def spline_values(t: float, values: np.ndarray) -> None:
     """Fill ``values[d, i]`` with the d-th derivative of the i-th cubic spline at ``0 <= t < 1``."""
     t2 = t * t
@@ -68,7 +69,7 @@ def spline_values(t: float, values: np.ndarray) -> None:
     values[3, 3] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def derivative_rows(
     vx: np.ndarray, vy: np.ndarray, vz: np.ndarray, derivatives: np.ndarray, spacing: float, rows: np.ndarray
 ) -> None:

@@ -7,8 +7,8 @@ over points. Memory besides the answer: one slab, four nodes thick.
 """
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled, inlined
 from magmatch.field.cholesky.cells import STENCIL_REACH, CellGrid
 from magmatch.field.linear_model import Axes
 from magmatch.field.spline.spline_basis import (
@@ -58,18 +58,21 @@ def _places(derivatives: np.ndarray) -> np.ndarray:
     return np.asarray(derivatives[:, 2] * _WIDTH + in_plane, dtype=np.uint64)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _axis_table(t: np.ndarray, spacing: float) -> np.ndarray:
     """Splines and their derivatives along one axis, per metre: (n, 4, 4)."""
     tables = np.zeros((len(t), 4, 4))
     for i in range(len(t)):
         spline_values(t[i], tables[i])
+        unit = 1.0
         for d in range(1, 4):
-            tables[i, d] /= spacing**d
+            unit *= spacing
+            for k in range(4):
+                tables[i, d, k] /= unit
     return tables
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _contract(  # type: ignore[no-untyped-def]  # noqa: PLR0912
     ix, iy, iz, vx, vy, vz, cell_index, node_index, weights, n_in_plane, first, second_index, third, field, gradient,
     second,
@@ -90,7 +93,10 @@ def _contract(  # type: ignore[no-untyped-def]  # noqa: PLR0912
             last = ix[i]
             _load_slab(last, y_low, z_low, node_index, weights, slab)
         for d in range(highest + 1):
-            plane[d] = vx[i, d, 0] * slab[0] + vx[i, d, 1] * slab[1] + vx[i, d, 2] * slab[2] + vx[i, d, 3] * slab[3]
+            v0, v1, v2, v3 = vx[i, d, 0], vx[i, d, 1], vx[i, d, 2], vx[i, d, 3]
+            for y in range(plane.shape[1]):
+                for z in range(plane.shape[2]):
+                    plane[d, y, z] = v0 * slab[0, y, z] + v1 * slab[1, y, z] + v2 * slab[2, y, z] + v3 * slab[3, y, z]
         for j in range(len(iy)):
             if iy[j] < 0 or iy[j] >= n_y:
                 continue
@@ -113,7 +119,7 @@ def _contract(  # type: ignore[no-untyped-def]  # noqa: PLR0912
                         second[row, q] = sums[third[q]]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _span(index, n):  # type: ignore[no-untyped-def]
     """First node and one past the last that cells of an axis touch, as far as they exist."""
     low, high = n, 0
@@ -123,7 +129,7 @@ def _span(index, n):  # type: ignore[no-untyped-def]
     return min(low, high), high
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _load_slab(x, y_low, z_low, node_index, weights, slab):  # type: ignore[no-untyped-def]
     """Coefficients of the four layers of nodes that a layer of cells touches; 0 where there is no node."""
     for a in range(4):
@@ -133,11 +139,11 @@ def _load_slab(x, y_low, z_low, node_index, weights, slab):  # type: ignore[no-u
                 slab[a, y, z] = weights[node] if node >= 0 else 0.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _fill_line(y, v, highest, plane, line):  # type: ignore[no-untyped-def]
     """All derivatives in the plane along one line of nodes."""
     for p in range((highest + 1) * (highest + 2) // 2):
-        dx, dy = _IN_PLANE[p]
+        dx, dy = _IN_PLANE[p, 0], _IN_PLANE[p, 1]
         for z in range(line.shape[0]):
             line[z, p] = (
                 v[dy, 0] * plane[dx, y, z]
@@ -147,7 +153,7 @@ def _fill_line(y, v, highest, plane, line):  # type: ignore[no-untyped-def]
             )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _sum_line(z, v, n_in_plane, line, sums):  # type: ignore[no-untyped-def]
     """All derivatives at one point of a line: more than are asked for, since known counts become vector code."""
     # Unsigned, or every access would first ask whether to count from the end.

@@ -2,12 +2,12 @@
 """Compiled loops over samples and points of the spline model: Gram, evaluation, covariance."""
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.spline.spline_basis import derivative_rows, spline_values
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_offset, stencil, border, eta):  # type: ignore[no-untyped-def]
     """Add samples, visited cell by cell, to the Gram stencil, its border and the right-hand side."""
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
@@ -35,10 +35,15 @@ def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_
                 border[p, d] += edge[a, d]
             for b in range(a, 64):
                 stencil[p, half_offset[a, b]] += gram[a, b]
-        gram[:], edge[:], rhs[:] = 0.0, 0.0, 0.0
+        for a in range(64):
+            rhs[a] = 0.0
+            for d in range(3):
+                edge[a, d] = 0.0
+            for b in range(64):
+                gram[a, b] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  # type: ignore[no-untyped-def]
     """Add ``Phi^T b`` of samples for several sets of field vectors, (n, 3, k), to the splines' rows of out."""
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
@@ -56,11 +61,12 @@ def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  
                     out[p, k] += rows[d, a] * fields[i, d, k]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  # type: ignore[no-untyped-def]
     """Minus the listed derivatives of the potential at points; 0 where a point lies in no active cell."""
     vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
-    highest = derivatives[-1].sum()
+    last = len(derivatives) - 1
+    highest = derivatives[last, 0] + derivatives[last, 1] + derivatives[last, 2]
     over_z, over_y = np.zeros((4, 4, 4)), np.zeros((4, 4, 4))
     for i in range(len(cell)):
         if cell[i] < 0:
@@ -68,16 +74,11 @@ def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  #
         spline_values(t[i, 0], vx)
         spline_values(t[i, 1], vy)
         spline_values(t[i, 2], vz)
-        nodes = cell_nodes[cell[i]]
         for a in range(4):
             for b in range(4):
-                k = 16 * a + 4 * b
-                w0, w1, w2, w3 = (
-                    weights[nodes[k]],
-                    weights[nodes[k + 1]],
-                    weights[nodes[k + 2]],
-                    weights[nodes[k + 3]],
-                )
+                here, k = cell[i], 16 * a + 4 * b
+                w0, w1 = weights[cell_nodes[here, k]], weights[cell_nodes[here, k + 1]]
+                w2, w3 = weights[cell_nodes[here, k + 2]], weights[cell_nodes[here, k + 3]]
                 for d in range(highest + 1):
                     over_z[d, a, b] = w0 * vz[d, 0] + w1 * vz[d, 1] + w2 * vz[d, 2] + w3 * vz[d, 3]
             for dz in range(highest + 1):
@@ -91,10 +92,13 @@ def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  #
             total = 0.0
             for a in range(4):
                 total += vx[dx, a] * over_y[dy, dz, a]
-            out[i, r] = -total / spacing ** (dx + dy + dz - 1)
+            unit = 1.0
+            for _ in range(dx + dy + dz - 1):
+                unit *= spacing
+            out[i, r] = -total / unit
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def linear_rows(cell, t, derivatives, spacing, rows):  # type: ignore[no-untyped-def]
     """Rows of the linear model at points in cells: (n, r, 67), the constant of the field's components last."""
     vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
@@ -107,7 +111,7 @@ def linear_rows(cell, t, derivatives, spacing, rows):  # type: ignore[no-untyped
             rows[i, c, 64 + c] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def point_covariances(order, cell, t, cell_nodes, derivatives, spacing, half_offset, stencil, border, corner, out):  # type: ignore[no-untyped-def]
     """Covariance of the listed derivatives (the first three with the constant added), points sorted by cell."""
     n_rows = derivatives.shape[0]

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import CellGrid
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.element_matrices import cell_weights
@@ -128,7 +128,7 @@ def normals(seed: int, names: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def fill_normals(start: np.ndarray, out: np.ndarray) -> None:
     """Fill each row by Box and Muller's transform of a splitmix64 stream from its start."""
     for i in range(out.shape[0]):
@@ -148,7 +148,7 @@ def fill_normals(start: np.ndarray, out: np.ndarray) -> None:
                 out[i, j + 1] = radius * np.sin(2 * np.pi * u[1])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def scatter_add(values: np.ndarray, cell_nodes: np.ndarray, out: np.ndarray) -> None:
     """Add one value per cell and node of it to the nodes."""
     for n in range(cell_nodes.shape[0]):

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 
+from magmatch.compiled import compiled
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
@@ -116,7 +116,7 @@ def _rasterize(field_map: FieldMap, samples: Points, spacing: float, draws: Sequ
     return Raster.knowing(grid.T_map_grid.translation, spacing, grid.shape, rows, mean, sd)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def find_cell(values, origin, spacing, x, y, z):  # type: ignore[no-untyped-def]
     """Lowest corner (-1 where a corner is missing or unknown) and position in the cell, 0 to 1."""
     u, v, w = (x - origin[0]) / spacing, (y - origin[1]) / spacing, (z - origin[2]) / spacing
@@ -130,7 +130,7 @@ def find_cell(values, origin, spacing, x, y, z):  # type: ignore[no-untyped-def]
     return i, j, k, u - i, v - j, w - k
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
     """Trilinear field and sd in a cell."""
     bx, by, bz, sd = 0.0, 0.0, 0.0, 0.0
@@ -147,7 +147,7 @@ def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
     return bx, by, bz, sd
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-untyped-def]
     """Trilinear field (out[:3]), sd (out[3]) and gradient (out[4:13], row-major dB_a/dx_b) in a cell."""
     for d in range(4):
@@ -167,7 +167,7 @@ def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-unty
             out[6 + 3 * d] = ((1 - u) * dz0 + u * dz1) / spacing
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _lookup_many(values, origin, spacing, points, out, is_known):  # type: ignore[no-untyped-def]
     for n in range(len(points)):
         i, j, k, u, v, w = find_cell(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])

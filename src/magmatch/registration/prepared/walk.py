@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.typing import Points, Scalars, Vectors
 
@@ -86,7 +86,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
     return Walk(T_survey_walk, positions, field, counts, survey.pose_sd)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
     """Bin of each sample: a new one begins at a sample that is farther than ``side`` from the bin's first."""
     rows = np.zeros(len(positions), dtype=np.int64)

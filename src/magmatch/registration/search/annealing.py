@@ -2,8 +2,9 @@
 """Coarse refinement of many poses at once: annealed Gauss-Newton on the same score that ranked them."""
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
+from magmatch.field.cholesky.blas import PLAIN, address_of, gemm, gesv
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.raster import find_cell, interpolate
 from magmatch.registration.search.scoring import Evidence, expected_variance, mixture_ratio
@@ -33,7 +34,7 @@ def anneal_poses(
         At the last row's inaccuracy.
     """
     R, pb, scores = rotations.copy(), anchors_base.copy(), np.zeros(len(rotations))
-    raster, schedule = base.raster, np.ascontiguousarray(schedule)
+    raster, schedule, rows = base.raster, np.ascontiguousarray(schedule), np.ascontiguousarray(sample_rows)
     scale = np.array([
         evidence.noise_variance, evidence.deviation_variance, outlier_share,
         evidence.field_rms, evidence.gradient_rms, damping,
@@ -41,7 +42,7 @@ def anneal_poses(
 
     def anneal(some: slice) -> None:
         _anneal(
-            R[some], pb[some], anchor_rows[some], anchors_target, sample_rows,
+            R[some], pb[some], anchor_rows[some], anchors_target, rows,
             evidence.positions, evidence.field, evidence.deviation2,
             raster.values, raster.origin, raster.spacing, scale, schedule, scores[some],
         )  # fmt: skip
@@ -50,41 +51,73 @@ def anneal_poses(
     return R, pb, scores
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _anneal(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores):  # type: ignore[no-untyped-def]
-    damping = scale[5]
+    A, dx, pivots, info = np.zeros((6, 6)), np.zeros(6), np.zeros(6, np.int32), np.zeros(1, np.int32)
     for h in range(len(R)):
-        a = anchor[h]
         for step in range(len(schedule)):
-            turn, shift = schedule[step]
-            A, v, _ = _normal_equations(
-                R[h], pb[h], pt[a], rows[a], x, b, b2, values, origin, spacing, scale, turn, shift
+            turn, shift = schedule[step, 0], schedule[step, 1]
+            _normal_equations(
+                h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, dx
             )
             for c in range(3):
-                A[c, c] += damping / turn**2
-                A[3 + c, 3 + c] += damping / shift**2
-            dx = np.linalg.solve(A, v)
-            dx[:3] *= min(1.0, 3 * turn / (np.sqrt((dx[:3] ** 2).sum()) + 1e-300))
-            dx[3:] *= min(1.0, 3 * shift / (np.sqrt((dx[3:] ** 2).sum()) + 1e-300))
-            R[h] = _rotation(dx[:3]) @ R[h]
-            pb[h] += dx[3:]
-        turn, shift = schedule[-1]
-        _, _, scores[h] = _normal_equations(
-            R[h], pb[h], pt[a], rows[a], x, b, b2, values, origin, spacing, scale, turn, shift
-        )
+                A[c, c] += scale[5] / turn**2
+                A[3 + c, 3 + c] += scale[5] / shift**2
+            # Symmetric, so Fortran reads the same matrix; damped, so never singular.
+            gesv(False, np.int32(6), np.int32(1), A, np.int32(6), pivots, dx, np.int32(6), info)
+            _step(h, R, pb, dx, 3 * turn, 3 * shift)
+        last = len(schedule) - 1
+        scores[h] = _normal_equations(
+            h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale,
+            schedule[last, 0], schedule[last, 1], A, dx,
+        )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def _normal_equations(R, pb, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift):  # type: ignore[no-untyped-def]
-    """Weighted normal equations of the left perturbation (dth, dp) about the anchor, and the score."""
+@compiled
+def _step(h, R, pb, dx, most_turn, most_shift):  # type: ignore[no-untyped-def]
+    """Move a pose, by at most so much: its rotation by that of a rotation vector (Rodrigues)."""
+    turned = most_turn / (np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2) + 1e-300)
+    shifted = most_shift / (np.sqrt(dx[3] ** 2 + dx[4] ** 2 + dx[5] ** 2) + 1e-300)
+    for c in range(3):
+        dx[c] *= min(1.0, turned)
+        dx[3 + c] *= min(1.0, shifted)
+        pb[h, c] += dx[3 + c]
+    angle = np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2)
+    K, K2, turn, turned_R = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    K[0, 1], K[0, 2], K[1, 2] = -dx[2], dx[1], -dx[0]
+    K[1, 0], K[2, 0], K[2, 1] = dx[2], -dx[1], dx[0]
+    n = np.int32(3)
+    # Products of rows are those of Fortran's columns, the other way round.
+    gemm(False, PLAIN, PLAIN, n, n, n, 1.0, K, n, K, n, 0.0, K2, n)
+    one, two = (1.0, 0.0) if angle < 1e-12 else (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2)
+    for a in range(3):
+        for b in range(3):
+            turn[a, b] = (1.0 if a == b else 0.0) + one * K[a, b] + two * K2[a, b]
+    gemm(False, PLAIN, PLAIN, n, n, n, 1.0, address_of(R) + 72 * h, n, turn, n, 0.0, turned_R, n)
+    for a in range(3):
+        for b in range(3):
+            R[h, a, b] = turned_R[a, b]
+
+
+@compiled
+def _normal_equations(  # type: ignore[no-untyped-def]  # noqa: PLR0912
+    h, R, pb, a, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, v
+):  # fmt: skip
+    """Fill in the weighted normal equations of the left perturbation (dth, dp) about the anchor; gives the score."""
     noise, V0, eps, field_rms, gradient_rms = scale[0], scale[1], scale[2], scale[3], scale[4]
-    A, v, total, product = np.zeros((6, 6)), np.zeros(6), 0.0, 1.0
+    total, product = 0.0, 1.0
     y, Rb, o, J = np.zeros(3), np.zeros(3), np.zeros(13), np.zeros(6)
-    for n in rows:
+    for c in range(6):
+        v[c] = 0.0
+        for d in range(6):
+            A[c, d] = 0.0
+    for q in range(rows.shape[1]):
+        n = rows[a, q]
+        x0, x1, x2 = x[n, 0] - pt[a, 0], x[n, 1] - pt[a, 1], x[n, 2] - pt[a, 2]
         for r in range(3):
-            y[r] = R[r, 0] * (x[n, 0] - pt[0]) + R[r, 1] * (x[n, 1] - pt[1]) + R[r, 2] * (x[n, 2] - pt[2])
-            Rb[r] = R[r, 0] * b[n, 0] + R[r, 1] * b[n, 1] + R[r, 2] * b[n, 2]
-        i, j, k, fx, fy, fz = find_cell(values, origin, spacing, pb[0] + y[0], pb[1] + y[1], pb[2] + y[2])
+            y[r] = R[h, r, 0] * x0 + R[h, r, 1] * x1 + R[h, r, 2] * x2
+            Rb[r] = R[h, r, 0] * b[n, 0] + R[h, r, 1] * b[n, 1] + R[h, r, 2] * b[n, 2]
+        i, j, k, fx, fy, fz = find_cell(values, origin, spacing, pb[h, 0] + y[0], pb[h, 1] + y[1], pb[h, 2] + y[2])
         if i < 0:
             continue
         interpolate(values, spacing, i, j, k, fx, fy, fz, o)
@@ -122,14 +155,4 @@ def _normal_equations(R, pb, pt, rows, x, b, b2, values, origin, spacing, scale,
     for c in range(6):
         for d in range(c):
             A[d, c] = A[c, d]
-    return A, v, total + np.log(product)
-
-
-@njit(cache=True, nogil=True)
-def _rotation(th):  # type: ignore[no-untyped-def]
-    """Rotation matrix of a rotation vector (Rodrigues)."""
-    angle = np.sqrt((th**2).sum())
-    K = np.array([[0.0, -th[2], th[1]], [th[2], 0.0, -th[0]], [-th[1], th[0], 0.0]])
-    if angle < 1e-12:
-        return np.eye(3) + K
-    return np.eye(3) + np.sin(angle) / angle * K + (1 - np.cos(angle)) / angle**2 * (K @ K)
+    return total + np.log(product)

@@ -4,11 +4,11 @@
 import logging
 
 import numpy as np
-from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.compiled import compiled
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
@@ -171,7 +171,7 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
     return rows
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
     """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
     n = len(shuffled)
@@ -194,28 +194,34 @@ def distinct_poses(
 ) -> Indices:
     """Best poses that differ from every better one by an angle (rad) or by the place of the centre (m)."""
     order = np.argsort(-scores, kind="stable")
-    kept = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, limit)
-    return np.asarray(order[kept], dtype=np.int64)
+    kept = np.zeros(min(limit, len(order)), dtype=np.int64)
+    n = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, kept)
+    return np.asarray(order[kept[:n]], dtype=np.int64)
 
 
-@njit(cache=True, nogil=True)
-def _first_distinct(R, centers, trace, distance2, limit):  # type: ignore[no-untyped-def]
-    """Rows in order that no kept row before them resembles: trace of the relative rotation, squared distance."""
-    kept = np.zeros(min(limit, len(R)), dtype=np.int64)
+@compiled
+def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[no-untyped-def]
+    """List rows that no kept row before them resembles (trace of the relative rotation, squared distance)."""
     n = 0
     for row in range(len(R)):
-        is_new = True
+        is_new = n < len(kept)
         for k in range(n):
-            d2 = ((centers[kept[k]] - centers[row]) ** 2).sum()
-            if d2 < distance2 and (R[kept[k]] * R[row]).sum() > trace:
-                is_new = False
-                break
+            d2, trace = 0.0, 0.0
+            for c in range(3):
+                d2 += (centers[kept[k], c] - centers[row, c]) ** 2
+            if d2 < distance2:
+                for a in range(3):
+                    for b in range(3):
+                        trace += R[kept[k], a, b] * R[row, a, b]
+                if trace > least_trace:
+                    is_new = False
+                    break
         if is_new:
             kept[n] = row
             n += 1
             if n == len(kept):
                 break
-    return kept[:n]
+    return n
 
 
 def align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:

@@ -8,8 +8,8 @@ and a query reads only the leaves that it visits.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.typing import Indices, Matrix
 
 # Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
@@ -76,7 +76,7 @@ class NeighbourTree:
         return np.asarray(self.rows[found], dtype=np.int64), distance2
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _query(points, axes, values, targets, found, distance2):  # type: ignore[no-untyped-def]
     n, d = points.shape
     k, n_inner = found.shape[1], len(axes)
@@ -86,17 +86,23 @@ def _query(points, axes, values, targets, found, distance2):  # type: ignore[no-
     for t in range(len(targets)):
         near = distance2[t]
         nodes[0], lows[0], highs[0], n_waiting = 0, 0, n, 1
-        gaps[0] = 0.0
+        for c in range(d):
+            gaps[0, c] = 0.0
         while n_waiting:
             n_waiting -= 1
             node, low, high = nodes[n_waiting], lows[n_waiting], highs[n_waiting]
-            gap[:] = gaps[n_waiting]
-            if (gap**2).sum() >= near[k - 1]:
+            gap2 = 0.0
+            for c in range(d):
+                gap[c] = gaps[n_waiting, c]
+                gap2 += gap[c] * gap[c]
+            if gap2 >= near[k - 1]:
                 continue
             while node < n_inner:
                 axis, middle = axes[node], (low + high) // 2
                 beyond = np.float64(targets[t, axis]) - values[node]
-                nodes[n_waiting], gaps[n_waiting] = 2 * node + 1 + (beyond < 0), gap
+                nodes[n_waiting] = 2 * node + 1 + (beyond < 0)
+                for c in range(d):
+                    gaps[n_waiting, c] = gap[c]
                 lows[n_waiting], highs[n_waiting] = (middle, high) if beyond < 0 else (low, middle)
                 gaps[n_waiting, axis] = max(abs(beyond), gap[axis])
                 n_waiting += 1

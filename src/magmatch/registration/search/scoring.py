@@ -10,8 +10,8 @@ not cover say nothing.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from magmatch.compiled import compiled
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.prepared.raster import find_cell, interpolate_field
 from magmatch.threads import side_by_side, slices
@@ -110,7 +110,7 @@ def score_poses(
     (h,) array
         Log-likelihood ratios summed over the samples.
     """
-    out, raster = np.zeros(len(rotations)), base.raster
+    out, raster, rows = np.zeros(len(rotations)), base.raster, np.ascontiguousarray(sample_rows)
     scale = np.array([
         evidence.noise_variance, evidence.deviation_variance, outlier_share,
         sd_rotation, sd_translation, evidence.field_rms, evidence.gradient_rms,
@@ -118,7 +118,7 @@ def score_poses(
 
     def score(some: slice) -> None:
         _score(
-            rotations[some], anchors_base[some], anchor_rows[some], anchors_target, sample_rows,
+            rotations[some], anchors_base[some], anchor_rows[some], anchors_target, rows,
             evidence.positions, evidence.field, evidence.deviation2,
             raster.values, raster.origin, raster.spacing, scale, out[some],
         )  # fmt: skip
@@ -127,14 +127,14 @@ def score_poses(
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
     """'Mostly explained by the base' over 'unrelated field' for one sample."""
     s = V0 / V
     return outlier_share + (1 - outlier_share) * s * np.sqrt(s) * np.exp(0.5 * (b2 / V0 - r2 / V))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0):  # type: ignore[no-untyped-def]
     """Residual variance of a sample at squared distance d2 from the anchor of an inaccurate pose."""
     turn2 = sd_rotation * sd_rotation
@@ -142,11 +142,12 @@ def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gra
     return min(V, V0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
-    noise, V0, eps, sd_rotation, sd_translation, field_rms, gradient_rms = scale
+    noise, V0, eps, sd_rotation, sd_translation = scale[0], scale[1], scale[2], scale[3], scale[4]
+    field_rms, gradient_rms = scale[5], scale[6]
     for h in range(len(R)):
-        a, T = anchor[h], R[h]
+        a = anchor[h]
         total, product = 0.0, 1.0
         for q in range(rows.shape[1]):
             n = rows[a, q]
@@ -155,16 +156,16 @@ def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, ou
                 values,
                 origin,
                 spacing,
-                pb[h, 0] + T[0, 0] * y0 + T[0, 1] * y1 + T[0, 2] * y2,
-                pb[h, 1] + T[1, 0] * y0 + T[1, 1] * y1 + T[1, 2] * y2,
-                pb[h, 2] + T[2, 0] * y0 + T[2, 1] * y1 + T[2, 2] * y2,
+                pb[h, 0] + R[h, 0, 0] * y0 + R[h, 0, 1] * y1 + R[h, 0, 2] * y2,
+                pb[h, 1] + R[h, 1, 0] * y0 + R[h, 1, 1] * y1 + R[h, 1, 2] * y2,
+                pb[h, 2] + R[h, 2, 0] * y0 + R[h, 2, 1] * y1 + R[h, 2, 2] * y2,
             )
             if i < 0:
                 continue
             bx, by, bz, sd = interpolate_field(values, i, j, k, u, v, w)
-            ex = T[0, 0] * b[n, 0] + T[0, 1] * b[n, 1] + T[0, 2] * b[n, 2] - bx
-            ey = T[1, 0] * b[n, 0] + T[1, 1] * b[n, 1] + T[1, 2] * b[n, 2] - by
-            ez = T[2, 0] * b[n, 0] + T[2, 1] * b[n, 1] + T[2, 2] * b[n, 2] - bz
+            ex = R[h, 0, 0] * b[n, 0] + R[h, 0, 1] * b[n, 1] + R[h, 0, 2] * b[n, 2] - bx
+            ey = R[h, 1, 0] * b[n, 0] + R[h, 1, 1] * b[n, 1] + R[h, 1, 2] * b[n, 2] - by
+            ez = R[h, 2, 0] * b[n, 0] + R[h, 2, 1] * b[n, 1] + R[h, 2, 2] * b[n, 2] - bz
             d2 = y0 * y0 + y1 * y1 + y2 * y2
             V = expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0)
             product *= mixture_ratio(ex * ex + ey * ey + ez * ez, V, b2[n], V0, eps)
