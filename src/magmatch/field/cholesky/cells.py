@@ -78,7 +78,7 @@ class CellGrid:
         """Active cell of each point (-1 where there is none) and the position in it, 0 to 1 along each axis."""
         cell, t = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
         u = lattice_coordinate(np.asarray(points, dtype=np.float64), self.spacing) - self.first
-        _locate(u, self.cell_index, cell, t)
+        _locate(u, self.cell_index, cell, t, np.zeros(3, dtype=np.int64))
         return cell, t
 
     def stencil_shifts(self) -> np.ndarray:
@@ -96,9 +96,8 @@ class CellGrid:
 
 
 @compiled
-def _locate(u, cell_index, cell, t):  # type: ignore[no-untyped-def]
+def _locate(u, cell_index, cell, t, ijk):  # type: ignore[no-untyped-def]
     """Active cell of each point, given in cells from the first, and the position in it; -1 where there is none."""
-    ijk = np.zeros(3, dtype=np.int64)
     for n in range(len(u)):
         is_inside = True  # which NaN is nowhere
         for axis in range(3):

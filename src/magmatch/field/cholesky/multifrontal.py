@@ -158,13 +158,16 @@ def _eliminate(
     update = flat(RESERVE.take(n_below, n_below, block.dtype))
     for child, rows in zip(front.children, front.child_rows, strict=True):
         _extend_add(
-            *in_precision(updates[child]), rows, n, n_below, *in_precision(block), *in_precision(update), is_leaf
-        )
+            *in_precision(updates[child]), rows, n, n_below, *in_precision(block), *in_precision(update), is_leaf,
+            np.empty(len(rows) + 1, dtype=np.int64),
+        )  # fmt: skip
         # Its memory serves the next front.
         updates[child], is_leaf = updates[child][:0], False
     failed = 0
     if n:
-        failed = _factor_front(n, n_below, *in_precision(block), *in_precision(update), not is_leaf)
+        info = np.zeros(1, np.int32)
+        _factor_front(n, n_below, *in_precision(block), *in_precision(update), not is_leaf, info)
+        failed = int(info[0])
     elif is_leaf:
         update[:] = 0
     if failed:
@@ -191,7 +194,7 @@ def _assemble(  # type: ignore[no-untyped-def]
     m, n_below, n_nodes, is_single = len(stencil), len(unknowns) - n, len(unknowns) - 3, len(singles) > 0
     for row in range(n_nodes):
         row_at[flat[unknowns[row]]] = row
-    for j in range(min(n, n_nodes)):
+    for j in range(n if n < n_nodes else n_nodes):
         node = unknowns[j]
         for o in range(1 - HALF_STENCIL, HALF_STENCIL):
             row = row_at[flat[node] + shifts[HALF_STENCIL - 1 + o]]
@@ -199,15 +202,18 @@ def _assemble(  # type: ignore[no-untyped-def]
             if row < 0 or (o < 0 and row < n):
                 continue
             value = stencil[node, o] if o >= 0 else stencil[unknowns[row], -o]
-            at = min(row, j) * n + max(row, j) if row < n else n * n + j * n_below + row - n
+            at = j * n + row if row < n else n * n + j * n_below + row - n
+            if row < j:
+                at = row * n + j
             if is_single:
                 singles[at] = value
             else:
                 doubles[at] = value
     # The constant comes last in every front.
     for j in range(n):
-        for c in range(max(0, unknowns[j] - m), 3):
-            value = border[unknowns[j], c] if unknowns[j] < m else corner[c, unknowns[j] - m]
+        i = unknowns[j]
+        for c in range(i - m if i > m else 0, 3):
+            value = border[i, c] if i < m else corner[c, i - m]
             row = n_nodes + c
             at = j * n + row if row < n else n * n + j * n_below + row - n
             if is_single:
@@ -220,7 +226,7 @@ def _assemble(  # type: ignore[no-untyped-def]
 
 @compiled
 def _extend_add(  # type: ignore[no-untyped-def]  # noqa: PLR0912
-    child_singles, child_doubles, rows, n, n_below, singles, doubles, update_singles, update_doubles, is_first
+    child_singles, child_doubles, rows, n, n_below, singles, doubles, update_singles, update_doubles, is_first, runs
 ):  # fmt: skip
     """Add the lower triangle of a child's update, this one's being 0 before the first; rows ascend."""
     is_single, size, n_own = len(child_singles) > 0, len(rows), 0
@@ -234,16 +240,16 @@ def _extend_add(  # type: ignore[no-untyped-def]  # noqa: PLR0912
                 else:
                     update_doubles[at] = 0.0
     # Neighbours mostly stay neighbours: runs of rows are added as vectors; the border's first row begins another.
-    runs, n_runs = np.empty(size + 1, dtype=np.int64), 0
+    n_runs = 0
     for i in range(size):
-        if i in (0, n_own) or rows[i] != rows[i - 1] + 1:
+        if i == 0 or i == n_own or rows[i] != rows[i - 1] + 1:  # noqa: PLR1714  (a tuple would cost a compilation)
             runs[n_runs] = i
             n_runs += 1
     runs[n_runs] = size
     for j in range(size):
         q = rows[j]
         for r in range(n_runs):
-            first, last = max(runs[r], j), runs[r + 1]
+            first, last = runs[r] if runs[r] > j else j, runs[r + 1]
             if first >= last:
                 continue
             row, start = rows[first], j * size + first
@@ -265,19 +271,19 @@ def _extend_add(  # type: ignore[no-untyped-def]  # noqa: PLR0912
 
 
 @compiled
-def _factor_front(n_own, n_below, singles, doubles, update_singles, update_doubles, keep):  # type: ignore[no-untyped-def]
-    """Factor a front in place and subtract its square from the update, or from 0; the pivot that fails, 0 if none."""
+def _factor_front(n_own, n_below, singles, doubles, update_singles, update_doubles, keep, info):  # type: ignore[no-untyped-def]
+    """Factor a front in place and subtract its square from the update, or from 0; info: the pivot that fails."""
     is_single = len(singles) > 0
     size = 4 if is_single else 8
     A = address_of(singles) if is_single else address_of(doubles)
     S = address_of(update_singles) if is_single else address_of(update_doubles)
-    X, n, m, info = A + size * n_own * n_own, np.int32(n_own), np.int32(n_below), np.zeros(1, np.int32)
+    X, n, m = A + size * n_own * n_own, np.int32(n_own), np.int32(n_below)
     potrf(is_single, LOWER, n, A, n, info)
     if info[0] != 0 or n_below == 0:
-        return info[0]
+        return
     # X L^-T, strip by strip.
     for j in range(0, n_own, STRIP):
-        width, before = np.int32(min(STRIP, n_own - j)), np.int32(j)
+        width, before = np.int32(STRIP if n_own - j > STRIP else n_own - j), np.int32(j)
         block, row = X + size * j * n_below, A + size * j
         if j > 0:
             gemm(is_single, PLAIN, TRANSPOSED, m, width, before, -1.0, X, m, row, n, 1.0, block, m)
@@ -285,4 +291,3 @@ def _factor_front(n_own, n_below, singles, doubles, update_singles, update_doubl
             is_single, RIGHT, LOWER, TRANSPOSED, NOT_UNIT, m, width, 1.0, row + size * j * n_own, n, block, m
         )  # fmt: skip
     syrk(is_single, LOWER, PLAIN, m, n, -1.0, X, m, 1.0 if keep else 0.0, S, m)
-    return info[0]

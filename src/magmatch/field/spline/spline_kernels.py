@@ -8,10 +8,11 @@ from magmatch.field.spline.spline_basis import derivative_rows, spline_values
 
 
 @compiled
-def add_gram(order, cell, t, field, weight, cell_nodes, first_derivatives, half_offset, stencil, border, eta):  # type: ignore[no-untyped-def]
+def add_gram(  # type: ignore[no-untyped-def]
+    order, cell, t, field, weight, cell_nodes, first_derivatives, half_offset, stencil, border, eta,
+    vx, vy, vz, rows, gram, edge, rhs,
+):  # fmt: skip
     """Add samples, visited cell by cell, to the Gram stencil, its border and the right-hand side."""
-    vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
-    gram, edge, rhs = np.zeros((64, 64)), np.zeros((64, 3)), np.zeros(64)
     for k in range(len(order)):
         i = order[k]
         spline_values(t[i, 0], vx)
@@ -62,12 +63,10 @@ def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  
 
 
 @compiled
-def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out):  # type: ignore[no-untyped-def]
+def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out, vx, vy, vz, over_z, over_y):  # type: ignore[no-untyped-def]
     """Minus the listed derivatives of the potential at points; 0 where a point lies in no active cell."""
-    vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
     last = len(derivatives) - 1
     highest = derivatives[last, 0] + derivatives[last, 1] + derivatives[last, 2]
-    over_z, over_y = np.zeros((4, 4, 4)), np.zeros((4, 4, 4))
     for i in range(len(cell)):
         if cell[i] < 0:
             continue

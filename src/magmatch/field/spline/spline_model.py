@@ -92,8 +92,9 @@ class SplineModel:
         order = np.argsort(cell, kind="stable")
         order = order[np.searchsorted(cell[order], 0) :]
         add_gram(
-            order, cell, t, b, weight, self.cells.cell_nodes, FIRST, HALF_OFFSET, gram.stencil, gram.border, eta[:m]
-        )
+            order, cell, t, b, weight, self.cells.cell_nodes, FIRST, HALF_OFFSET, gram.stencil, gram.border, eta[:m],
+            *np.zeros((3, 4, 4)), np.zeros((3, 64)), np.zeros((64, 64)), np.zeros((64, 3)), np.zeros(64),
+        )  # fmt: skip
         gram.corner[:] = weight.sum() * np.eye(3)
         eta[m:] = weight @ b
         return SplineInformation(gram, eta, float(weight @ (b**2).sum(axis=1)), float(b.size))
@@ -185,11 +186,21 @@ class SplinePosterior:
 
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points; outside the active cells the constant field alone."""
-        w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
+        w = self.weights if weights is None else np.ascontiguousarray(weights, dtype=np.float64)
         derivatives = derivative_table(order)
         cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
         out = np.zeros((len(cell), len(derivatives)))
-        evaluate_points(cell, t, self.cells.cell_nodes, w, derivatives, self.cells.spacing, out)
+        evaluate_points(
+            cell,
+            t,
+            self.cells.cell_nodes,
+            w,
+            derivatives,
+            self.cells.spacing,
+            out,
+            *np.zeros((3, 4, 4)),
+            *np.zeros((2, 4, 4, 4)),
+        )
         return _as_values(out, w[-3:], order)
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:

@@ -45,6 +45,7 @@ def anneal_poses(
             R[some], pb[some], anchor_rows[some], anchors_target, rows,
             evidence.positions, evidence.field, evidence.deviation2,
             raster.values, raster.origin, raster.spacing, scale, schedule, scores[some],
+            np.zeros((6, 6)), np.zeros(6), np.zeros((4, 3, 3)), np.zeros((4, 13)), np.zeros(7, np.int32),
         )  # fmt: skip
 
     side_by_side(anneal, slices(len(R)))
@@ -52,61 +53,71 @@ def anneal_poses(
 
 
 @compiled
-def _anneal(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores):  # type: ignore[no-untyped-def]
-    A, dx, pivots, info = np.zeros((6, 6)), np.zeros(6), np.zeros(6, np.int32), np.zeros(1, np.int32)
+def _anneal(  # type: ignore[no-untyped-def]
+    R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores, A, dx, turns, work, pivots
+):  # fmt: skip
+    info, six = address_of(pivots) + 24, np.int32(6)
     for h in range(len(R)):
         for step in range(len(schedule)):
             turn, shift = schedule[step, 0], schedule[step, 1]
             _normal_equations(
-                h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, dx
+                h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, dx, work
             )
             for c in range(3):
-                A[c, c] += scale[5] / turn**2
-                A[3 + c, 3 + c] += scale[5] / shift**2
+                A[c, c] += scale[5] / (turn * turn)
+                A[3 + c, 3 + c] += scale[5] / (shift * shift)
             # Symmetric, so Fortran reads the same matrix; damped, so never singular.
-            gesv(False, np.int32(6), np.int32(1), A, np.int32(6), pivots, dx, np.int32(6), info)
-            _step(h, R, pb, dx, 3 * turn, 3 * shift)
+            gesv(False, six, np.int32(1), A, six, pivots, dx, six, info)
+            _step(h, R, pb, dx, 3 * turn, 3 * shift, turns)
         last = len(schedule) - 1
         scores[h] = _normal_equations(
             h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale,
-            schedule[last, 0], schedule[last, 1], A, dx,
+            schedule[last, 0], schedule[last, 1], A, dx, work,
         )  # fmt: skip
 
 
 @compiled
-def _step(h, R, pb, dx, most_turn, most_shift):  # type: ignore[no-untyped-def]
+def _step(h, R, pb, dx, most_turn, most_shift, turns):  # type: ignore[no-untyped-def]
     """Move a pose, by at most so much: its rotation by that of a rotation vector (Rodrigues)."""
-    turned = most_turn / (np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2) + 1e-300)
-    shifted = most_shift / (np.sqrt(dx[3] ** 2 + dx[4] ** 2 + dx[5] ** 2) + 1e-300)
+    turn2, shift2 = 0.0, 0.0
     for c in range(3):
-        dx[c] *= min(1.0, turned)
-        dx[3 + c] *= min(1.0, shifted)
+        turn2 += dx[c] * dx[c]
+        shift2 += dx[3 + c] * dx[3 + c]
+    turned, shifted, angle2 = most_turn / (np.sqrt(turn2) + 1e-300), most_shift / (np.sqrt(shift2) + 1e-300), 0.0
+    for c in range(3):
+        if turned < 1.0:
+            dx[c] *= turned
+        if shifted < 1.0:
+            dx[3 + c] *= shifted
         pb[h, c] += dx[3 + c]
-    angle = np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2)
-    K, K2, turn, turned_R = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    K[0, 1], K[0, 2], K[1, 2] = -dx[2], dx[1], -dx[0]
-    K[1, 0], K[2, 0], K[2, 1] = dx[2], -dx[1], dx[0]
-    n = np.int32(3)
+        angle2 += dx[c] * dx[c]
+        # The cross product's matrix; its diagonal stays 0.
+        turns[0, (c + 2) % 3, (c + 1) % 3] = dx[c]
+        turns[0, (c + 1) % 3, (c + 2) % 3] = -dx[c]
+    angle, one, two, n, at = np.sqrt(angle2), 1.0, 0.0, np.int32(3), address_of(turns)
+    if angle >= 1e-12:
+        one, two = np.sin(angle) / angle, (1 - np.cos(angle)) / (angle * angle)
     # Products of rows are those of Fortran's columns, the other way round.
-    gemm(False, PLAIN, PLAIN, n, n, n, 1.0, K, n, K, n, 0.0, K2, n)
-    one, two = (1.0, 0.0) if angle < 1e-12 else (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2)
+    gemm(False, PLAIN, PLAIN, n, n, n, 1.0, at, n, at, n, 0.0, at + 72, n)
     for a in range(3):
         for b in range(3):
-            turn[a, b] = (1.0 if a == b else 0.0) + one * K[a, b] + two * K2[a, b]
-    gemm(False, PLAIN, PLAIN, n, n, n, 1.0, address_of(R) + 72 * h, n, turn, n, 0.0, turned_R, n)
+            turns[2, a, b] = one * turns[0, a, b] + two * turns[1, a, b]
+            if a == b:
+                turns[2, a, a] = 1.0 + one * turns[0, a, a] + two * turns[1, a, a]
+    gemm(False, PLAIN, PLAIN, n, n, n, 1.0, address_of(R) + 72 * h, n, at + 144, n, 0.0, at + 216, n)
     for a in range(3):
         for b in range(3):
-            R[h, a, b] = turned_R[a, b]
+            R[h, a, b] = turns[3, a, b]
 
 
 @compiled
 def _normal_equations(  # type: ignore[no-untyped-def]  # noqa: PLR0912
-    h, R, pb, a, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, v
+    h, R, pb, a, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, v, work
 ):  # fmt: skip
     """Fill in the weighted normal equations of the left perturbation (dth, dp) about the anchor; gives the score."""
     noise, V0, eps, field_rms, gradient_rms = scale[0], scale[1], scale[2], scale[3], scale[4]
     total, product = 0.0, 1.0
-    y, Rb, o, J = np.zeros(3), np.zeros(3), np.zeros(13), np.zeros(6)
+    y, Rb, o, J = work[0], work[1], work[2], work[3]
     for c in range(6):
         v[c] = 0.0
         for d in range(6):

@@ -181,7 +181,8 @@ def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: i
             row = shuffled[(start + q) % n]
             d2 = 0.0
             for c in range(3):
-                d2 += (samples[row, c] - anchors[a, c]) ** 2
+                step = samples[row, c] - anchors[a, c]
+                d2 += step * step
             if d2 < distance2:
                 rows[a, found] = row
                 found += 1
@@ -208,7 +209,8 @@ def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[n
         for k in range(n):
             d2, trace = 0.0, 0.0
             for c in range(3):
-                d2 += (centers[kept[k], c] - centers[row, c]) ** 2
+                step = centers[kept[k], c] - centers[row, c]
+                d2 += step * step
             if d2 < distance2:
                 for a in range(3):
                     for b in range(3):

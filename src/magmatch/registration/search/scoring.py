@@ -138,8 +138,9 @@ def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
 def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0):  # type: ignore[no-untyped-def]
     """Residual variance of a sample at squared distance d2 from the anchor of an inaccurate pose."""
     turn2 = sd_rotation * sd_rotation
-    V = noise + sd * sd + field_rms**2 * turn2 + gradient_rms**2 * (sd_translation**2 + turn2 * d2)
-    return min(V, V0)
+    V = noise + sd * sd + field_rms * field_rms * turn2
+    V += gradient_rms * gradient_rms * (sd_translation * sd_translation + turn2 * d2)
+    return V if V < V0 else V0
 
 
 @compiled
