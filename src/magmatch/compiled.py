@@ -2,11 +2,17 @@
 """How loops are compiled: at their first use on a machine, then kept in numba's cache.
 
 A newcomer waits for that before the first answer, so it must be short. One signature per loop: one type and memory
-layout per argument. No exceptions, strings, `numpy.linalg`, slices or array expressions inside: each drags more of
-numba's library through the compiler than the loop itself.
+layout per argument. No exceptions, strings, `numpy.linalg`, allocations, slices or array expressions inside: each
+drags more of numba's library through the compiler than the loop itself.
 """
 
+import atexit
 import logging
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 from numba import njit
 from numba.core import event
@@ -19,25 +25,59 @@ NOTICE = 25
 compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 # Becomes part of the loop that calls it before that is compiled, so that counts known there are known here.
 inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+_known: list[tuple[Any, str]] = []
 
 
-class _Announcement(event.Listener):
-    """Says why it takes longer, before the first loop is compiled that is not in the cache."""
+def compiled_ahead(signature: str) -> Callable[[Any], Any]:
+    """Compile a loop whose signature is known, so that another process may do it before it is called."""
+
+    def decorate(function: Any) -> Any:
+        loop = compiled(function)
+        _known.append((loop, signature))
+        return loop
+
+    return decorate
+
+
+def compile_known(module: str) -> None:
+    """Compile the loops of a module, and of those that it imports, whose signatures are known."""
+    import_module(module)
+    for loop, signature in _known:
+        loop.compile(signature)
+
+
+class FirstUse(event.Listener):
+    """What happens at the first loop that is not in the cache: a word why it takes longer, and help.
+
+    Attributes
+    ----------
+    next_module : str or None
+        Whose loops are compiled by another process meanwhile (`compile_known`). The library starts none by itself.
+    """
 
     def __init__(self) -> None:
-        self._is_made = False
+        self.next_module: str | None = None
+        self._is_over = False
 
     def on_start(self, event: event.Event) -> None:
         """Hear of a compilation."""
-        if not self._is_made and event.data["dispatcher"].py_func.__module__.startswith("magmatch."):
-            self._is_made = True
-            log.log(
-                NOTICE,
-                "Compiling numerical loops for this machine: once after installation or upgrade, for several seconds",
-            )
+        if self._is_over or not event.data["dispatcher"].py_func.__module__.startswith("magmatch."):
+            return
+        self._is_over = True
+        log.log(
+            NOTICE,
+            "Compiling numerical loops for this machine: once after installation or upgrade, for several seconds",
+        )
+        if self.next_module is not None:
+            words = f"from magmatch.compiled import compile_known; compile_known({self.next_module!r})"
+            silent = subprocess.DEVNULL
+            helper = subprocess.Popen([sys.executable, "-c", words], stdin=silent, stdout=silent, stderr=silent)
+            # The cache is written file by file: what is not ready then is compiled when it is needed.
+            atexit.register(helper.terminate)
 
     def on_end(self, event: event.Event) -> None:
-        """Nothing to say."""
+        """Nothing to do."""
 
 
-event.register("numba:compile", _Announcement())
+FIRST_USE = FirstUse()
+event.register("numba:compile", FIRST_USE)

@@ -1,2 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The command line: one file per subcommand, each parses, calls one verb, saves and reports."""
+
+from time import perf_counter
+
+# When the program began, before all that is imported: users wait from here on.
+STARTED = perf_counter()

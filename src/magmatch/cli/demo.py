@@ -3,6 +3,7 @@
 
 from importlib.resources import as_file, files
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -36,15 +37,19 @@ def demo(
     Both are simulated, so that the answer is compared with the truth.
     """
     check_folder(out)
+    from magmatch.cli.registering import with_help, with_wait
     from magmatch.data.read import read_survey
     from magmatch.registration.config import PRESETS
     from magmatch.registration.maps import as_map
     from magmatch.registration.register import register_keeping_maps
 
+    with_help()
+    loaded = perf_counter()
     with as_file(files("magmatch.data") / "samples" / "office") as folder:
         base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
     settings = PRESETS["default"]
     base_map, mapped, result = register_keeping_maps(base, target, settings, seed=seed)
+    result = with_wait(result, loaded)
     out.mkdir(exist_ok=True)
     result.save(out / "result.json")
     report: Path | None = out / "report.html"

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 class Narrator(logging.Handler):
     """Follows the library's log.
 
-    Information becomes a line that comes and goes while work is under way, where stderr is a terminal. Warnings are
+    Information becomes a line that comes and goes while work is under way, where stderr is a terminal; what is above
+    it (that loops are compiled) stays. Warnings are
     held back until the command has done its work: a command that fails says one thing only, what is wrong.
 
     Attributes
@@ -41,6 +42,9 @@ class Narrator(logging.Handler):
             say(f"warning: {message}" if is_warning else message)
         elif is_warning:
             self._warnings.append(message)
+        elif record.levelno > logging.INFO:
+            self.rest()
+            say(message)
         elif sys.stderr.isatty():
             self._follow(message)
 

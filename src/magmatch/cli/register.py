@@ -3,6 +3,7 @@
 
 import shlex
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,7 +14,7 @@ from magmatch.cli.inputs import read_survey_or_map
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.prior import with_prior
-from magmatch.cli.registering import read_base, register_in_folder
+from magmatch.cli.registering import read_base, register_in_folder, with_help, with_wait
 from magmatch.cli.settings import registration_config
 from magmatch.cli.words import tell_result
 
@@ -77,6 +78,7 @@ def register(
 
     Exit code 0: accepted; 3: not accepted, with the reason.
     """
+    with_help()
     settings = registration_config(preset, config, sensor)
     settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd)
     check_outputs((out, report), inputs=[path for path in (base, target, config) if path])
@@ -84,8 +86,10 @@ def register(
         from magmatch.viz.plotting import require_plotly
 
         require_plotly()
+    loaded = perf_counter()
     read = read_survey_or_map(target, layouts, "target")
     base_map, mapped, result = _register(base, read, layouts, settings, seed)
+    result = with_wait(result, loaded)
     if out is not None:
         result.save(out)
     if report is not None:

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled, compiled_ahead
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
@@ -167,7 +167,7 @@ def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-unty
             out[6 + 3 * d] = ((1 - u) * dz0 + u * dz1) / spacing
 
 
-@compiled
+@compiled_ahead("(f8[:,:,:,::1], f8[::1], f8, f8[:,::1], f8[:,::1], b1[::1])")
 def _lookup_many(values, origin, spacing, points, out, is_known):  # type: ignore[no-untyped-def]
     for n in range(len(points)):
         i, j, k, u, v, w = find_cell(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled, compiled_ahead
 from magmatch.field.cholesky.blas import PLAIN, address_of, gemm, gesv
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.raster import find_cell, interpolate
@@ -52,7 +52,10 @@ def anneal_poses(
     return R, pb, scores
 
 
-@compiled
+@compiled_ahead(
+    "(f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,:,:,::1], f8[::1], "
+    "f8, f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], i4[::1])"
+)
 def _anneal(  # type: ignore[no-untyped-def]
     R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores, A, dx, turns, work, pivots
 ):  # fmt: skip

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled_ahead
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
@@ -171,7 +171,7 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
     return rows
 
 
-@compiled
+@compiled_ahead("(f8[:,::1], f8[:,::1], i8[::1], f8, i8, i8[:,::1])")
 def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
     """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
     n = len(shuffled)
@@ -200,7 +200,7 @@ def distinct_poses(
     return np.asarray(order[kept[:n]], dtype=np.int64)
 
 
-@compiled
+@compiled_ahead("(f8[:,:,::1], f8[:,::1], f8, f8, i8[::1])")
 def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[no-untyped-def]
     """List rows that no kept row before them resembles (trace of the relative rotation, squared distance)."""
     n = 0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled, compiled_ahead
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.prepared.raster import find_cell, interpolate_field
 from magmatch.threads import side_by_side, slices
@@ -143,7 +143,10 @@ def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gra
     return V if V < V0 else V0
 
 
-@compiled
+@compiled_ahead(
+    "(f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,:,:,::1], f8[::1], "
+    "f8, f8[::1], f8[::1])"
+)
 def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
     noise, V0, eps, sd_rotation, sd_translation = scale[0], scale[1], scale[2], scale[3], scale[4]
     field_rms, gradient_rms = scale[5], scale[6]
