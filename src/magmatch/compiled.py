@@ -2,8 +2,8 @@
 """How loops are compiled: at their first use on a machine, then kept in numba's cache.
 
 A newcomer waits for that before the first answer, so it must be short. One signature per loop: one type and memory
-layout per argument. No exceptions, strings, `numpy.linalg`, allocations, slices or array expressions inside: each
-drags more of numba's library through the compiler than the loop itself.
+layout per argument. No exceptions, strings or `numpy.linalg` inside; nor, on the way of a registration, allocations,
+slices or array expressions: each drags more of numba's library through the compiler than the loop itself.
 """
 
 import atexit
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 NOTICE = 25
 
 # The numpy error model: a division by 0 gives infinity, and nothing can be raised.
-compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)  # type: ignore[call-overload]
 # Becomes part of the loop that calls it before that is compiled, so that counts known there are known here.
 inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
 _known: list[tuple[Any, str]] = []
@@ -73,11 +73,16 @@ class FirstUse(event.Listener):
             silent = subprocess.DEVNULL
             helper = subprocess.Popen([sys.executable, "-c", words], stdin=silent, stdout=silent, stderr=silent)
             # The cache is written file by file: what is not ready then is compiled when it is needed.
-            atexit.register(helper.terminate)
+            atexit.register(_end, helper)
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to do."""
 
 
+def _end(helper: subprocess.Popen[bytes]) -> None:
+    helper.terminate()
+    helper.wait()
+
+
 FIRST_USE = FirstUse()
-event.register("numba:compile", FIRST_USE)
+event.register("numba:compile", FIRST_USE)  # type: ignore[no-untyped-call]

@@ -167,9 +167,9 @@ def lay_cells(
             is_node[there] |= is_node[here].copy()
     nodes = np.argwhere(is_node)
     node_index[is_node] = np.arange(len(nodes), dtype=np.int32)
-    corner, offset = (np.ravel_multi_index(tuple((p + STENCIL_REACH).T), node_index.shape) for p in (cells, _LOCAL))
-    shift = offset - offset[0]
-    cell_nodes = node_index.ravel()[corner[:, None] + shift]
+    _, n_y, n_z = node_index.shape
+    corner, offset = ((p @ np.array([n_y * n_z, n_z, 1])) for p in (cells + STENCIL_REACH, _LOCAL))
+    cell_nodes = node_index.ravel()[corner[:, None] + offset]
     return CellGrid(
         first=first,
         spacing=float(spacing),

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What keeps the first answer on a machine from waiting for the compiler."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import magmatch
+
+SOURCE = Path(magmatch.__file__).parent
+# Prints each loop that was compiled for more than one set of types, after one registration of each kind.
+COUNT_SIGNATURES = """
+import gc
+from importlib.resources import as_file, files
+from numba.core.dispatcher import Dispatcher
+import magmatch as mm
+from magmatch.registration.config import PRESETS, RegistrationConfig
+
+with as_file(files("magmatch.data") / "samples" / "office") as folder:
+    base, target = mm.read_survey(folder / "base.csv"), mm.read_survey(folder / "target.csv")
+for settings in (PRESETS["default"], PRESETS["paper"], RegistrationConfig(search="pairs")):
+    mm.register(base, target, settings)
+loops = [d for d in gc.get_objects() if isinstance(d, Dispatcher) and d.py_func.__module__.startswith("magmatch.")]
+print(sum(len(loop.signatures) > 0 for loop in loops))
+for loop in loops:
+    if len(loop.signatures) > 1:
+        print(loop.py_func.__module__, loop.py_func.__name__, loop.signatures)
+"""
+# Says on stderr what the command line says, where nothing is in the cache.
+REGISTER = "import sys; from magmatch.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+def loops():
+    """Every function that is compiled, with the name of its file."""
+    for path in sorted(SOURCE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            decorators = [ast.unparse(d) for d in getattr(node, "decorator_list", [])]
+            if any(d.startswith(("compiled", "inlined", "njit", "numba.")) for d in decorators):
+                yield f"{path.relative_to(SOURCE)}: {node.name}", node
+
+
+def test_compiled_loops_hold_nothing_that_is_dear_to_compile():
+    found, n_loops = [], 0
+    for name, loop in loops():
+        n_loops += 1
+        for node in ast.walk(loop):
+            if isinstance(node, (ast.Raise, ast.JoinedStr, ast.Assert)):
+                found.append(f"{name}: {type(node).__name__}")
+            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("np.linalg", "numpy.linalg"):
+                found.append(f"{name}: np.linalg")
+    assert n_loops > 30
+    assert not found
+
+
+@pytest.mark.slow
+def test_registrations_of_each_kind_compile_every_loop_for_one_set_of_types():
+    done = subprocess.run([sys.executable, "-c", COUNT_SIGNATURES], capture_output=True, text=True, check=True)
+    n_loops, *more = done.stdout.splitlines()
+    assert int(n_loops) > 15
+    assert not more
+
+
+@pytest.mark.slow
+def test_the_first_use_says_that_it_compiles_and_a_later_one_says_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    office = SOURCE / "data" / "samples" / "office"
+    words = [sys.executable, "-c", REGISTER, "map", str(office / "base.csv"), "--out", str(tmp_path / "a.map")]
+    first, later = (
+        subprocess.run([*words[:-1], str(tmp_path / name)], capture_output=True, text=True, check=True).stderr
+        for name in ("a.map", "b.map")
+    )
+    assert first.count("Compiling numerical loops") == 1
+    assert "Compiling" not in later
