@@ -20,7 +20,7 @@ $(STAMP): pyproject.toml evaluation/pyproject.toml
 
 $(DEMO_STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[viz]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -e ".[viz]"
 	touch $@
 
 demo: $(DEMO_STAMP)
