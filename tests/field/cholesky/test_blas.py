@@ -5,31 +5,47 @@ import numpy as np
 import pytest
 from numba import njit
 
-from magmatch.field.cholesky import blas
+from magmatch.field.cholesky.blas import (
+    LEFT,
+    LOWER,
+    NOT_UNIT,
+    PLAIN,
+    RIGHT,
+    TRANSPOSED,
+    address_of,
+    gemm,
+    gesv,
+    lacpy,
+    lauum,
+    potrf,
+    symm,
+    syrk,
+    trmm,
+    trsm,
+    trtri,
+)
 
 TOLERANCE = {np.float64: 1e-12, np.float32: 2e-4}
 
 
 @njit
-def all_of(A, X, L, Z):
-    failed = blas.cholesky(A)
-    blas.divide_right_transposed(A, X)
-    S = np.zeros((X.shape[0], X.shape[0]), X.dtype).T
-    blas.subtract_square(X, S, False)
-    blas.subtract_square(X, S, True)
-    blas.invert_triangle(L)
-    W = X.copy().T.copy().T
-    blas.multiply_right(L, W)
-    V = W.copy().T.copy().T
-    blas.minus_symmetric_product(Z, W, V)
-    Q = L.copy().T.copy().T
-    blas.square_transposed(Q)
-    blas.subtract_transposed_product(W, V, Q)
-    return failed, S, W, V, Q
+def all_of(is_single, A, X, L, Z, S, W, V, Q, G, info):
+    n, k = np.int32(X.shape[1]), np.int32(X.shape[0])
+    potrf(is_single, LOWER, n, A, n, info)
+    trsm(is_single, RIGHT, LOWER, TRANSPOSED, NOT_UNIT, k, n, 1.0, A, n, X, k)
+    syrk(is_single, LOWER, PLAIN, k, n, -1.0, X, k, 0.0, S, k)
+    syrk(is_single, LOWER, PLAIN, k, n, -1.0, X, k, 1.0, S, k)
+    trtri(is_single, LOWER, NOT_UNIT, n, L, n, info)
+    lacpy(is_single, PLAIN, k, n, X, k, W, k)
+    trmm(is_single, RIGHT, LOWER, PLAIN, NOT_UNIT, k, n, 1.0, L, n, W, k)
+    symm(is_single, LEFT, LOWER, k, n, -1.0, Z, k, W, k, 0.0, V, k)
+    lacpy(is_single, LOWER, n, n, address_of(L), n, Q, n)
+    lauum(is_single, LOWER, n, Q, n, info)
+    gemm(is_single, TRANSPOSED, PLAIN, n, n, k, 1.0, W, k, V, k, 0.0, address_of(G), n)
 
 
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
-@pytest.mark.parametrize(("n", "k"), [(1, 1), (5, 3), (150, 201)])
+@pytest.mark.parametrize(("n", "k"), [(2, 2), (5, 3), (150, 201)])
 def test_compiled_routines_equal_numpy(n, k, precision):
     rng = np.random.default_rng(n)
     full = rng.normal(size=(n, n)) / np.sqrt(n)
@@ -39,24 +55,41 @@ def test_compiled_routines_equal_numpy(n, k, precision):
     L = np.linalg.cholesky(A)
     expected_X = np.linalg.solve(L, X.T).T
     W = expected_X @ np.linalg.inv(L)
-    arrays = [np.asfortranarray(a.astype(precision)) for a in (A, X, L, np.tril(Z))]
-    failed, S, found_W, V, Q = all_of(*arrays)
+    factored, solved, inverse, lower_Z = (np.asfortranarray(a.astype(precision)) for a in (A, X, L, np.tril(Z)))
+    S, found_W, V, Q, G = (np.zeros(s, precision, order="F") for s in ((k, k), (k, n), (k, n), (n, n), (n, n)))
+    info = np.zeros(1, np.int32)
+    all_of(precision is np.float32, factored, solved, inverse, lower_Z, S, found_W, V, Q, G, info)
     close = {"atol": TOLERANCE[precision] * 10}
-    assert failed == 0
-    np.testing.assert_allclose(np.tril(arrays[0]), L, **close)
-    np.testing.assert_allclose(arrays[1], expected_X, **close)
+    assert info[0] == 0
+    np.testing.assert_allclose(np.tril(factored), L, **close)
+    np.testing.assert_allclose(solved, expected_X, **close)
     np.testing.assert_allclose(np.tril(S), np.tril(-2 * expected_X @ expected_X.T), **close)
     np.testing.assert_allclose(found_W, W, **close)
     np.testing.assert_allclose(V, -Z @ W, **close)
-    np.testing.assert_allclose(np.tril(Q), np.tril(np.linalg.inv(A) + W.T @ Z @ W), **close)
-    assert all(a.dtype == precision for a in (S, found_W, V, Q))
+    np.testing.assert_allclose(np.tril(Q), np.tril(np.linalg.inv(A)), **close)
+    np.testing.assert_allclose(G, -W.T @ Z @ W, **close)
 
 
 @njit
-def factor(A):
-    return blas.cholesky(A)
+def factor(A, info):
+    potrf(False, LOWER, np.int32(len(A)), A, np.int32(len(A)), info)
 
 
 def test_a_failing_pivot_is_named():
-    A = np.asfortranarray(np.diag([1.0, 2.0, -1.0, 1.0]))
-    assert factor(A) == 3
+    info = np.zeros(1, np.int32)
+    factor(np.asfortranarray(np.diag([1.0, 2.0, -1.0, 1.0])), info)
+    assert info[0] == 3
+
+
+@njit
+def solve(A, x, pivots, info):
+    n = np.int32(len(A))
+    gesv(False, n, np.int32(1), A, n, pivots, x, n, info)
+
+
+def test_solutions_equal_numpys():
+    rng = np.random.default_rng(0)
+    A, x = rng.normal(size=(6, 6)), rng.normal(size=6)
+    expected = np.linalg.solve(A, x)
+    solve(np.asfortranarray(A), x, np.zeros(6, np.int32), np.zeros(1, np.int32))
+    np.testing.assert_allclose(x, expected, atol=1e-12)
