@@ -151,6 +151,7 @@ def test_compiled_loops_add_in_the_order_that_is_written():
     # With ``fastmath`` sums come in another order where a called loop was compiled in the same process than where it
     # came from the cache, and poses differ in their last bits from one process to the next.
     sources = [path.read_text() for path in Path(magmatch.__file__).parent.rglob("*.py")]
-    decorators = [line for text in sources for line in re.findall(r"@njit\(.*\)", text)]
-    assert len(decorators) > 20
+    decorators = [line for text in sources for line in re.findall(r"\bnjit\(.*\)", text)]
+    # All loops are compiled by the few ways that `compiled` names.
+    assert len(decorators) == 2
     assert not [line for line in decorators if "fastmath" in line]
