@@ -1,7 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Errors a caller can act on: each message says where, what was expected and what was found."""
 
+import json
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+# What JSON calls that which pydantic names after Python's types.
+_EXPECTED = dict.fromkeys(("dict_type", "dataclass_type"), "an object") | {
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "too_short": "{min_length} items",
+    "too_long": "{max_length} items",
+}
 
 
 class MagmatchError(Exception):
@@ -42,3 +55,16 @@ class MissingExtraError(MagmatchError, ImportError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs the extra '{extra}': pip install 'magmatch[{extra}]'")
+
+
+def first_fault(error: "ValidationError") -> tuple[str, str]:
+    """Where the first value stands that cannot be, and what was expected and found there."""
+    first = error.errors(include_url=False)[0]
+    place, kind = " ".join(".".join(map(str, first["loc"])).split())[:100], first["type"]
+    if kind == "missing":
+        return place, "missing"
+    if kind == "value_error":
+        return place, first["msg"].removeprefix("Value error, ")
+    said = f"expected {_EXPECTED[kind].format(**first.get('ctx', {}))}" if kind in _EXPECTED else first["msg"]
+    found = json.dumps(first["input"], default=str, skipkeys=True)[:60]
+    return place, f"{said.replace('Input should be', 'expected')}, found {found}"

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from magmatch.cli.narration import Narrator
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.errors import ConfigurationError
+from magmatch.errors import ConfigurationError, first_fault
 
 LAYOUT_PANEL = "How to read the survey"
 
@@ -44,9 +44,8 @@ class Layouts:
         try:
             return SurveyFormat.model_validate(general | own)
         except ValidationError as error:
-            first = error.errors()[0]
-            flag = "--" + str(first["loc"][0]).replace("_", "-")
-            msg = f"{flag}: {first['msg']}, found {first['input']}"
+            place, words = first_fault(error)
+            msg = f"--{place.replace('_', '-')}: {words}"
             raise ConfigurationError(msg) from None
 
 

@@ -2,7 +2,7 @@
 """Configuration from a preset and a YAML file; mistakes name the setting."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.errors import ConfigurationError, DataFormatError, first_fault
 
 if TYPE_CHECKING:
     from magmatch.registration.config import RegistrationConfig
@@ -55,9 +55,11 @@ def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
     try:
         return type(config).model_validate(_over(config.model_dump(), settings))
     except ValidationError as error:
+        place, words = first_fault(error)
         first = error.errors()[0]
-        place = " ".join(".".join(str(part) for part in first["loc"]).split())[:100]
-        raise DataFormatError(path, _explain(type(config), first), column=place) from None
+        if first["type"] == "extra_forbidden":
+            words = _known_names(type(config), first["loc"])
+        raise DataFormatError(path, words, column=place) from None
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -106,14 +108,13 @@ def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _explain(model: type[BaseModel], error: Mapping[str, Any]) -> str:
-    """What pydantic found, with the nearest known name for an unknown one."""
-    if error["type"] != "extra_forbidden":
-        return f"{error['msg']}, found {repr(error['input'])[:60]}"
-    names, place = list(model.model_fields), error["loc"]
+def _known_names(model: type[BaseModel], place: Sequence[int | str]) -> str:
+    """The known setting nearest to an unknown one, or all of them."""
     for part in place[:-1]:
         inner = model.model_fields[str(part)].annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):
-            model, names = inner, list(inner.model_fields)
-    near = get_close_matches(str(place[-1]), names, 1)
-    return "unknown setting; " + (f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(names)}")
+            model = inner
+    near = get_close_matches(str(place[-1]), model.model_fields, 1)
+    return "unknown setting; " + (
+        f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(model.model_fields)}"
+    )

@@ -6,12 +6,18 @@ import json
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.text import read_bytes
 from magmatch.errors import DataFormatError
+from magmatch.geometry import transform_from_matrix
 
 _DIGEST = re.compile("[0-9a-fA-F]{16,}")
 # Keys whose value may look like one.
@@ -117,3 +123,37 @@ def _finite(text: str) -> float:
     """Refuse a number that only infinity could stand for."""
     value = float(text)
     return value if math.isfinite(value) else _refuse(text[:40])
+
+
+def plain(value: Any, key: str) -> Any:
+    """Only what JSON knows: numbers of NumPy become Python's, what is not finite becomes None.
+
+    Parameters
+    ----------
+    value : object
+        Numbers, words, arrays, transforms, dataclasses, and lists and mappings of them.
+    key : str
+        Where it stands, for messages.
+
+    Raises
+    ------
+    TypeError
+        Something else is among it.
+    """
+    if isinstance(value, RigidTransform):
+        # Reading it gives the same bits.
+        value = transform_from_matrix(value.as_matrix()).as_matrix()
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    elif isinstance(value, Enum | Path):
+        value = value.value if isinstance(value, Enum) else str(value)
+    elif is_dataclass(value):
+        value = {f.name: getattr(value, f.name) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, f"{key}.{k}") for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v, key) for v in value]
+    if value is not None and not isinstance(value, bool | int | float | str):
+        msg = f"'{key}' holds a {type(value).__name__}, expected numbers, words, lists or mappings"
+        raise TypeError(msg)
+    return None if isinstance(value, float) and not math.isfinite(value) else value

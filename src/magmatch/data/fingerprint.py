@@ -46,3 +46,8 @@ def hash_survey(survey: Survey) -> str:
         digest.update(f"{name} {block.shape} {kind};".encode())
         digest.update(block.astype(kind).tobytes())
     return digest.hexdigest()
+
+
+def describe_input(survey: Survey) -> dict[str, str]:
+    """Name and SHA-256 of a survey, for a result's ``inputs``."""
+    return {"name": survey.name, "sha256": hash_survey(survey)}

@@ -5,11 +5,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from magmatch._version import __version__
+from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.serialization import describe_input
 
 
 def stamped(

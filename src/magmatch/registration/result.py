@@ -1,29 +1,184 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The last noun: what registration found, how sure it is, and why it refused when it did."""
+"""What registration found, how sure it is, and why it refused when it did: one typed document."""
 
-from dataclasses import dataclass, field
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    Strict,
+    TypeAdapter,
+    ValidationError,
+    WrapValidator,
+)
+from pydantic_core.core_schema import no_info_after_validator_function
 from scipy.spatial.transform import RigidTransform
+from typing_extensions import TypedDict
 
-from magmatch.data.document import write_document
-from magmatch.registration.parts import Alternative, DegenerateDirection, Links, Status
-from magmatch.registration.serialization import document_of, read_result_document
-from magmatch.registration.validation import fields_of
+from magmatch.data.document import plain, read_document, write_document
+from magmatch.errors import DataFormatError, first_fault
+from magmatch.geometry import transform_from_matrix
 
-__all__ = ["Alternative", "DegenerateDirection", "Links", "RegistrationResult", "Status"]
+SCHEMA = "magmatch.registration/1"
+MAX_BYTES = 64 * 1024**2
+MAX_LINKS = 300
+# Rounding that a covariance from elsewhere may show, relative to its standard deviations (units differ by entry).
+COVARIANCE_TOLERANCE = 1e-9
+UNIT_TOLERANCE = 1e-6
+
+T = TypeVar("T")
+Number = Annotated[float, Strict()]
+# NaN is written as null.
+NULL_IS_NAN = WrapValidator(lambda value, read: math.nan if value is None else read(value))
+NumberOrNull = Annotated[Number, NULL_IS_NAN]
+Fraction = Annotated[Number, Field(ge=0, le=1)]
+Count = Annotated[int, Strict(), Field(ge=0)]
+Three = Annotated[list[T], Field(min_length=3, max_length=3)]
+Four = Annotated[list[T], Field(min_length=4, max_length=4)]
+Six = Annotated[list[T], Field(min_length=6, max_length=6)]
+
+
+def _read_as(rows: Any, then: Callable[[Any], Any]) -> GetPydanticSchema:
+    """Validate a field as lists of numbers, then make of them what the field holds."""
+    return GetPydanticSchema(lambda _, handler: no_info_after_validator_function(then, handler.generate_schema(rows)))
+
+
+def _covariance(rows: list[list[float]]) -> np.ndarray:
+    """Symmetric and positive semidefinite but for rounding."""
+    C = np.array(rows, dtype=np.float64)
+    variance = C.diagonal()
+    _expect((variance >= 0).all(), "variances that are not negative", variance.tolist())
+    sd = np.sqrt(np.where(variance > 0, variance, 1.0))
+    correlation = C / sd / sd[:, None]
+    asymmetry = float(np.abs(correlation - correlation.T).max())
+    _expect(asymmetry <= COVARIANCE_TOLERANCE, "a symmetric matrix", rows)
+    lowest = float(np.linalg.eigvalsh((correlation + correlation.T) / 2)[0])
+    semidefinite = f"a positive semidefinite matrix (lowest eigenvalue {lowest:.1e})"
+    _expect(lowest >= -COVARIANCE_TOLERANCE, semidefinite, rows)
+    return C
+
+
+def _unit_vector(xi: list[float]) -> np.ndarray:
+    _expect(abs(math.hypot(*xi) - 1) <= UNIT_TOLERANCE, "a unit vector", xi)
+    return np.array(xi, dtype=np.float64)
+
+
+def _near_identity(matrix: list[list[float]]) -> list[list[float]]:
+    _expect(0.1 < np.linalg.det(matrix) < 10, "a matrix near the identity", matrix)
+    return matrix
+
+
+def _expect(is_so: Any, expected: str, found: Any) -> None:
+    if not is_so:
+        msg = f"expected {expected}, found {json.dumps(found)[:60]}"
+        raise ValueError(msg)
+
+
+Transform = Annotated[RigidTransform, _read_as(Four[Four[Number]], transform_from_matrix)]
+Rows = Annotated[np.ndarray, _read_as(list[Three[Number]], lambda rows: np.array(rows, dtype=float).reshape(-1, 3))]
+
+
+class Status(StrEnum):
+    """Why a registration was accepted or not."""
+
+    ACCEPTED = "accepted"
+    AMBIGUOUS = "ambiguous"  # another pose explains the data nearly as well
+    DEGENERATE = "degenerate"  # the data leave a direction free
+    NO_OVERLAP = "no_overlap"  # the surveys do not cover a common region
+    UNINFORMATIVE = "uninformative"  # the field has too little structure to tell places apart
+    INCONSISTENT = "inconsistent"  # the best pose found does not explain the field
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Another pose that explains the data.
+
+    Attributes
+    ----------
+    T_base_target : RigidTransform
+    probability, log_odds : float or None
+        The log odds in nats; None where not computed.
+    base : str or None
+        In which map, where the base was a folder and it is another than the result's.
+    """
+
+    T_base_target: Transform
+    probability: Fraction | None = None
+    base: str | None = None
+    log_odds: Number | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DegenerateDirection:
+    """A direction of the tangent space that the data do not fix: unit 6-vector in target axes, and words."""
+
+    xi: Annotated[np.ndarray, _read_as(Six[Number], _unit_vector)]
+    words: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Links:
+    """Corresponding points that support the answer, for pictures: row i of one belongs to row i of the other."""
+
+    base: Rows  # (k, 3), m, base frame
+    target: Rows  # (k, 3), m, target frame
+
+    def few(self) -> "Links":
+        """At most `MAX_LINKS` finite pairs, evenly chosen."""
+        rows = np.flatnonzero(np.isfinite(self.base).all(axis=1) & np.isfinite(self.target).all(axis=1))
+        rows = rows[np.linspace(0, len(rows) - 1, min(MAX_LINKS, len(rows))).astype(int)]
+        return Links(self.base[rows], self.target[rows])
+
+
+def _pairs(links: Links) -> Links:
+    numbers = [len(links.base), len(links.target)]
+    _expect(numbers[0] == numbers[1] <= MAX_LINKS, f"equal numbers of points, at most {MAX_LINKS}", numbers)
+    return links
+
+
+class Calibration(TypedDict):
+    """What was undone of a survey's own sensor: ``b_true = matrix b_read - shift``, sensor frame."""
+
+    time_offset: Number  # s, added to the magnetometer's times
+    matrix: Annotated[Three[Three[Number]], AfterValidator(_near_identity)]
+    shift: Three[Number]  # T
+
+
+class Sensor(TypedDict, total=False):
+    """How the target's magnetometer differs from the base's, in the target's axes, and what was undone of each."""
+
+    bias: Three[NumberOrNull]  # T
+    scale: NumberOrNull
+    gain: Three[Three[NumberOrNull]]  # of which `scale` is the mean of the diagonal
+    prior_sd: list[NumberOrNull]
+    calibrated: dict[Annotated[str, Field(pattern="^(base|target)$")], Calibration]
+
+
+def _key(name: str) -> str:
+    """Key of the file for a field of the result."""
+    return name.removeprefix("n_")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RegistrationResult:
-    """The answer of `register`, accepted or not; `to_dict` is the JSON of schema ``magmatch.registration/1``.
+    """The answer of `register`, accepted or not; fields stand in the order of the file.
 
     Attributes
     ----------
     status, reason
         Which check decided, and in words what the user can do about it.
+    base : str or None
+        Which map, where the base was a folder.
     T_base_target : RigidTransform or None
         ``p_base = T p_target``; None unless accepted.
     covariance : (6, 6) array or None
@@ -38,45 +193,47 @@ class RegistrationResult:
         Fraction of the target's samples that fall where the base map knows the field.
     alternatives : tuple of Alternative
         Other poses, best first; the best candidate stands first where nothing was accepted.
-    sensor : dict or None
-        Bias (T) and scale between the magnetometers, when estimated; and what was undone of each survey's own sensor
-        first (``calibrated``), where its readings showed it.
+    sensor : Sensor or None
+        A dict: how the magnetometers differ, where that was estimated, and what was undone of each survey's own
+        sensor first (``calibrated``), where its readings showed it.
     residual : float or None
         Normalised rms field residual over the overlap (1 when model and noise explain everything).
     fitness : float or None
-        Mean norm of the cross product of aligned vectors, T (normalised as the configuration says).
+        Mean norm of the cross product of aligned vectors (normalised as the configuration says).
     n_inliers, n_keypoints, n_correspondences : int
         Counts; ``keypoints`` of both maps together.
     seconds : dict
         Per stage and total.
     config, version, seed, inputs
         Enough to run it again and get the same numbers.
-    base : str or None
-        Which map, where the base was a folder.
     """
+
+    __pydantic_config__: ClassVar = ConfigDict(alias_generator=_key)
 
     status: Status
     reason: str
-    T_base_target: RigidTransform | None
-    covariance: np.ndarray | None = None
-    probability: float | None = None
-    evidence: dict[str, float | None] = field(default_factory=dict)
-    overlap: float = 0.0
+    base: str | None = field(default=None, kw_only=True)
+    T_base_target: Transform | None
+    covariance: Annotated[np.ndarray, _read_as(Six[Six[Number]], _covariance)] | None = None
+    probability: Fraction | None = None
+    evidence: dict[str, Number | None] = field(default_factory=dict)
+    overlap: Annotated[Fraction, NULL_IS_NAN] = 0.0
     alternatives: tuple[Alternative, ...] = ()
     degenerate_directions: tuple[DegenerateDirection, ...] = ()
-    sensor: dict[str, Any] | None = None
-    residual: float | None = None
-    fitness: float | None = None
-    n_inliers: int = 0
-    n_keypoints: int = 0
-    n_correspondences: int = 0
-    links: Links = field(default_factory=lambda: Links(np.zeros((0, 3)), np.zeros((0, 3))))
-    seconds: dict[str, float] = field(default_factory=dict)
+    sensor: Sensor | None = None
+    residual: Number | None = None
+    fitness: Number | None = None
+    n_inliers: Count = 0
+    n_keypoints: Count = 0
+    n_correspondences: Count = 0
+    links: Annotated[Links, AfterValidator(_pairs)] = field(
+        default_factory=lambda: Links(np.zeros((0, 3)), np.zeros((0, 3)))
+    )
+    seconds: dict[str, NumberOrNull] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     version: str = ""
-    seed: int = 0
+    seed: Count = 0
     inputs: tuple[dict[str, Any], ...] = ()
-    base: str | None = None
 
     @property
     def is_accepted(self) -> bool:
@@ -105,7 +262,14 @@ class RegistrationResult:
 
     def to_dict(self) -> dict[str, Any]:
         """What the result says, in lists, numbers and words, keys and order as in the file."""
-        return document_of(self)
+        is_known = self.covariance is not None and np.isfinite(self.covariance).all()
+        result = replace(self, covariance=self.covariance if is_known else None, links=self.links.few())
+        document = {_key(f.name): plain(getattr(result, f.name), _key(f.name)) for f in fields(self)}
+        for alternative in document["alternatives"]:
+            # It stands last, and only where there is one.
+            base = alternative.pop("base")
+            alternative.update({} if base is None else {"base": base})
+        return {"schema": SCHEMA} | document
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON (layout in ``docs/conventions.md``), whole or not at all.
@@ -140,4 +304,21 @@ class RegistrationResult:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        return cls(**fields_of(read_result_document(path), path))
+        document = read_document(path, SCHEMA, "registration result", MAX_BYTES)
+        try:
+            result = _adapter().validate_python({"reason": ""} | document)
+        except ValidationError as error:
+            place, words = first_fault(error)
+            raise DataFormatError(path, f"key '{place}': {words}") from None
+        if (result.T_base_target is not None) != result.is_accepted:
+            said = f"{'null' if result.T_base_target is None else 'given'} with '{result.status}'"
+            raise DataFormatError(path, f"key 'T_base_target': expected a transform exactly where accepted, {said}")
+        if result.covariance is not None and not result.is_accepted:
+            raise DataFormatError(path, "key 'covariance': expected null where nothing was accepted")
+        return result
+
+
+@cache
+def _adapter() -> TypeAdapter[RegistrationResult]:
+    """Built when the first file is read."""
+    return TypeAdapter(RegistrationResult)

@@ -16,7 +16,7 @@ from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
 from magmatch.registration.compare import Base, Found, Target
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.result import Calibration, RegistrationResult, Sensor
 from magmatch.threads import side_by_side
 
 P = ParamSpec("P")
@@ -47,9 +47,10 @@ class Calibrated:
     survey: Survey
     sensor: SensorModel
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Calibration:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
-        return {"time_offset": self.sensor.time_offset, **self.sensor.as_dict()}
+        matrix, shift = self.sensor.matrix.tolist(), self.sensor.shift.tolist()
+        return Calibration(time_offset=self.sensor.time_offset, matrix=matrix, shift=shift)
 
 
 def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
@@ -182,7 +183,7 @@ def better_supported(as_given: Answered, calibrated: Answered | None, sides: Map
     if not is_better:
         return as_given
     stated = {name: side.as_dict() for name, side in sides.items()}
-    answer = replace(second, sensor={**(second.sensor or {}), "calibrated": stated})
+    answer = replace(second, sensor=(second.sensor or Sensor()) | Sensor(calibrated=stated))
     return cast("Answered", (*calibrated[:-1], answer))
 
 

@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from magmatch._version import __version__
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.text import read_bytes
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, first_fault
 
 # A group of its own, so that any Zarr reader can list the file without stumbling over it.
 MANIFEST = "manifest/zarr.json"
@@ -303,8 +303,7 @@ def naming_entries(path: str | Path) -> Iterator[None]:
     except KeyError as error:
         raise DataFormatError(path, f"entry '{error.args[0]}' is missing") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"])
-        raise DataFormatError(path, f"entry 'zarr.json', config.{place}: {first['msg']}") from None
+        place, words = first_fault(error)
+        raise DataFormatError(path, f"entry 'zarr.json', config.{place}: {words}") from None
     except (ValueError, TypeError, OverflowError) as error:
         raise DataFormatError(path, " ".join(str(error).split())) from None

@@ -2,7 +2,6 @@
 """From judged poses to the result in the surveys' own frames."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -19,7 +18,7 @@ from magmatch.registration.decide.probability import pose_probability, shares
 from magmatch.registration.decide.same_pose import is_same_pose
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.sensors import TIED_SD
-from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
+from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Sensor, Status
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.covariance import free_directions, to_survey_axes
 from magmatch.registration.weigh.evidence import PoseEvidence
@@ -187,7 +186,7 @@ def _fitness(base: PreparedMap, target: PreparedMap, best: PoseEvidence) -> floa
     return mean_misalignment(aligned[is_known], expected[is_known]) if is_known.any() else None
 
 
-def _sensor(best: PoseEvidence, target: PreparedMap) -> dict[str, Any] | None:
+def _sensor(best: PoseEvidence, target: PreparedMap) -> Sensor | None:
     """Estimated difference of the magnetometers in the target's survey axes; None where it was not estimated."""
     sensor = best.pose.sensor
     if best.pose.sensor_sd.max() <= TIED_SD:
