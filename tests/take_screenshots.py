@@ -13,9 +13,9 @@ from browser import Browser, find_browser
 from magmatch.cli.main import main as magmatch
 from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
-from magmatch.viz.exhibit import exhibit
-from magmatch.viz.report import write_report
-from magmatch.viz.viewer import address_of, serve
+from magmatch.viz.pages.registration_page import write_report
+from magmatch.viz.viewers.exhibit import exhibit
+from magmatch.viz.viewers.live_viewer import address_of, serve
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SCENARIO, SEED = "office-overlap", "4"

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 import magmatch as mm
 from magmatch.preparation.ellipsoid import fit_ellipsoid
+from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.prepare import prepare
-from magmatch.preparation.report import PreparationReport
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.simulation.corruption import Corruption, corrupt, draw_corruption
 from magmatch_evaluation.script import arguments, pose_error, timed

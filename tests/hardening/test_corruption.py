@@ -14,7 +14,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.preparation.report import PreparationReport
+from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.registration.result import RegistrationResult
 
 MAPS = [f"map {prior}" for prior in sorted(PRIORS)]

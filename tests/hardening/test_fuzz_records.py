@@ -26,7 +26,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch.field.map import FieldMap
 from magmatch.field.storage.archive import MANIFEST
-from magmatch.preparation.report import PreparationReport
+from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.registration.result import RegistrationResult
 
 NUMBERS = (0, -1, 1, 3, 1e-300, 1e-9, 1e9, 1e300, 2**31, 2**63, 10**30, None, True, "x", [], {}, [[]], float("nan"))

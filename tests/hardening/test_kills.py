@@ -17,14 +17,14 @@ SOURCE = Path(magmatch.__file__).parent
 ELSEWHERE = {
     "atomic.py": "the function itself",
     "data/datasets.py": "a cache, checked by SHA-256 whenever it is used",
-    "viz/rerun_recording.py": "a picture; its bytes differ each time",
+    "viz/viewers/rerun_recording.py": "a picture; its bytes differ each time",
     "simulation/simulate.py": "made again from a seed; the truth is written last",
 }
 IN_CATALOGUE = {
     "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",
     "data/tables/tum.py",
     "data/write.py", "field/storage/archive.py", "field/export.py", "registration/export.py",
-    "registration/index/mapped_arrays.py", "viz/page.py",
+    "registration/index/mapped_arrays.py", "viz/pages/page.py",
 }  # fmt: skip
 
 

@@ -29,7 +29,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.export import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import FieldEstimator
-from magmatch.preparation.report import PreparationReport, StepReport
+from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.registration.export import write_g2o, write_relative_tum, write_static_transform
 from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
@@ -105,13 +105,13 @@ def catalogue() -> dict[str, Writer]:
 
 
 def write_page(target, found, path):
-    from magmatch.viz.report import write_report
+    from magmatch.viz.pages.registration_page import write_report
 
     write_report(path, None, None, replace(found, reason=target.name))
 
 
 def write_view(shown, path):
-    from magmatch.viz.pages import write_view
+    from magmatch.viz.pages.view_page import write_view
 
     write_view(path, [shown])
 
@@ -124,7 +124,7 @@ def available() -> dict[str, Writer]:
 def pack_once() -> None:
     """Let pages be written many times: packing their script takes much longer than that."""
     if find_spec("plotly"):
-        page = import_module("magmatch.viz.page")
+        page = import_module("magmatch.viz.pages.page")
         page._packed_plotly = cache(page._packed_plotly)
 
 

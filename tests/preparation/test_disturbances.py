@@ -96,7 +96,9 @@ def test_what_is_removed_is_counted(removed):
 
 
 def test_nothing_left_is_an_error_in_words(robot, monkeypatch):
-    monkeypatch.setattr("magmatch.preparation.checks.find_repeats", lambda readings: np.ones(len(readings), bool))
+    monkeypatch.setattr(
+        "magmatch.preparation.survey_steps.find_repeats", lambda readings: np.ones(len(readings), bool)
+    )
     off = dict.fromkeys(("spikes", "moving_metal", "saturation"), "off") | {"drop_outs": "remove"}
     few = robot[0].subset(np.arange(60))
     with pytest.raises(SurveyError, match="nothing is left"):

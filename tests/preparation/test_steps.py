@@ -13,7 +13,7 @@ from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation, runs
 from magmatch.preparation.earth_field import Place, check_earth_field, earth_field
-from magmatch.preparation.report import PreparationReport, StepReport
+from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.resampling import resample_by_distance
 from magmatch.preparation.sensor_model import SensorModel
 

@@ -9,8 +9,8 @@ from browser import Browser, find_browser
 
 pytest.importorskip("plotly")
 
-from magmatch.viz.map_report import write_map_report
-from magmatch.viz.report import write_report
+from magmatch.viz.pages.map_page import write_map_report
+from magmatch.viz.pages.registration_page import write_report
 
 PATH = find_browser()
 pytestmark = pytest.mark.skipif(PATH is None, reason="no Chromium installed")

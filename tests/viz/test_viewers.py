@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.errors import MissingExtraError
-from magmatch.viz.exhibit import box_of, exhibit, shaded, sheet
-from magmatch.viz.rerun_recording import N_STEPS, require_rerun, write_rerun
-from magmatch.viz.slices import cut_normal_to, cut_through
-from magmatch.viz.viewer import BY_FIELD, BY_SURVEY, address_of, require_viser, serve
+from magmatch.viz.figures.slices import cut_normal_to, cut_through
+from magmatch.viz.viewers.exhibit import box_of, exhibit, shaded, sheet
+from magmatch.viz.viewers.live_viewer import BY_FIELD, BY_SURVEY, address_of, require_viser, serve
+from magmatch.viz.viewers.rerun_recording import N_STEPS, require_rerun, write_rerun
 
 
 @pytest.fixture
@@ -208,7 +208,7 @@ def test_a_failed_recording_leaves_the_old_one(pair, tmp_path, monkeypatch):
     path = tmp_path / "o.rrd"
     path.write_bytes(b"old")
     broken = replace(exhibit([pair.base]), T_base_target=RigidTransform.identity())
-    monkeypatch.setattr("magmatch.viz.rerun_recording._log_registration", lambda *_: 1 / 0)
+    monkeypatch.setattr("magmatch.viz.viewers.rerun_recording._log_registration", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_rerun(path, broken)
     assert path.read_bytes() == b"old"

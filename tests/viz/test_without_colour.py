@@ -10,13 +10,13 @@ pytest.importorskip("plotly")
 
 from plotly.colors import get_colorscale, hex_to_rgb, sample_colorscale, unlabel_rgb
 
-from magmatch.viz.agreement_figures import agreement_figures, along_figure
-from magmatch.viz.certainty import ellipsoids_at
-from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure, poses_figure
-from magmatch.viz.plotting import BASE_COLOR, FIELD_SCALE, SPREAD_SCALE, TARGET_COLOR
-from magmatch.viz.registration_figures import match_figure, scene_figures, shown_pose
-from magmatch.viz.residuals import compare
-from magmatch.viz.survey_figures import profile_figure
+from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
+from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
+from magmatch.viz.figures.ellipsoids import ellipsoids_at
+from magmatch.viz.figures.plotting import BASE_COLOR, FIELD_SCALE, SPREAD_SCALE, TARGET_COLOR
+from magmatch.viz.figures.registration_figures import match_figure, scene_figures, shown_pose
+from magmatch.viz.figures.residuals import compare
+from magmatch.viz.figures.survey_figures import profile_figure
 
 # WCAG 2.2, 1.4.11: what must be told apart contrasts at least this much.
 LEAST_CONTRAST = 3.0
@@ -75,7 +75,7 @@ def test_no_series_is_told_by_hue_alone(pair):
 
 
 def test_a_verdict_is_told_by_words_and_a_mark_not_by_its_colour(pair, tmp_path):
-    from magmatch.viz.report import write_report
+    from magmatch.viz.pages.registration_page import write_report
 
     for name, result, mark in (("a", pair.accepted, "&#10004;"), ("r", pair.refused, "&#10008;")):
         write_report(tmp_path / f"{name}.html", None, None, result)

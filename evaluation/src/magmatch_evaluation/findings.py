@@ -11,7 +11,7 @@ from pathlib import Path
 
 from magmatch._version import __version__
 from magmatch.atomic import atomic_write
-from magmatch.viz.page import Section, bullets, figure_row, note, paragraph, table, to_copy, write_page
+from magmatch.viz.pages.page import Section, bullets, figure_row, note, paragraph, table, to_copy, write_page
 from magmatch_evaluation.experiments import MAPPING, SWEEP_AXES, SWEEP_WORDS, Experiment
 from magmatch_evaluation.figures import curve_figures, error_figure
 from magmatch_evaluation.notes import GROUP_NOTES, GROUP_TITLES, HOW_TO_READ

@@ -12,7 +12,7 @@ from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_folder
-from magmatch.cli.words import tell_result
+from magmatch.cli.summaries import tell_result
 from magmatch.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def demo(
     result.save(out / "result.json")
     report: Path | None = out / "report.html"
     try:
-        from magmatch.viz.report import write_report
+        from magmatch.viz.pages.registration_page import write_report
 
         target_map, command = as_map(mapped, settings.field), f"magmatch demo --seed {seed}"
         write_report(out / "report.html", base_map, target_map, result, command)

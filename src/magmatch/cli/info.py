@@ -10,7 +10,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_result
 from magmatch.cli.narration import put
 from magmatch.cli.outputs import as_json
-from magmatch.cli.words import info_table, tell_result
+from magmatch.cli.summaries import info_table, tell_result
 
 EXAMPLES = (
     "magmatch info survey.csv --field-unit uT",

@@ -14,7 +14,7 @@ from magmatch.cli.inputs import read_map, read_samples
 from magmatch.cli.narration import say
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged, read_settings
-from magmatch.cli.workers import runner
+from magmatch.cli.tile_runner import runner
 from magmatch.data.units import field_text
 from magmatch.errors import ConfigurationError
 
@@ -81,7 +81,7 @@ def build(
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
     check_outputs((out, report), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
     if report is not None:
-        from magmatch.viz.plotting import require_plotly
+        from magmatch.viz.figures.plotting import require_plotly
 
         require_plotly()
     if is_addition:
@@ -126,7 +126,7 @@ def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", c
     """Write the map's report, where one was asked for."""
     if report is None:
         return
-    from magmatch.viz.map_report import write_map_report
+    from magmatch.viz.pages.map_page import write_map_report
 
     write_map_report(report, field_map, read, command)
     say(f"Wrote the picture to {report}")

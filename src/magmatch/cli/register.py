@@ -16,7 +16,7 @@ from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.prior import with_prior
 from magmatch.cli.registering import read_base, register_in_folder, with_help, with_wait
 from magmatch.cli.settings import registration_config
-from magmatch.cli.words import tell_result
+from magmatch.cli.summaries import tell_result
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
@@ -83,7 +83,7 @@ def register(
     settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd)
     check_outputs((out, report), inputs=[path for path in (base, target, config) if path])
     if report is not None:
-        from magmatch.viz.plotting import require_plotly
+        from magmatch.viz.figures.plotting import require_plotly
 
         require_plotly()
     loaded = perf_counter()
@@ -94,7 +94,7 @@ def register(
         result.save(out)
     if report is not None:
         from magmatch.registration.maps import as_map
-        from magmatch.viz.report import write_report
+        from magmatch.viz.pages.registration_page import write_report
 
         # Of a folder where no map fits there is nothing to draw, but all the words.
         target_map = None if base_map is None else as_map(mapped, settings.field)

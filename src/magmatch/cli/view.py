@@ -89,15 +89,15 @@ def view(
 def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
     """Say what is missing before any work is done."""
     if page is not None:
-        from magmatch.viz.plotting import require_plotly
+        from magmatch.viz.figures.plotting import require_plotly
 
         require_plotly()
     if recording is not None:
-        from magmatch.viz.rerun_recording import require_rerun
+        from magmatch.viz.viewers.rerun_recording import require_rerun
 
         require_rerun()
     if live:
-        from magmatch.viz.viewer import require_viser
+        from magmatch.viz.viewers.live_viewer import require_viser
 
         require_viser()
 
@@ -118,8 +118,8 @@ def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) 
 
 
 def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
-    from magmatch.viz.pages import write_view
-    from magmatch.viz.report import write_report
+    from magmatch.viz.pages.registration_page import write_report
+    from magmatch.viz.pages.view_page import write_view
 
     if result is None:
         write_view(goal, drawn)
@@ -129,16 +129,16 @@ def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "Registrat
 
 
 def _record(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
-    from magmatch.viz.exhibit import exhibit
-    from magmatch.viz.rerun_recording import write_rerun
+    from magmatch.viz.viewers.exhibit import exhibit
+    from magmatch.viz.viewers.rerun_recording import write_rerun
 
     write_rerun(goal, exhibit(drawn, result))
 
 
 def _serve(drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None", port: int) -> None:
     """Show it until the user has seen enough."""
-    from magmatch.viz.exhibit import exhibit
-    from magmatch.viz.viewer import address_of, serve
+    from magmatch.viz.viewers.exhibit import exhibit
+    from magmatch.viz.viewers.live_viewer import address_of, serve
 
     with serve(exhibit(drawn, result), port) as server:
         try:

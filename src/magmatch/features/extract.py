@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from magmatch.features.config import FeatureConfig
 from magmatch.features.descriptors import N_DIMENSIONS, component_range, histograms_of_oriented_vectors
 from magmatch.features.features import Features
-from magmatch.features.frames import is_defined, local_frames
 from magmatch.features.grids import evaluate_at, inference_grid
 from magmatch.features.keypoints import curvature_response, find_keypoints
+from magmatch.features.local_frames import is_defined, local_frames
 from magmatch.field.map import FieldMap
 
 log = logging.getLogger(__name__)

@@ -12,14 +12,14 @@ from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
 from magmatch.preparation.calibration import calibrate
-from magmatch.preparation.checks import earth_step, find_disturbances, resampling_step
+from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
 from magmatch.preparation.earth_field import Place
-from magmatch.preparation.report import PreparationReport
+from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.words import calibration_steps, known_sensor_step
+from magmatch.preparation.survey_steps import earth_step, find_disturbances, resampling_step
 from magmatch.typing import Indices, Mask, Scalars
 
 log = logging.getLogger(__name__)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.data.tables.cells import (
+from magmatch.data.tables.text import Block, text_blocks
+from magmatch.data.tables.text_rows import (
     cells_of,
     delimiter_of,
     listed,
@@ -18,7 +19,6 @@ from magmatch.data.tables.cells import (
     numbers_of,
     split_row,
 )
-from magmatch.data.tables.text import Block, text_blocks
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 

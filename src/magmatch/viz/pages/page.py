@@ -18,7 +18,7 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from magmatch.atomic import atomic_write
-from magmatch.viz.plotting import require_plotly
+from magmatch.viz.figures.plotting import require_plotly
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -57,7 +57,7 @@ def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> Non
         In order. Those with a title are listed at the top.
     """
     require_plotly()
-    page = Template(files("magmatch.viz").joinpath("page.html").read_text(encoding="utf-8"))
+    page = Template(files("magmatch.viz.pages").joinpath("page.html").read_text(encoding="utf-8"))
     html = page.substitute(
         title=escape(title),
         contents=_contents(sections),

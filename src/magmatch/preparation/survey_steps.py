@@ -17,7 +17,7 @@ from magmatch.preparation.disturbances import (
     runs,
 )
 from magmatch.preparation.earth_field import Place, check_earth_field
-from magmatch.preparation.report import Outcome, StepReport
+from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.resampling import resample_by_distance
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask, Vectors

@@ -12,7 +12,7 @@ from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
-from magmatch.viz.plotting import thinned
+from magmatch.viz.figures.plotting import thinned
 
 # Normalised residual beyond which a sample is marked: of right ones, about 1 in 1000 (chi-square, three degrees).
 LARGEST_ORDINARY = 2.33

@@ -12,10 +12,10 @@ from magmatch.field.map import FieldMap
 from magmatch.geometry import rotation_matrix
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars
-from magmatch.viz.plotting import UT_PER_TESLA, magnitude_ut, thinned
-from magmatch.viz.registration_figures import shown_pose
-from magmatch.viz.slices import Cut, common_limits, field_on
-from magmatch.viz.words import headline
+from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut, thinned
+from magmatch.viz.figures.registration_figures import shown_pose
+from magmatch.viz.figures.slices import Cut, common_limits, field_on
+from magmatch.viz.verdict import headline
 
 # Most samples drawn of one survey: what a viewer turns smoothly without a graphics card.
 MAX_SHOWN = 100_000

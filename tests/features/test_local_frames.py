@@ -5,8 +5,8 @@ import numpy as np
 
 from magmatch.features.config import FeatureConfig
 from magmatch.features.extract import extract_features
-from magmatch.features.frames import is_defined, local_frames
 from magmatch.features.grids import evaluate_at, inference_grid
+from magmatch.features.local_frames import is_defined, local_frames
 
 FINE = FeatureConfig(spacing=0.08)
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from magmatch.field.map import FieldMap
 from magmatch.typing import Points, Scalars
-from magmatch.viz.coverage import Coverage
-from magmatch.viz.plotting import (
+from magmatch.viz.figures.coverage import Coverage
+from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     FIELD_SCALE,
     INK,
@@ -21,7 +21,7 @@ from magmatch.viz.plotting import (
     new_plane,
     require_plotly,
 )
-from magmatch.viz.slices import (
+from magmatch.viz.figures.slices import (
     Cut,
     common_limits,
     cut_normal_to,

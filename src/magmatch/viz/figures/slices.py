@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Mask, Points, Scalars, Vectors
-from magmatch.viz.plotting import (
+from magmatch.viz.figures.plotting import (
     FIELD_SCALE,
     INK,
     colorbar,

@@ -12,7 +12,7 @@ from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_points
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Points
-from magmatch.viz.plotting import (
+from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     BASE_MARKER,
     FIELD_SCALE,
@@ -34,7 +34,7 @@ from magmatch.viz.plotting import (
     require_plotly,
     thinned,
 )
-from magmatch.viz.slices import (
+from magmatch.viz.figures.slices import (
     Cut,
     common_limits,
     cut_through,

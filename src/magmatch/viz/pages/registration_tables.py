@@ -13,12 +13,12 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensor_calibration import in_words as calibration_words
-from magmatch.viz.certainty import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
-from magmatch.viz.certainty_figures import ellipsoid_figure, free_figure, poses_figure
-from magmatch.viz.page import Section, details, figure_row, note, paragraph, subheading, table, to_copy
-from magmatch.viz.registration_figures import shown_pose
-from magmatch.viz.residuals import compare
-from magmatch.viz.words import percent
+from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
+from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
+from magmatch.viz.figures.registration_figures import shown_pose
+from magmatch.viz.figures.residuals import compare
+from magmatch.viz.pages.page import Section, details, figure_row, note, paragraph, subheading, table, to_copy
+from magmatch.viz.verdict import percent
 
 # Other poses that are listed, and samples that give their numbers.
 MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.viz.plotting import (
+from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     BASE_MARKER,
     FIELD_SCALE,
@@ -25,7 +25,7 @@ from magmatch.viz.plotting import (
     require_plotly,
     thinned,
 )
-from magmatch.viz.slices import common_limits
+from magmatch.viz.figures.slices import common_limits
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

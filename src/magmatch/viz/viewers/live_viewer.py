@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import MissingExtraError
-from magmatch.viz.exhibit import Exhibit, Part, box_of, entry, shaded
-from magmatch.viz.plotting import magnitude_ut
-from magmatch.viz.slices import cut_normal_to, cut_through
+from magmatch.viz.figures.plotting import magnitude_ut
+from magmatch.viz.figures.slices import cut_normal_to, cut_through
+from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, entry, shaded
 
 QUANTITIES = ("field magnitude", "standard deviation")
 BY_FIELD, BY_SURVEY = "field magnitude", "survey"

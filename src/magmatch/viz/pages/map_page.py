@@ -13,11 +13,21 @@ from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.map import FieldMap
-from magmatch.viz.coverage import Coverage, cover_and_spread, left_out
-from magmatch.viz.map_figures import comparison_figure, coverage_figure, field_figures, spread_figure
-from magmatch.viz.page import Section, columns, figure_row, note, paragraph, subheading, table, to_copy, write_page
-from magmatch.viz.slices import cut_through
-from magmatch.viz.survey_figures import profile_figure, survey_figure
+from magmatch.viz.figures.coverage import Coverage, cover_and_spread, left_out
+from magmatch.viz.figures.map_figures import comparison_figure, coverage_figure, field_figures, spread_figure
+from magmatch.viz.figures.slices import cut_through
+from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
+from magmatch.viz.pages.page import (
+    Section,
+    columns,
+    figure_row,
+    note,
+    paragraph,
+    subheading,
+    table,
+    to_copy,
+    write_page,
+)
 
 # Most left-out samples listed one by one.
 MAX_LISTED = 12

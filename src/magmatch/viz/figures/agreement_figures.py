@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from magmatch.field.map import FieldMap
 from magmatch.typing import Indices, Points, Scalars
-from magmatch.viz.plotting import (
+from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     INK,
     LINK_COLOR,
@@ -24,8 +24,8 @@ from magmatch.viz.plotting import (
     points3d,
     require_plotly,
 )
-from magmatch.viz.residuals import LARGEST_ORDINARY, Comparison
-from magmatch.viz.slices import Cut, cut_through
+from magmatch.viz.figures.residuals import LARGEST_ORDINARY, Comparison
+from magmatch.viz.figures.slices import Cut, cut_through
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -9,9 +9,9 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.errors import MissingExtraError
-from magmatch.viz.exhibit import Exhibit, Part, box_of, entry, shaded
-from magmatch.viz.plotting import UT_PER_TESLA, magnitude_ut
-from magmatch.viz.slices import Cut, cut_through
+from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut
+from magmatch.viz.figures.slices import Cut, cut_through
+from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, entry, shaded
 
 # Steps of the timeline 'registration', from as recorded to registered.
 N_STEPS = 20

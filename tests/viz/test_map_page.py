@@ -14,10 +14,10 @@ pytest.importorskip("plotly")
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.viz.coverage import Coverage, cover_and_spread, left_out
-from magmatch.viz.map_figures import comparison_figure, field_figures, spread_figure
-from magmatch.viz.map_report import MEANINGS, write_map_report
-from magmatch.viz.slices import cut_through
+from magmatch.viz.figures.coverage import Coverage, cover_and_spread, left_out
+from magmatch.viz.figures.map_figures import comparison_figure, field_figures, spread_figure
+from magmatch.viz.figures.slices import cut_through
+from magmatch.viz.pages.map_page import MEANINGS, write_map_report
 
 COMPARISON = {"spline": 1.1e-6, "harmonic": 1e-6}
 

@@ -9,12 +9,25 @@ from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
-from magmatch.viz.agreement_figures import agreement_figures, along_figure
-from magmatch.viz.page import Section, bullets, columns, figure_row, note, paragraph, verdict, write_page
-from magmatch.viz.registration_figures import match_figure, scene_figures, shown_pose, slice_figures, time_figure
-from magmatch.viz.report_tables import again, certainty, figures_table, free_directions, other_poses, transform_table
-from magmatch.viz.residuals import LARGEST_ORDINARY, compare
-from magmatch.viz.words import MEANING, headline, next_steps
+from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
+from magmatch.viz.figures.registration_figures import (
+    match_figure,
+    scene_figures,
+    shown_pose,
+    slice_figures,
+    time_figure,
+)
+from magmatch.viz.figures.residuals import LARGEST_ORDINARY, compare
+from magmatch.viz.pages.page import Section, bullets, columns, figure_row, note, paragraph, verdict, write_page
+from magmatch.viz.pages.registration_tables import (
+    again,
+    certainty,
+    figures_table,
+    free_directions,
+    other_poses,
+    transform_table,
+)
+from magmatch.viz.verdict import MEANING, headline, next_steps
 
 
 def write_report(

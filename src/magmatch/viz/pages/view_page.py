@@ -8,9 +8,9 @@ from pathlib import Path
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.viz.map_report import map_sections
-from magmatch.viz.page import Section, figure_row, write_page
-from magmatch.viz.survey_figures import profile_figure, survey_figure
+from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
+from magmatch.viz.pages.map_page import map_sections
+from magmatch.viz.pages.page import Section, figure_row, write_page
 
 
 def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:

@@ -13,8 +13,8 @@ from magmatch.data.survey import Survey
 from magmatch.geometry import transform_points
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Points
-from magmatch.viz.certainty import LEVEL, Ellipsoid, direction_words, swept
-from magmatch.viz.plotting import (
+from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, direction_words, swept
+from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     INK,
     LINK_COLOR,
@@ -30,7 +30,7 @@ from magmatch.viz.plotting import (
     require_plotly,
     thinned,
 )
-from magmatch.viz.slices import cut_through
+from magmatch.viz.figures.slices import cut_through
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from magmatch.geometry import exp_se3, random_transform
 from magmatch.registration.result import DegenerateDirection
-from magmatch.viz.certainty import LEVEL, direction_words, ellipsoids_at, swept
+from magmatch.viz.figures.ellipsoids import LEVEL, direction_words, ellipsoids_at, swept
 
 
 @pytest.fixture

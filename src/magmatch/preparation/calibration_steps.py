@@ -9,7 +9,7 @@ from magmatch.data.survey import Survey
 from magmatch.preparation.blocks import CHANNEL
 from magmatch.preparation.calibration import Calibration
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.report import Outcome, StepReport
+from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.typing import Scalars

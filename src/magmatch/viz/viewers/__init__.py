@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Three-dimensional viewers, in the browser and in Rerun."""
