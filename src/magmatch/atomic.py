@@ -23,24 +23,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
 
     The content goes to ``.NAME.tmp-...`` in the same folder, is flushed, and then takes the place of the old file
     in one step. A link is followed, and a device or pipe (such as ``/dev/stdout``) is written straight through,
-    since renaming over it would remove it.
-
-    Parameters
-    ----------
-    path : path
-        Where the file shall be; an existing file is replaced and keeps its permissions.
-
-    Yields
-    ------
-    binary stream
-        Write the content here; it can seek. An exception inside the block leaves the old file as it was.
-
-    Raises
-    ------
-    DataFormatError
-        The folder does not exist, or the path is itself a folder.
-    OSError
-        The machine cannot write (disk full, no permission); names the file. Nothing is left behind.
+    since renaming over it would remove it. An exception inside the block leaves the old file as it was.
 
     Examples
     --------

@@ -2,7 +2,9 @@
 """Errors a caller can act on: each message says where, what was expected and what was found."""
 
 import json
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -55,6 +57,14 @@ class MissingExtraError(MagmatchError, ImportError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs the extra '{extra}': pip install 'magmatch[{extra}]'")
+
+
+def import_extra(module: str, feature: str, extra: str) -> ModuleType:
+    """An optional module; where it is not installed, the error names the feature that needs it and the extra."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtraError(feature, extra) from None
 
 
 def first_fault(error: "ValidationError") -> tuple[str, str]:

@@ -61,17 +61,7 @@ quick_turns = WhileAnyone(_take_quick_turns)
 
 
 def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
-    """Run a task with one BLAS thread, whatever the environment says.
-
-    Parameters
-    ----------
-    task : callable
-
-    Returns
-    -------
-    callable
-        The same, with the limit in force while it runs.
-    """
+    """Run a task with one BLAS thread, whatever the environment says."""
 
     @wraps(task)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -91,21 +81,10 @@ def on_one_core(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def side_by_side(task: Callable[[A], T], parts: Iterable[A]) -> list[T]:
-    """Run a task on independent parts, at once where there are cores for it.
+    """Run a task on independent parts, in parallel where cores are free; results in the parts' order.
 
-    A part may itself be cut into parts: they take the cores that are free by then.
-
-    Parameters
-    ----------
-    task : callable
-        Releases the interpreter most of the time (BLAS, compiled loops) and writes where no other part does.
-    parts : iterable
-        One argument each.
-
-    Returns
-    -------
-    list
-        What each part gave, in their order. Raises what one of them raised, without beginning any more.
+    The task releases the interpreter most of the time (BLAS, compiled loops) and writes where no other part does. A
+    part may itself be cut into parts. After an error no further part begins.
     """
     listed = list(parts)
     n_helpers = 0 if _is_worker.get() else _take_spare_cores(len(listed) - 1)
@@ -139,17 +118,7 @@ def side_by_side(task: Callable[[A], T], parts: Iterable[A]) -> list[T]:
 
 
 def slices(n: int) -> list[slice]:
-    """Rows cut into as many slices as there are cores: parts of independent rows for `side_by_side`.
-
-    Parameters
-    ----------
-    n : int
-        Number of rows.
-
-    Returns
-    -------
-    list of slice
-    """
+    """Rows cut into as many slices as there are cores."""
     size = max(1, -(-n // _n_cores()))
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 

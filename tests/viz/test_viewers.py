@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.errors import MissingExtraError
 from magmatch.viz.figures.slices import cut_normal_to, cut_through
-from magmatch.viz.viewers.exhibit import box_of, exhibit, shaded, sheet
+from magmatch.viz.viewers.exhibit import box_of, cut_colors, exhibit, shaded
 from magmatch.viz.viewers.live_viewer import BY_FIELD, BY_SURVEY, address_of, require_viser, serve
 from magmatch.viz.viewers.rerun_recording import N_STEPS, require_rerun, write_rerun
 
@@ -51,7 +51,7 @@ def test_shades_stay_within_their_range():
 def test_a_cut_is_known_where_the_map_is(pair):
     cut = cut_through(pair.base.positions)
     for quantity in ("field magnitude", "standard deviation"):
-        colors, is_known = sheet(pair.base_map, cut, quantity, (0.0, 100.0))
+        colors, is_known = cut_colors(pair.base_map, cut, quantity, (0.0, 100.0))
         assert colors.shape == (len(cut.points), 3)
         assert np.array_equal(is_known, pair.base_map.knows(cut.points))
 

@@ -48,13 +48,7 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """What to say about an error, and the exit code it means.
-
-    Returns
-    -------
-    words : str
-    code : int
-    """
+    """What to say about an error, and the exit code it means."""
     if isinstance(error, UsageError):
         return _explain_usage(error), BAD_INPUT
     if isinstance(error, MagmatchError):

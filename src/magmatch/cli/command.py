@@ -19,13 +19,7 @@ LAYOUT_PANEL = "How to read the survey"
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
-    """How to read the surveys of one command, as far as its options say.
-
-    Attributes
-    ----------
-    given : dict
-        Option values by (survey, setting); survey is "" where an option speaks of all of them.
-    """
+    """How to read the surveys of one command: option values by (survey, setting), survey "" where given for all."""
 
     given: dict[tuple[str, str], Any]
 

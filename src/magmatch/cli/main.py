@@ -57,18 +57,7 @@ def build_app() -> typer.Typer:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The words after ``magmatch``; those of this process by default.
-
-    Returns
-    -------
-    int
-        Exit code.
-    """
+    """Run the command line on the words after ``magmatch``, those of this process by default; gives the exit code."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     app = build_app()
     with narrated() as narrator:

@@ -144,22 +144,7 @@ DATASETS: dict[str, Dataset] = {
 
 
 def find_dataset(name: str) -> Dataset:
-    """Entry of a dataset by name.
-
-    Parameters
-    ----------
-    name : str
-        One of `DATASETS`.
-
-    Returns
-    -------
-    Dataset
-
-    Raises
-    ------
-    ConfigurationError
-        Unknown; names those that are known.
-    """
+    """Entry of a dataset; the error for an unknown name lists those that are known."""
     if name not in DATASETS:
         msg = f"unknown dataset '{name}', expected one of {', '.join(DATASETS)}"
         raise ConfigurationError(msg)
@@ -167,30 +152,9 @@ def find_dataset(name: str) -> Dataset:
 
 
 def fetch(name: str, source_dir: str | Path | None = None, cache_dir: str | Path | None = None) -> dict[str, Path]:
-    """Bring a dataset's files into the cache; files already there and whole are not brought again.
+    """Bring a dataset's files into the cache, by download or from a local folder; gives the verified files by name.
 
-    The licence and the citation are logged before anything is downloaded.
-
-    Parameters
-    ----------
-    name : str
-        One of `DATASETS`.
-    source_dir : path, optional
-        Copy from this folder instead of downloading: it, or a folder in it named after the dataset, holds the files.
-    cache_dir : path, optional
-        Where files are kept; the user's cache folder by default.
-
-    Returns
-    -------
-    dict of str to Path
-        Verified local file, by its path below the dataset's folder.
-
-    Raises
-    ------
-    DatasetError
-        No connection, or what was downloaded is not what was published.
-    DataFormatError
-        ``source_dir`` lacks a file, or holds another version of it.
+    Files that are already there and whole are kept. The licence and the citation are logged before any download.
     """
     dataset = find_dataset(name)
     cache = cache_folder(cache_dir) / name
@@ -208,25 +172,7 @@ def fetch(name: str, source_dir: str | Path | None = None, cache_dir: str | Path
 
 
 def verified_files(name: str, source_dir: str | Path) -> dict[str, Path]:
-    """Find a dataset's files in a local folder, used where they lie.
-
-    Parameters
-    ----------
-    name : str
-        One of `DATASETS`.
-    source_dir : path
-        It, or a folder in it named after the dataset, holds the files.
-
-    Returns
-    -------
-    dict of str to Path
-        Local file, by its path below the dataset's folder.
-
-    Raises
-    ------
-    DataFormatError
-        A file is missing, or its SHA-256 differs.
-    """
+    """Files of a dataset in a local folder (or one in it named after the dataset), each checked by its SHA-256."""
     dataset, source = find_dataset(name), Path(source_dir)
     folder = source / name if (source / name).is_dir() else source
     if not folder.is_dir():

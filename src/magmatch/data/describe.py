@@ -12,25 +12,9 @@ from magmatch.data.survey import Survey
 
 
 def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, Any]:
-    """Counts, extent, units, frames, gaps and doubts of a survey.
+    """Counts, extent, units, frames, gaps and warnings of a survey, ready for JSON.
 
-    Parameters
-    ----------
-    survey : Survey
-        What to describe.
-    layout : SurveyFormat, optional
-        How it was read, so that doubts can name the flag that would help.
-
-    Returns
-    -------
-    dict
-        Ready for JSON. Units stand in ``units``; ``time`` is None without times, ``path_length`` and
-        ``median_step`` are None where the rows are in no order; ``warnings`` are those of `check_survey`.
-
-    Raises
-    ------
-    SurveyError
-        As `check_survey`.
+    ``time`` is None without times; ``path_length`` and ``median_step`` are None where the rows are not a path.
     """
     warnings = check_survey(survey, layout)
     magnitude = np.linalg.norm(survey.field, axis=1)

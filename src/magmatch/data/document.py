@@ -28,13 +28,6 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
     """Write a document with its checksum, one key a line, whole or not at all.
 
     The checksum stands second: damage that takes the end of the file, and closes it again, cannot take it along.
-
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced.
-    document : mapping
-        What JSON can hold, without NaN and infinity.
     """
     lines = [f'  "{key}": {json.dumps(value, allow_nan=False)}' for key, value in document.items()]
     lines.insert(1, f'  "checksum": "{checksum(document)}"')
@@ -58,28 +51,7 @@ def _canonical(value: Any) -> Any:
 
 
 def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> dict[str, Any]:
-    """Read a document and check its schema and, where it has one, its checksum.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    schema : str
-        Name and version that are expected.
-    what : str
-        What such a document is called.
-    max_bytes : int
-        Longer ones are refused.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    DataFormatError
-        No such file, not JSON, another schema, or changed after it was written.
-    """
+    """Read a document and check its schema and, where it has one, its checksum; `what` names its kind in errors."""
     content = read_bytes(path, max_bytes + 1)
     if len(content) > max_bytes:
         raise DataFormatError(path, f"is larger than any {what} ({max_bytes} bytes)")
@@ -126,20 +98,7 @@ def _finite(text: str) -> float:
 
 
 def plain(value: Any, key: str) -> Any:
-    """Only what JSON knows: numbers of NumPy become Python's, what is not finite becomes None.
-
-    Parameters
-    ----------
-    value : object
-        Numbers, words, arrays, transforms, dataclasses, and lists and mappings of them.
-    key : str
-        Where it stands, for messages.
-
-    Raises
-    ------
-    TypeError
-        Something else is among it.
-    """
+    """What JSON can hold: arrays, transforms and dataclasses as lists and mappings, non-finite numbers as None."""
     if isinstance(value, RigidTransform):
         # Reading it gives the same bits.
         value = transform_from_matrix(value.as_matrix()).as_matrix()

@@ -9,17 +9,7 @@ from magmatch.data.survey import Survey
 
 
 def hash_survey(survey: Survey) -> str:
-    """SHA-256 of a survey's samples, whatever file they came from.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its name and the name of its frame do not count.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    """SHA-256 of a survey's samples, whatever file they came from; its name and that of its frame do not count.
 
     Notes
     -----

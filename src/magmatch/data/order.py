@@ -14,18 +14,7 @@ N_LOOKED_AT = 2000
 
 
 def has_order(survey: Survey) -> bool:
-    """Whether samples follow each other as they were taken.
-
-    Parameters
-    ----------
-    survey : Survey
-
-    Returns
-    -------
-    bool
-        True with times. Without, whether the median step is at most 5 times the median distance to the nearest
-        sample.
-    """
+    """Whether the rows are a path: with times they are; else steps are compared with the nearest neighbours."""
     if survey.times is not None:
         return True
     if len(survey) < 2:

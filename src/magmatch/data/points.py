@@ -12,15 +12,7 @@ AXES = "xyz"
 
 
 def write_ply(stream: BinaryIO, points: Points, values: Mapping[str, np.ndarray]) -> None:
-    """Write points with numbers at each as PLY.
-
-    Parameters
-    ----------
-    stream : binary stream
-    points : (n, 3) array, m
-    values : mapping of str to (n,) or (n, 3) array
-        A vector named ``b`` becomes the properties ``bx, by, bz``.
-    """
+    """Write points (m) with numbers at each as PLY; a vector ``b`` becomes the properties ``bx, by, bz``."""
     columns = dict(zip(AXES, points.T, strict=True))
     for name, value in values.items():
         columns |= {name: value} if value.ndim == 1 else {name + axis: value[:, k] for k, axis in enumerate(AXES)}
@@ -42,17 +34,7 @@ def write_vtk_points(stream: BinaryIO, points: Points, values: Mapping[str, np.n
 def write_vtk_grid(
     stream: BinaryIO, axes: tuple[Scalars, Scalars, Scalars], spacing: float, values: Mapping[str, np.ndarray]
 ) -> None:
-    """Write numbers on a regular grid as legacy VTK (structured points).
-
-    Parameters
-    ----------
-    stream : binary stream
-    axes : three (n,) arrays, m
-        Coordinates along x, y, z.
-    spacing : float, m
-        Distance of neighbours.
-    values : mapping of str to (nx, ny, nz) or (nx, ny, nz, 3) array
-    """
+    """Write numbers on a regular grid (m), (nx, ny, nz) or (nx, ny, nz, 3), as legacy VTK (structured points)."""
     shape = [len(axis) for axis in axes]
     origin: Vector3 = np.array([axis[0] for axis in axes])
     head = f"DIMENSIONS {_row(shape)}\nORIGIN {_row(origin.tolist())}\nSPACING {_row([spacing] * 3)}"

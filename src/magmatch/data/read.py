@@ -68,24 +68,7 @@ def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
 def read_survey_and_channels(
     path: str | Path, format: SurveyFormat | None = None
 ) -> tuple[Survey, dict[str, Scalars]]:
-    """Read a survey, and the other numbers of its log at its samples.
-
-    Parameters
-    ----------
-    path, format
-        As in `read_survey`.
-
-    Returns
-    -------
-    survey : Survey
-    channels : dict of str to (n,) array
-        Number columns of a table, number topics of a bag or MCAP file (currents, efforts), in their own units.
-
-    Raises
-    ------
-    DataFormatError, SurveyError
-        As `read_survey`.
-    """
+    """Read and check a survey, and its log's other numbers (currents, efforts) at the samples, in their own units."""
     layout = format or SurveyFormat()
     if sniff(path) != "log":
         survey = read_survey(path, layout)
@@ -104,24 +87,7 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 
 
 def read_unchecked(path: str | Path, format: SurveyFormat | None = None) -> tuple[Survey, SurveyFormat]:
-    """Read a survey file without asking whether it can be one.
-
-    Parameters
-    ----------
-    path, format
-        As in `read_survey`.
-
-    Returns
-    -------
-    survey : Survey
-    layout : SurveyFormat
-        How it was read: what was stated, and what the file itself says.
-
-    Raises
-    ------
-    DataFormatError
-        The file does not hold a survey.
-    """
+    """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
     kind = sniff(path)
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.datasets import fetch, find_dataset, verified_files
 from magmatch.data.survey import Survey
-from magmatch.errors import MissingExtraError
+from magmatch.errors import import_extra
 from magmatch.typing import Matrix, Scalars
 
 logger = logging.getLogger(__name__)
@@ -28,28 +28,9 @@ KOK_SKIPPED = {"library": 150}
 def load_recordings(
     name: str, source_dir: str | Path | None = None, cache_dir: str | Path | None = None
 ) -> dict[str, Survey]:
-    """Read a public dataset as surveys, fetching it first if need be.
+    """Read a public dataset as surveys by recording, from `source_dir` in place, else from the cache or by download.
 
-    Parameters
-    ----------
-    name : str
-        One of `magmatch.data.datasets.DATASETS`.
-    source_dir : path, optional
-        Folder with the files, used in place and verified; by default the cache, filled by downloading.
-    cache_dir : path, optional
-        Another cache folder.
-
-    Returns
-    -------
-    dict of str to Survey
-        By recording; all of one dataset share a frame, except those of ``kok``, which lie in four places.
-
-    Raises
-    ------
-    DatasetError, DataFormatError
-        As `fetch` and `verified_files`.
-    MissingExtraError
-        ``kaist`` needs the extra ``datasets``.
+    All recordings of one dataset share a frame, except those of ``kok``, which lie in four places.
     """
     find_dataset(name)
     files = fetch(name, cache_dir=cache_dir) if source_dir is None else verified_files(name, source_dir)
@@ -124,11 +105,7 @@ def _load_jidling(files: Mapping[str, Path]) -> dict[str, Survey]:
 
 def _load_kaist(files: Mapping[str, Path]) -> dict[str, Survey]:
     """One floor, positions on a grid at an unknown carrying height (z = 0)."""
-    try:
-        import h5py
-    except ImportError:
-        feature = "reading the kaist dataset (HDF5)"
-        raise MissingExtraError(feature, "datasets") from None
+    h5py = import_extra("h5py", "reading the kaist dataset (HDF5)", "datasets")
     with h5py.File(files["magmap-KI-1F-0.6p.mat"]) as content:
         rows = np.asarray(content["map"], dtype=np.float64).T
     positions = np.column_stack([rows[:, :2], np.zeros(len(rows))])

@@ -186,23 +186,7 @@ class Survey:
 
     @classmethod
     def from_table(cls, table: Table) -> "Survey":
-        """Take the survey's columns from a table, as they stand.
-
-        Parameters
-        ----------
-        table : Table
-            Must hold ``x, y, z, bx, by, bz``; may hold ``t`` and ``qx, qy, qz, qw``.
-
-        Returns
-        -------
-        Survey
-            Named after the file.
-
-        Raises
-        ------
-        DataFormatError
-            A column is missing, time does not increase, or a quaternion is none.
-        """
+        """Survey of a table's columns, as they stand, named after the file."""
         table.require([*POSITION_COLUMNS, *FIELD_COLUMNS])
         if table.has("t"):
             table.require_increasing("t")
@@ -241,18 +225,7 @@ class Survey:
 
 
 def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
-    """Surveys without some of their samples, and without those of which none is left.
-
-    Parameters
-    ----------
-    surveys : tuple of Survey
-    kept : (n,) bool array
-        Of the samples of all surveys, in order.
-
-    Returns
-    -------
-    tuple of Survey
-    """
+    """Surveys without some of their samples (a mask over all, in order), and without those of which none is left."""
     ends = np.cumsum([0, *(len(survey) for survey in surveys)])
     parts = (survey.subset(kept[a:b]) for survey, (a, b) in zip(surveys, pairwise(ends), strict=True))
     return tuple(part for part in parts if len(part))

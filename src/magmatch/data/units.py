@@ -36,17 +36,7 @@ def likely_field_unit(median_number: float) -> FieldUnit | None:
 
 
 def field_text(tesla: float) -> str:
-    """Write a field strength with a unit that a reader can picture.
-
-    Parameters
-    ----------
-    tesla : float
-        Field strength, T.
-
-    Returns
-    -------
-    str
-        Three significant digits and one of nT, uT, mT, T.
+    """Field strength to three digits, in a unit that a reader can picture.
 
     Examples
     --------

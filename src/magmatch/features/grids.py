@@ -42,15 +42,7 @@ class InferencePoints:
         return len(self.cells)
 
     def support(self, rows: Indices, radius: float) -> tuple[np.ndarray, Scalars]:
-        """Points around chosen ones, themselves left out.
-
-        Returns
-        -------
-        neighbours : (k, s) int array
-            Rows of the points at each of s offsets; -1 where X* has none.
-        distance : (s,) array
-            Length of each offset, in spacings.
-        """
+        """Points around some rows: (k, s) rows at s offsets (-1: unknown), and their lengths in spacings."""
         offsets = offsets_within(radius)
         offsets = offsets[np.any(offsets != 0, axis=1)]
         ijk = np.stack(np.unravel_index(self.cells[rows], self.grid.shape), axis=1)

@@ -16,16 +16,7 @@ _TINY_GRADIENT = 1e-15
 
 
 def traceless_symmetric(gradient: Tensors) -> Tensors:
-    """Nearest gradient that obeys both of Maxwell's laws in air: symmetric, trace zero.
-
-    Parameters
-    ----------
-    gradient : (n, 3, 3) array, T/m
-
-    Returns
-    -------
-    (n, 3, 3) array, T/m
-    """
+    """Nearest gradient (T/m) that obeys both of Maxwell's laws in air: symmetric, trace zero."""
     symmetric = (gradient + np.swapaxes(gradient, 1, 2)) / 2
     trace = np.trace(symmetric, axis1=1, axis2=2) / 3
     projected: Tensors = symmetric - trace[:, None, None] * np.eye(3)
@@ -33,19 +24,10 @@ def traceless_symmetric(gradient: Tensors) -> Tensors:
 
 
 def rotation_invariants(field: Vectors, gradient: Tensors) -> Matrix:
-    """Six numbers per point that no rotation of the survey changes.
+    """Six numbers per point that no rotation of the survey changes, of a traceless symmetric gradient (T/m): (n, 6).
 
-    Parameters
-    ----------
-    field : (n, 3) array, T
-    gradient : (n, 3, 3) array, T/m
-        Symmetric and traceless (see `traceless_symmetric`).
-
-    Returns
-    -------
-    (n, 6) array
-        ``|B|`` (T), ``|GB|/|B|`` (T/m), ``B.GB/|B|^2`` (T/m), ``|G|`` (T/m), ``det G/|G|^2`` (T/m) and the
-        chirality ``3 B.(GB x GGB)/(|B|^2 |G|^2)`` (T/m).
+    ``|B|`` (T), ``|GB|/|B|`` (T/m), ``B.GB/|B|^2`` (T/m), ``|G|`` (T/m), ``det G/|G|^2`` (T/m) and the chirality
+    ``3 B.(GB x GGB)/(|B|^2 |G|^2)`` (T/m).
     """
     b = np.maximum(np.linalg.norm(field, axis=1), np.finfo(float).tiny)
     GB = np.einsum("nij,nj->ni", gradient, field)
@@ -65,38 +47,15 @@ def rotation_invariants(field: Vectors, gradient: Tensors) -> Matrix:
 
 
 def mirrored_invariants(invariants: Matrix, *, is_mirrored: bool, sign: float) -> Matrix:
-    """The invariants that the field's mirror image has, or the field times a sign.
-
-    Parameters
-    ----------
-    invariants : (n, 6) array
-        Of `rotation_invariants`.
-    is_mirrored : bool
-        Chirality changes its sign.
-    sign : float
-        1 or -1; the invariants of odd power in the gradient alone change theirs with it.
-
-    Returns
-    -------
-    (n, 6) array
-    """
+    """Invariants of the field's mirror image (chirality changes sign), or of the field times a sign of 1 or -1."""
     reflected: Matrix = invariants * np.array([1.0, 1.0, sign, 1.0, sign, -1.0 if is_mirrored else 1.0])
     return reflected
 
 
 def point_frames(field: Vectors, gradient: Tensors) -> Tensors:
-    """Right-handed frames spanned by B and G B at each point.
+    """Rotation matrices whose columns are axes in the map: along B, then in the plane of B and GB, right-handed.
 
-    Parameters
-    ----------
-    field : (n, 3) array, T
-    gradient : (n, 3, 3) array, T/m
-
-    Returns
-    -------
-    (n, 3, 3) array
-        Rotation matrices whose columns are the frame's axes in the map: the first along B, the second in the
-        plane of B and GB. Ill defined where B and GB are parallel.
+    They are ill defined where B and GB are parallel.
     """
     GB = np.einsum("nij,nj->ni", gradient, field)
     first = field / np.maximum(np.linalg.norm(field, axis=1), np.finfo(float).tiny)[:, None]

@@ -16,15 +16,10 @@ def local_frames(
     distance: Scalars,
     frame_sd: float,
 ) -> tuple[Tensors, Scalars]:
-    """Frames whose z-axis follows the field and whose x-axis follows the field around.
+    """Frames whose z-axis is the field and whose x-axis is the field around: columns are axes in the map frame.
 
-    Returns
-    -------
-    frames : (k, 3, 3) array
-        Columns are the axes x, y, z in the map frame: takes local-frame coordinates to map coordinates.
-    strength : (k,) array
-        Length of the weighted sum of projected vectors over the weighted sum of their lengths; near 0 the x-axis
-        is noise, and 0 where there is no frame.
+    The strength of each frame is the length of the weighted sum of projected vectors over the sum of their weighted
+    lengths: near 0 the x-axis is noise, and it is 0 where there is no frame.
 
     Notes
     -----

@@ -11,19 +11,10 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
 
 def pair_invariants(first: Points, second: Points, field_first: Vectors, field_second: Vectors) -> Matrix:
-    """Seven numbers per pair of points that no rigid motion of the survey changes.
+    """Seven numbers per pair of points that no rigid motion of the survey changes: (n, 7).
 
-    Parameters
-    ----------
-    first, second : (n, 3) arrays, m
-    field_first, field_second : (n, 3) arrays, T
-        Field at the two points.
-
-    Returns
-    -------
-    (n, 7) array
-        ``d`` (m), ``|B_i|``, ``|B_j|``, ``|B_i - B_j|``, ``B_i.u``, ``B_j.u`` (T) and the signed volume
-        ``u.(B_i x B_j) / sqrt(|B_i| |B_j|)`` (T), u the unit vector from the first point to the second.
+    ``d`` (m), ``|B_i|``, ``|B_j|``, ``|B_i - B_j|``, ``B_i.u``, ``B_j.u`` (T) and the signed volume
+    ``u.(B_i x B_j) / sqrt(|B_i| |B_j|)`` (T), u the unit vector from the first point to the second.
     """
     u = second - first
     d = np.linalg.norm(u, axis=1)
@@ -45,23 +36,10 @@ def pair_invariants(first: Points, second: Points, field_first: Vectors, field_s
 
 
 def whiten_pairs(invariants: Matrix, sd_position: float, sd_field: float, field_norm: float) -> Matrix:
-    """Invariants in units of their uncertainty, so that plain distances between rows mean something.
+    """Pair invariants in units of their uncertainty, so that distances between rows are comparable: (n, 7).
 
-    Parameters
-    ----------
-    invariants : (n, 7) array
-        From `pair_invariants`.
-    sd_position : float, m
-        Uncertainty of a point's position along any axis.
-    sd_field : float, T
-        Uncertainty of a field component.
-    field_norm : float, T
-        Typical strength of the field: turns the uncertain direction of u into an uncertain ``B.u``. One number for
-        all pairs keeps equal pairs at distance zero.
-
-    Returns
-    -------
-    (n, 7) array
+    `field_norm` (T) is the typical strength of the field, which turns an uncertain direction of u into an uncertain
+    ``B.u``. One number for all pairs keeps equal pairs at distance zero.
     """
     d = invariants[:, 0]
     sd_along = np.sqrt(sd_field**2 + (field_norm * _direction_sd(d, sd_position)) ** 2)
@@ -82,21 +60,9 @@ def align_pairs(
     sd_position: float,
     sd_field: float,
 ) -> Tensors:
-    """Rotations that turn target pairs onto base pairs best (Wahba's problem, weighted by uncertainty).
+    """Rotations ``R_base_target`` that best turn target pairs onto base pairs (Wahba's problem, weighted): (n, 3, 3).
 
-    Parameters
-    ----------
-    base, target : triples of (n, 3) arrays
-        Vector between the points (m), field at the first and at the second (T).
-    distance : (n,) array, m
-        Between the points.
-    sd_position : float, m
-    sd_field : float, T
-
-    Returns
-    -------
-    (n, 3, 3) array
-        ``R_base_target``.
+    A pair is the vector between the points (m) and the field at the first and at the second (T).
     """
     strength = np.linalg.norm(target[1], axis=1) + np.linalg.norm(target[2], axis=1)
     field_weight = (strength / (2 * sd_field)) ** 2

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.units import field_text
-from magmatch.errors import ConfigurationError, MissingExtraError
+from magmatch.errors import ConfigurationError, import_extra
 from magmatch.typing import Vectors
 
 # Indoors, steel changes the mean field of a room by some tens of percent and bends it by some tens of degrees.
@@ -106,11 +106,7 @@ def check_earth_field(field: Vectors, place: Place) -> EarthFieldCheck:
 
 def earth_field(place: Place) -> np.ndarray:
     """Earth's field of the IGRF."""
-    try:
-        import ppigrf
-    except ImportError:
-        feature = "the check against the Earth's field"
-        raise MissingExtraError(feature, "igrf") from None
+    ppigrf = import_extra("ppigrf", "the check against the Earth's field", "igrf")
     when = datetime(place.day.year, place.day.month, place.day.day)
     components = ppigrf.igrf(place.longitude_deg, place.latitude_deg, place.height / 1e3, when)
     return np.array([float(np.ravel(c)[0]) for c in components]) * NANOTESLA

@@ -18,32 +18,15 @@ WORST_FIT = 0.1
 
 
 def fit_ellipsoid(readings: Vectors, config: CalibrationConfig | None = None) -> tuple[SensorModel, Solution]:
-    """Correction that gives all readings of a turn one magnitude.
+    """Correction that gives all readings of a sensor, turned in one place, the same magnitude (sensor frame, T).
 
-    Parameters
-    ----------
-    readings : (n, 3) array, T
-        Sensor frame, taken in one place from as many sides as can be.
-    config : CalibrationConfig, optional
-        Expected sizes of hard and soft iron.
-
-    Returns
-    -------
-    model : SensorModel
-        Zero along what the attitudes do not tell: without turning the sensor upside down, one axis of the hard iron
-        and parts of the soft iron remain unknown. A misalignment changes no magnitude and is never known.
-    solution : Solution
-        Estimates with standard deviations, and what is open.
-
-    Raises
-    ------
-    SurveyError
-        Too few readings, or no ellipsoid fits: the field was not the same throughout.
+    The correction is zero along what the attitudes do not determine: unless the sensor is turned upside down, one
+    axis of the hard iron and parts of the soft iron stay unknown. Magnitudes never determine a misalignment.
 
     Notes
     -----
-    Gauss-Newton on ``|(I + N) b - d| - r`` with Student weights; r, which is the field's strength there, is free. As
-    elsewhere N is symmetric without trace, since scale and strength cannot be told apart.
+    Gauss-Newton on ``|(I + N) b - d| - r`` with Student weights; r, the local field strength, is free. N is symmetric
+    without trace, since scale and strength cannot be told apart.
     """
     if len(readings) < FEWEST_READINGS:
         msg = f"expected at least {FEWEST_READINGS} readings of a sensor turned about, got {len(readings)}"

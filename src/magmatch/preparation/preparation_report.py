@@ -110,13 +110,7 @@ class PreparationReport:
 
     @classmethod
     def load(cls, path: str | Path) -> "PreparationReport":
-        """Read a report.
-
-        Raises
-        ------
-        DataFormatError
-            The file is none, or was changed after it was written.
-        """
+        """Read a report; one that was changed after writing is refused."""
         content = read_document(path, SCHEMA, "report of 'magmatch prepare'", MAX_BYTES)
         try:
             return cls(

@@ -108,27 +108,10 @@ def apply_model(
     survey: Survey, sensor_log: SensorLog | None, model: SensorModel, channels: Mapping[str, Scalars], *,
     is_changed: bool,
 ) -> tuple[Survey, Indices]:  # fmt: skip
-    """Correct all samples of a survey, and say which rows were kept.
+    """Correct all samples of a survey; also gives the rows that still have a pose once their stamps are moved.
 
-    Parameters
-    ----------
-    survey : Survey
-        As read.
-    sensor_log : SensorLog, optional
-        The same in the sensor's frame.
-    model : SensorModel
-        What to correct.
-    channels : dict of str to (n,) array
-        For the disturbances that follow them.
-    is_changed : bool
-        Whether the log's readings are no longer the survey's.
-
-    Returns
-    -------
-    survey : Survey
-        The one that came in where there is nothing to correct.
-    rows : (k,) int array
-        Samples that have a pose once their stamps are moved.
+    The very survey comes back where there is nothing to correct. `is_changed`: the log's readings are no longer the
+    survey's.
     """
     every = np.arange(len(survey))
     if sensor_log is None or (model.is_identity and not is_changed):

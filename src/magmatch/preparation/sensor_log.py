@@ -62,19 +62,7 @@ class SensorLog:
 
     @classmethod
     def of(cls, survey: Survey, trajectory: Trajectory | None = None) -> "SensorLog":
-        """Turn a survey's field back into the sensor's frame.
-
-        Parameters
-        ----------
-        survey : Survey
-            With orientations.
-        trajectory : Trajectory, optional
-            The poses as they were recorded; by default those of the survey's samples.
-
-        Returns
-        -------
-        SensorLog
-        """
+        """A survey's field turned back into the sensor's frame; poses of the trajectory, else of the samples."""
         if survey.orientations is None:
             msg = "a survey without orientations does not say what its sensor read"
             raise ValueError(msg)

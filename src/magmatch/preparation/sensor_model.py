@@ -96,20 +96,7 @@ class SensorModel:
         )
 
     def corrected(self, readings: Vectors, channels: Mapping[str, np.ndarray] | None = None) -> Vectors:
-        """Field that was there when the sensor read this.
-
-        Parameters
-        ----------
-        readings : (n, 3) array, T
-            Sensor frame.
-        channels : dict of str to (n,) array, optional
-            Values of the channels in `currents`.
-
-        Returns
-        -------
-        (n, 3) array, T
-            Sensor frame.
-        """
+        """True field of readings (T, sensor frame), less what the channels in `currents` add."""
         field_sensor: Vectors = readings @ self.matrix.T - self.shift
         for name, coefficient in self.currents.items():
             if channels is not None and name in channels:

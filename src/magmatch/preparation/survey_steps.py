@@ -29,13 +29,7 @@ OFF = "off"
 def find_disturbances(
     survey: Survey, readings: Vectors, calibration: Calibration | None, config: PreparationConfig
 ) -> tuple[Mask, list[StepReport]]:
-    """Which samples to keep, and what is odd about the others.
-
-    Returns
-    -------
-    kept : (n,) bool array
-    steps : list of StepReport
-    """
+    """Which samples to keep, and a report of each kind of disturbance."""
     modes, in_order = config.disturbances, survey.times is not None
     hyperparameters = _hyperparameters(survey, calibration, config)
     kept, steps = np.ones(len(survey), dtype=bool), []

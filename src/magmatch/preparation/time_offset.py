@@ -27,20 +27,14 @@ LENGTHSCALE_IN_SPACINGS, SIGNAL_SD, NOISE_SD, STIFFNESS = 2.5, 10e-6, 0.5e-6, 30
 
 
 def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float]) -> tuple[float, Solution]:
-    """Offset at which a coarse map explains the field best, and the sensor's errors that go with it.
+    """Offset of the readings' stamps (s) at which a coarse map explains the field best, and the sensor errors there.
 
-    Returns
-    -------
-    offset : float, s
-        To be added to the readings' stamps, within a step of the second pass. 0 where none is clearly better than
-        none at all.
-    solution : Solution
-        At that offset.
+    0 where no offset is clearly better than none; to within a step of the second pass.
 
     Notes
     -----
-    At a wrong offset the field is turned with the wrong attitude and put at the wrong place; neither can be one map,
-    whatever hard and soft iron are, and these are found along with each trial. No error hides the others.
+    At a wrong offset the field is turned by the wrong attitude and put at the wrong place. No single map explains
+    both, whatever the hard and soft iron, which are estimated along with each trial.
     """
     part = log.subset(np.arange(0, len(log), -(-len(log) // N_SAMPLES)))
     settings = coarse_settings(part.positions)

@@ -58,15 +58,10 @@ def draw_corruption(
 
 
 def corrupt(survey: Survey, corruption: Corruption, rng: np.random.Generator) -> tuple[Survey, np.ndarray]:
-    """Give the survey as a raw log would have it.
+    """A survey as a raw log would have it, and which of its samples are left.
 
-    Returns
-    -------
-    survey : Survey
-        Readings taken where the clean survey says, but stamped by another clock and turned with the poses of those
-        stamps. Samples whose stamp lies outside of the trajectory are left out.
-    rows : (k,) int array
-        Which samples of the clean survey these are.
+    Readings are taken where the clean survey says, but stamped by another clock and turned with the poses of those
+    stamps; stamps outside the trajectory are left out.
     """
     if survey.orientations is None or survey.times is None:
         msg = "only a survey with orientations and times can be corrupted: hard iron turns with the sensor"

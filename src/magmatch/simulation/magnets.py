@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.errors import MissingExtraError
+from magmatch.errors import import_extra
 from magmatch.typing import Points, Scalars, Vector3, Vectors
 
 # Source-point pairs evaluated at once: bounds memory at some 100 MB however long a survey is.
@@ -97,7 +97,7 @@ def field_of(sources: Sequence[Source], points: Points) -> Vectors:
     field = np.zeros((len(points), 3))
     if not sources or not len(points):
         return field
-    magpylib = _magpylib()
+    magpylib = import_extra("magpylib", "simulating magnetic sources", "simulation")
     bodies = [_body(magpylib, source) for source in sources]
     step = max(_PAIRS_AT_ONCE // len(bodies), 1)
     for start in range(0, len(points), step):
@@ -125,17 +125,6 @@ def strengthened(source: Source, factor: float) -> Source:
     if isinstance(source, Dipole):
         return replace(source, moment=source.moment * factor)
     return replace(source, polarization=source.polarization * factor)
-
-
-def _magpylib() -> ModuleType:
-    """Import the optional dependency, or say which extra brings it."""
-    try:
-        import magpylib
-    except ImportError:
-        feature = "simulating magnetic sources"
-        raise MissingExtraError(feature, "simulation") from None
-    module: ModuleType = magpylib
-    return module
 
 
 def _body(magpylib: ModuleType, source: Source) -> Any:

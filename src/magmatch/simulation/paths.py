@@ -63,15 +63,7 @@ def boustrophedon(
 
 
 def circles(center: Vector3, radii: Sequence[float], laps: int, n: int) -> tuple[Points, Scalars]:
-    """Drive circles about a point, one radius after another, at constant height.
-
-    Returns
-    -------
-    positions : (n, 3) array, m
-        Points in the order they are passed.
-    heading : (n,) array, rad
-        Angle of the direction of travel from x.
-    """
+    """Circles about a point, one radius after another, at constant height: points, and headings from x (rad)."""
     angle = np.linspace(0, 2 * np.pi * laps, 180 * laps + 1)
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), 0 * angle]) for r in radii]
     positions = resample(np.concatenate(rings) + center, n)
@@ -89,15 +81,7 @@ def wander(size: tuple[float, float, float], n: int, interval: float, rng: np.ra
 
 
 def around_loop(size: tuple[float, float], corner_radius: float, s: Scalars) -> tuple[Points, Scalars]:
-    """Points and headings on a rectangle with rounded corners, anticlockwise from the start of its first long side.
-
-    Returns
-    -------
-    positions : (n, 3) array, m
-        On the plane z = 0, the rectangle from (0, 0) to `size`.
-    heading : (n,) array, rad
-        Angle of the direction of travel from x.
-    """
+    """Points (m, z = 0) and headings (rad) on a rounded rectangle, anticlockwise from its first long side."""
     arc = corner_radius * np.pi / 2
     positions, heading = np.zeros((len(s), 3)), np.zeros(len(s))
     left = np.mod(s, loop_length(size, corner_radius))

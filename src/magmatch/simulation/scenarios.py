@@ -53,27 +53,7 @@ Builder = Callable[[SimulationConfig, Streams], Scene]
 
 
 def build_scene(scenario: str, config: SimulationConfig, streams: Streams) -> Scene:
-    """Build a named scenario.
-
-    Parameters
-    ----------
-    scenario : str
-        One of `SCENARIOS`.
-    config : SimulationConfig
-        Settings.
-    streams : Streams
-        Sources of randomness.
-
-    Returns
-    -------
-    Scene
-        All that is true, nothing measured.
-
-    Raises
-    ------
-    ConfigurationError
-        No such scenario, or a setting that does not fit it.
-    """
+    """Build a named scenario: all that is true, nothing measured."""
     if scenario not in SCENARIOS:
         msg = f"no scenario '{scenario}'; there are {', '.join(SCENARIOS)}"
         raise ConfigurationError(msg)

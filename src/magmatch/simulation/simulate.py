@@ -69,15 +69,7 @@ def simulate(scenario: str, seed: int = 0, config: SimulationConfig | None = Non
 
 
 def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
-    """Write a pair as ``base.csv``, ``target.csv`` and ``truth.json``, each whole or not at all.
-
-    Parameters
-    ----------
-    pair : SimulatedPair
-        What `simulate` returned.
-    folder : path
-        Created if missing. The truth is written last: where it stands, the surveys are complete.
-    """
+    """Write ``base.csv``, ``target.csv`` and, last, ``truth.json``, each whole or not at all."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     truth = {

@@ -76,25 +76,7 @@ def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
 
 
 def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:
-    """Read positions only, from any CSV with columns ``x, y, z``.
-
-    Parameters
-    ----------
-    path : path
-        The file; other columns are ignored.
-    layout : SurveyFormat, optional
-        Its length unit.
-
-    Returns
-    -------
-    (n, 3) array, m
-        Positions, in the file's order and frame.
-
-    Raises
-    ------
-    DataFormatError
-        With line and column wherever one is at fault.
-    """
+    """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order."""
     table = read_table(path, POSITION_COLUMNS)
     table.require(POSITION_COLUMNS)
     return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[(layout or SurveyFormat()).length_unit]

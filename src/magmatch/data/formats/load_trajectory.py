@@ -19,25 +19,7 @@ TRAJECTORY_READERS: Mapping[FileKind, Callable[[str | Path], Trajectory]] = {
 
 
 def load_trajectory(path: str | Path, layout: SurveyFormat) -> Trajectory:
-    """Read a trajectory file.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    layout : SurveyFormat
-        Its length unit.
-
-    Returns
-    -------
-    Trajectory
-        In metres.
-
-    Raises
-    ------
-    DataFormatError
-        With the line at fault.
-    """
+    """Read a trajectory file, in metres."""
     kind = sniff(path)
     if kind not in TRAJECTORY_READERS:
         message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw) or EuRoC"

@@ -15,7 +15,7 @@ from magmatch.data.survey import COLUMNS, SCHEMA, Survey
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
-from magmatch.errors import DataFormatError, MissingExtraError
+from magmatch.errors import DataFormatError, import_extra
 from magmatch.typing import Scalars
 
 # Bounds, stated in docs/formats.md: a column of equal values takes no room in the file, but does in memory.
@@ -45,15 +45,7 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
 def read_other_columns(
     path: str | Path, layout: SurveyFormat, most: int
 ) -> tuple[Scalars | None, dict[str, Scalars]]:
-    """Read the number columns of a Parquet file that are none of a survey's.
-
-    Returns
-    -------
-    times : (n,) array, optional
-        In the file's unit, time stamps in seconds.
-    columns : dict of str to (n,) array
-        Columns that hold anything but finite numbers are left out.
-    """
+    """Times (in the file's unit, stamps in s) and the finite number columns that are none of a survey's."""
     known = _known(layout)
     columns: dict[str, Scalars] = {}
     with _opened(path) as (file, pa):
@@ -77,12 +69,7 @@ def read_other_columns(
 @contextmanager
 def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
     """The file and pyarrow; whatever is wrong with the file becomes one error."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        feature = "reading Parquet"
-        raise MissingExtraError(feature, "parquet") from None
+    pa, pq = (import_extra(name, "reading Parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     read_bytes(path, 4)
     try:
         with pq.ParquetFile(
@@ -146,12 +133,7 @@ def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars
 
 def write_parquet(survey: Survey, path: str | Path) -> None:
     """Write a survey as Parquet, with the columns of the CSV; reading it back gives the same float64 values."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        feature = "writing Parquet"
-        raise MissingExtraError(feature, "parquet") from None
+    pa, pq = (import_extra(name, "writing Parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     about = json.dumps({"frame": survey.frame, "pose_sd": float(survey.pose_sd)})
     table = pa.table(survey.columns()).replace_schema_metadata({SCHEMA: about})
     with atomic_write(path) as stream:

@@ -66,26 +66,7 @@ _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be lo
 
 
 def sniff(path: str | Path) -> FileKind:
-    """Tell what a file is.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Returns
-    -------
-    str
-        ``csv`` (a table with a header row), ``map`` (a zip archive such as a saved map), ``registration`` (a
-        result of `register`), ``tum`` (rows of 8 numbers without a header), ``euroc`` (rows of numbers under
-        ``#timestamp``), ``log`` (a ROS 1 bag, ROS 2 bag or MCAP file), ``parquet``, or ``phone`` (an export of Sensor
-        Logger or phyphox: a table, a zip archive or a folder).
-
-    Raises
-    ------
-    DataFormatError
-        None of these; says what it seems to be and what to do.
-    """
+    """Tell what a file is; one that cannot be read is refused with what it seems to be and what to do."""
     if is_folder(path):
         return _sniff_folder(path)
     head = read_bytes(path, _HEAD)

@@ -101,15 +101,13 @@ def read_table(
     recover: bool | None = None,
     advise: Callable[[Sequence[str]], str] = lambda _: "",
 ) -> Table:
-    """Read the known columns of a delimited text file.
+    """Read the known columns of a delimited text file; every number is finite, and there is at least one row.
 
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
     semicolon, tab, or else white space. Between semicolons or tabs numbers may have decimal commas.
 
     Parameters
     ----------
-    path : path
-        The file.
     known : collection of str
         Columns to read where present, lower case; others are ignored, whatever they hold.
     names : sequence of str, optional
@@ -121,16 +119,6 @@ def read_table(
         choice, which messages then do not offer.
     advise : callable
         What to do about a file that has none of the columns, from the names it has.
-
-    Returns
-    -------
-    Table
-        At least one row; every number finite.
-
-    Raises
-    ------
-    DataFormatError
-        With line and column wherever one is at fault.
     """
     reader = _TableReader(path, known, names, recover=recover, advise=advise)
     for block in text_blocks(path, raw):
@@ -274,17 +262,7 @@ class _TableReader:
 
 
 def write_table(path: str | Path, columns: Mapping[str, Scalars], comments: Sequence[str] = ()) -> None:
-    """Write number columns as CSV, so that reading them gives the same float64 values.
-
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced only once the new one is complete.
-    columns : mapping of str to (n,) array
-        Column names and values, in the order to write.
-    comments : sequence of str
-        Lines to put above the header, without the ``#``.
-    """
+    """Write number columns as CSV below comment lines; reading them gives the same float64 values."""
     with atomic_write(path) as stream:
         stream.writelines(_rows(columns, comments))
 

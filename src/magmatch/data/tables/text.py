@@ -20,17 +20,7 @@ BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Some lines of a text file that follow each other.
-
-    Attributes
-    ----------
-    start : int
-        How many lines stand before them.
-    lines : list of str
-        Without their ends.
-    is_last : bool
-        Whether the file ends with them.
-    """
+    """Consecutive lines of a text file, without their ends: `start` lines stand before them."""
 
     start: int
     lines: list[str]
@@ -46,25 +36,7 @@ def is_folder(path: str | Path) -> bool:
 
 
 def read_bytes(path: str | Path, limit: int = -1) -> bytes:
-    """Give a regular file's content; what is not one is refused in words.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    limit : int
-        How many bytes to read at most; all by default.
-
-    Returns
-    -------
-    bytes
-        Its content, from the beginning.
-
-    Raises
-    ------
-    DataFormatError
-        No such file, a folder, a device, or no permission to read.
-    """
+    """The first `limit` bytes of a regular file, all by default; anything else is refused with a reason."""
     with _opened(path) as stream:
         return stream.read(limit)
 
@@ -94,25 +66,7 @@ def _opened(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def text_lines(path: str | Path, raw: bytes) -> list[str]:
-    """Give the lines of a text file, whatever its line ends; UTF-8 (or UTF-16 with a byte order mark).
-
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    raw : bytes
-        Its content.
-
-    Returns
-    -------
-    list of str
-        Lines without their ends.
-
-    Raises
-    ------
-    DataFormatError
-        Empty, binary, or in another encoding.
-    """
+    """Lines of a text file without their ends, whichever these are; UTF-8, or UTF-16 with a byte order mark."""
     if not raw.strip():
         raise DataFormatError(path, "the file is empty" if not raw else "the file holds only white space")
     return _lines(path, raw, 0)

@@ -8,23 +8,7 @@ MAX_VALUES = 1_000_000
 
 
 def load_yaml(text: str) -> Any:
-    """Read a YAML document of plain data.
-
-    Parameters
-    ----------
-    text : str
-        The document.
-
-    Returns
-    -------
-    object
-        Made of mappings, lists, words and numbers; nothing is run, whatever its tags say.
-
-    Raises
-    ------
-    yaml.YAMLError
-        No YAML, nested too deeply, or one that repeats values by name until they fill the memory, or forever.
-    """
+    """Mappings, lists, words and numbers of a YAML document; tags run nothing, and `yaml.YAMLError` refuses bombs."""
     import yaml
 
     try:

@@ -44,17 +44,9 @@ class Coverage:
 
 
 def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Scalars]:
-    """Ask a map all over the box around its samples, and at points of a picture.
+    """Coverage of the box around a map's samples, and the standard deviation of a component (T) at other points.
 
-    Returns
-    -------
-    coverage : Coverage
-    sd : (n,) array, T
-        Standard deviation of a component at the points.
-
-    Notes
-    -----
-    One question for both: the tiles of a large map keep no factors, and making them is nearly all that this costs.
+    One query for both: the tiles of a large map keep no factors, and making them takes nearly all the time.
     """
     size = np.ptp(field_map.survey.transformed(field_map.T_map_model.inv()).positions, axis=0)
     sides = np.maximum(size, 0.02 * size.max())  # of a flat survey the thickness hardly matters

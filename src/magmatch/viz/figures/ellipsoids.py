@@ -51,13 +51,7 @@ class Ellipsoid:
 
 
 def ellipsoids_at(covariance: Matrix, T_base_target: RigidTransform, center: Vector3) -> tuple[Ellipsoid, Ellipsoid]:
-    """Where a point of the target may lie, and how the target may be turned, in base axes.
-
-    Returns
-    -------
-    place, turn : Ellipsoid
-        In m, and in rad.
-    """
+    """Where a point of the target may lie (m), and how the target may be turned (rad), in base axes."""
     R = rotation_matrix(T_base_target)
     J = np.hstack([-skew(np.asarray(center)[None])[0], np.eye(3)])
     return _ellipsoid(R @ J @ covariance @ J.T @ R.T), _ellipsoid(R @ covariance[:3, :3] @ R.T)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magmatch.errors import MissingExtraError
+from magmatch.errors import import_extra
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 if TYPE_CHECKING:
@@ -26,25 +26,8 @@ UT_PER_TESLA = 1e6
 
 
 def require_plotly() -> ModuleType:
-    """Import plotly's graph objects.
-
-    Returns
-    -------
-    module
-        ``plotly.graph_objects``.
-
-    Raises
-    ------
-    MissingExtraError
-        Plotly is not installed.
-    """
-    try:
-        import plotly.graph_objects as go
-    except ImportError:
-        feature = "a picture"
-        raise MissingExtraError(feature, "viz") from None
-    module: ModuleType = go
-    return module
+    """Plotly's graph objects; a missing Plotly is an error that names the extra."""
+    return import_extra("plotly.graph_objects", "a picture", "viz")
 
 
 def thinned(n: int, n_drawn: int = MAX_DRAWN) -> Indices:

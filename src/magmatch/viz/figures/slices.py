@@ -80,13 +80,7 @@ def cut_normal_to(p: Points, normal: int, height: float | None = None) -> Cut:
 
 
 def field_on(cut: Cut, field_map: FieldMap, T_cut_map: RigidTransform | None = None) -> tuple[Vectors, Mask]:
-    """Field of a map on a cut, in the cut's frame, and where the map knows it.
-
-    Returns
-    -------
-    field : (n, 3) array, T
-    is_known : (n,) array
-    """
+    """Field of a map on a cut (T, the cut's frame), and where the map knows it."""
     T = RigidTransform.identity() if T_cut_map is None else T_cut_map
     p_map = transform_points(cut.points, T.inv())
     return rotate_vectors(field_map.evaluate(p_map).field, T), field_map.knows(p_map)

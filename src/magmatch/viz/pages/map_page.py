@@ -49,20 +49,7 @@ def write_map_report(
 ) -> None:
     """Write one HTML page about a map; it works offline and on a phone.
 
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced once the new one is complete.
-    field_map : FieldMap
-    read : sequence of Survey, optional
-        The surveys as they were read, map frame; shows which samples were left out.
-    command : str, optional
-        Command line that makes the map again, with the settings in ``settings.yaml``.
-
-    Raises
-    ------
-    MissingExtraError
-        Plotly is not installed.
+    `read` holds the surveys as read (map frame), to show which samples were left out; `command` makes the map again.
     """
     again = _again(field_map, command)
     write_page(path, f"magmatch: map of {field_map.survey.name}", [*map_sections(field_map, read), again])

@@ -45,17 +45,7 @@ class Section:
 
 
 def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> None:
-    """Write a page, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where.
-    title : str
-        Plain text.
-    sections : sequence of Section
-        In order. Those with a title are listed at the top.
-    """
+    """Write a page, whole or not at all; sections with a title are listed at the top."""
     require_plotly()
     page = Template(files("magmatch.viz.pages").joinpath("page.html").read_text(encoding="utf-8"))
     html = page.substitute(

@@ -39,21 +39,8 @@ def write_report(
 ) -> None:
     """Write one HTML page about a registration; it works offline and on a phone.
 
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced once the new one is complete.
-    base, target : Survey or FieldMap, optional
-        What was registered, each in its own frame. Slices and residuals are drawn where there are maps, nothing is
-        drawn where one of the two is missing.
-    result : RegistrationResult
-    command : str, optional
-        Command line that gives the result again, with the settings in ``settings.yaml``.
-
-    Raises
-    ------
-    MissingExtraError
-        Plotly is not installed.
+    Maps add slices and residuals; without base or target nothing is drawn. `command` gives the result again, with
+    the settings in ``settings.yaml``.
     """
     sections = [_answer(result)]
     if base is not None and target is not None:

@@ -14,19 +14,7 @@ from magmatch.viz.pages.page import Section, figure_row, write_page
 
 
 def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
-    """Write one HTML page that shows surveys and maps, each in its own frame.
-
-    Parameters
-    ----------
-    path : path
-        Where; an existing file is replaced once the new one is complete.
-    drawn : sequence of Survey or FieldMap
-
-    Raises
-    ------
-    MissingExtraError
-        Plotly is not installed.
-    """
+    """Write one HTML page that shows surveys and maps, each in its own frame."""
     sections, names = [], []
     for item in drawn:
         survey = item if isinstance(item, Survey) else item.survey

@@ -96,18 +96,7 @@ class Exhibit:
 
 
 def exhibit(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> Exhibit:
-    """Put together what is to be seen.
-
-    Parameters
-    ----------
-    drawn : sequence of Survey or FieldMap
-        With a result: its base and its target.
-    result : RegistrationResult, optional
-
-    Returns
-    -------
-    Exhibit
-    """
+    """Put together what a viewer shows; with a result, its base and its target."""
     surveys = [item.survey if isinstance(item, FieldMap) else item for item in drawn]
     names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
     colors = np.array([[0, 54, 95], [213, 94, 0], [87, 96, 106], [0, 158, 115], [204, 121, 167]])
@@ -132,15 +121,8 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
     return np.stack([np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T], axis=1)
 
 
-def entry(field_map: FieldMap, cut: Cut, quantity: str, limits: tuple[float, float]) -> tuple[Matrix, Mask]:
-    """Colours of a map on a cut, and where it knows the field.
-
-    Returns
-    -------
-    colors : (n, 3) array
-        0 to 255, row by row over the cut.
-    is_known : (n,) array
-    """
+def cut_colors(field_map: FieldMap, cut: Cut, quantity: str, limits: tuple[float, float]) -> tuple[Matrix, Mask]:
+    """Colours of a map on a cut, (n, 3) from 0 to 255 row by row, and where it knows the field."""
     field, is_known = field_on(cut, field_map)
     if quantity == "field magnitude":
         return shaded(magnitude_ut(field), limits), is_known

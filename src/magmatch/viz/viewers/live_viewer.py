@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.errors import MissingExtraError
+from magmatch.errors import import_extra
 from magmatch.viz.figures.plotting import magnitude_ut
 from magmatch.viz.figures.slices import cut_normal_to, cut_through
-from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, entry, shaded
+from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, cut_colors, shaded
 
 QUANTITIES = ("field magnitude", "standard deviation")
 BY_FIELD, BY_SURVEY = "field magnitude", "survey"
@@ -22,47 +22,15 @@ POINT_SHARE = 0.003
 
 
 def require_viser() -> ModuleType:
-    """Import the viewer's library.
-
-    Returns
-    -------
-    module
-        ``viser``.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
-    try:
-        import viser
-    except ImportError:
-        feature = "the live viewer"
-        raise MissingExtraError(feature, "view") from None
-    return viser
+    """The viewer's library."""
+    return import_extra("viser", "the live viewer", "view")
 
 
 @contextmanager
 def serve(shown: Exhibit, port: int = 8080, host: str = "127.0.0.1") -> Iterator[Any]:
-    """Show an exhibit at a web address for as long as the block runs.
+    """Show an exhibit at a web address while the block runs, by default to this machine only.
 
-    Parameters
-    ----------
-    shown : Exhibit
-    port : int
-        First port to try; the next free one is taken.
-    host : str
-        Who may look: by default this machine only.
-
-    Yields
-    ------
-    viser.ViserServer
-        Listening; `address_of` says where.
-
-    Raises
-    ------
-    MissingExtraError
-        Viser is not installed.
+    The next free port is taken where `port` is in use; `address_of` gives the address.
     """
     viser = require_viser()
     with redirect_stdout(io.StringIO()):  # it prints a table of addresses, and a word when it stops
@@ -180,7 +148,7 @@ def _add_cut(server: Any, shown: Exhibit, part: Part) -> None:
         normal = "xyz".index(axis.value)
         height = float(low[normal] + share.value * (high[normal] - low[normal]))
         cut = cut_normal_to(p, normal, height)
-        colors, is_known = entry(field_map, cut, quantity.value, shown.limits)
+        colors, is_known = cut_colors(field_map, cut, quantity.value, shown.limits)
         image = np.concatenate([colors, 255.0 * is_known[:, None]], axis=1).astype(np.uint8)
         a, b, _ = cut.axes
         axes = np.stack([np.eye(3)[a], np.eye(3)[b], np.cross(np.eye(3)[a], np.eye(3)[b])], axis=1)

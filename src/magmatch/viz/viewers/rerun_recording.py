@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.errors import MissingExtraError
+from magmatch.errors import import_extra
 from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut
 from magmatch.viz.figures.slices import Cut, cut_through
-from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, entry, shaded
+from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, cut_colors, shaded
 
 # Steps of the timeline 'registration', from as recorded to registered.
 N_STEPS = 20
@@ -19,40 +19,12 @@ POINT_SHARE = 0.002
 
 
 def require_rerun() -> ModuleType:
-    """Import Rerun's library.
-
-    Returns
-    -------
-    module
-        ``rerun``.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
-    try:
-        import rerun
-    except ImportError:
-        feature = "a Rerun recording"
-        raise MissingExtraError(feature, "rerun") from None
-    return rerun
+    """Rerun's library."""
+    return import_extra("rerun", "a Rerun recording", "rerun")
 
 
 def write_rerun(path: str | Path, shown: Exhibit) -> None:
-    """Write an exhibit for the Rerun viewer, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Where (.rrd); an existing file is replaced.
-    shown : Exhibit
-
-    Raises
-    ------
-    MissingExtraError
-        Rerun is not installed.
-    """
+    """Write an exhibit for the Rerun viewer (.rrd), whole or not at all."""
     rr = require_rerun()
     recording = rr.RecordingStream("magmatch")
     memory = recording.memory_recording()
@@ -84,7 +56,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: Exhibit, part: Part) -> Non
     if part.field_map is None:
         return
     cut = cut_through(part.survey.positions)
-    colors, is_known = entry(part.field_map, cut, "field magnitude", shown.limits)
+    colors, is_known = cut_colors(part.field_map, cut, "field magnitude", shown.limits)
     faces = _faces(cut, is_known)
     if len(faces):
         mesh = rr.Mesh3D(
