@@ -44,13 +44,13 @@ class Layouts:
 
 
 def command(
-    app: typer.Typer, name: str, examples: Sequence[str], surveys: Sequence[str] | None = None
-) -> Callable[[Callable[..., int | None]], Callable[..., int | None]]:
-    """Make a function a subcommand."""
+    name: str, examples: Sequence[str], surveys: Sequence[str] | None = None
+) -> Callable[[Callable[..., int | None]], Callable[[typer.Typer], None]]:
+    """Make a function what adds it to the program as a subcommand, with options for how to read its surveys."""
     epilog = "\b\nExamples:\n" + "\n".join(f"  {example}" for example in examples)
+    extra = {} if surveys is None else _layout_parameters(("", *surveys))
 
-    def decorate(function: Callable[..., int | None]) -> Callable[..., int | None]:
-        extra = {} if surveys is None else _layout_parameters(("", *surveys))
+    def decorate(function: Callable[..., int | None]) -> Callable[[typer.Typer], None]:
         hints = get_type_hints(function, include_extras=True)
         hints.pop("layouts", None)
 
@@ -70,7 +70,11 @@ def command(
         call.__signature__ = inspect.Signature(as_keywords + defaults)  # type: ignore[attr-defined]
         call.__annotations__ = annotations
         help_text = inspect.cleandoc(function.__doc__ or "")
-        return app.command(name, epilog=epilog, help=help_text, no_args_is_help=False)(call)
+
+        def add_to(app: typer.Typer) -> None:
+            app.command(name, epilog=epilog, help=help_text, no_args_is_help=False)(call)
+
+        return add_to
 
     return decorate
 

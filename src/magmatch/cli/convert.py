@@ -10,6 +10,7 @@ import typer
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_result
 from magmatch.cli.narration import say
+from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 
@@ -26,11 +27,7 @@ MAP_GRIDS = (".vtk", ".ply", ".nc")
 RESULTS = (".tum", ".g2o", ".yaml")
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "convert", EXAMPLES, surveys=())(convert)
-
-
+@command("convert", EXAMPLES, surveys=())
 def convert(
     source: Annotated[Path, typer.Argument(help="Survey, log, trajectory, saved map or result.", metavar="INPUT")],
     out: Annotated[
@@ -93,11 +90,8 @@ def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotatio
 
     names = [name.strip() for name in frames.split(",")]
     if len(names) != 2 or not all(names):
-        msg = f"--frames: expected two names such as map,map_monday; found '{frames}'"
-        raise ConfigurationError(msg)
-    if g2o_rotation not in {"quaternion", "angle"}:
-        msg = f"--g2o-rotation: expected quaternion or angle; found '{g2o_rotation}'"
-        raise ConfigurationError(msg)
+        refuse("--frames", "two names such as map,map_monday", frames)
+    one_of("--g2o-rotation", g2o_rotation, ("quaternion", "angle"))
     if suffix not in RESULTS:
         raise _unknown_ending(out, RESULTS)
     result = read_result(source)
@@ -114,14 +108,11 @@ def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotatio
 
 def parse_slice(text: str) -> tuple[str, float]:
     """Axis and coordinate of a slice."""
+    expected = "an axis and a coordinate in metres such as z=1.0"
     axis, _, number = (part.strip() for part in text.partition("="))
-    try:
-        value = float(number)
-    except ValueError:
-        value = float("nan")
-    if axis not in {"x", "y", "z"} or not abs(value) < 1e9:
-        msg = f"--slice: expected an axis and a coordinate in metres such as z=1.0; found '{text}'"
-        raise ConfigurationError(msg)
+    (value,) = numbers("--slice", number, 1, expected)
+    if axis not in {"x", "y", "z"} or abs(value) >= 1e9:
+        refuse("--slice", expected, text)
     return axis, value
 
 

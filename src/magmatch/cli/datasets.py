@@ -17,11 +17,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "datasets", EXAMPLES)(datasets)
-
-
+@command("datasets", EXAMPLES)
 def datasets(
     action: Annotated[str, typer.Argument(help="list, or fetch with a NAME.", metavar="[list|fetch]")] = "list",
     name: Annotated[str | None, typer.Argument(help="Dataset to fetch.", metavar="[NAME]")] = None,

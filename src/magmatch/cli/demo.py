@@ -22,11 +22,7 @@ if TYPE_CHECKING:
 EXAMPLES = ("magmatch demo", "magmatch demo --out demo-output", "magmatch demo --json")
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "demo", EXAMPLES)(demo)
-
-
+@command("demo", EXAMPLES)
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the result and its picture.")] = Path("magmatch-demo"),
     seed: Annotated[int, typer.Option(help="Seed of the registration.", min=0)] = 0,

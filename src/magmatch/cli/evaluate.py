@@ -11,12 +11,13 @@ from magmatch.errors import MagmatchError
 INSTALL = "pip install ./evaluation (in a checkout of magmatch)"
 
 
-def add_to(app: typer.Typer) -> None:
+def evaluate(app: typer.Typer) -> None:
     """Add the subcommand of that package, or one that says what to install."""
     if find_spec("magmatch_evaluation") is not None:
-        from magmatch_evaluation.program import EXAMPLES, evaluate
+        from magmatch_evaluation.program import EXAMPLES
+        from magmatch_evaluation.program import evaluate as run
 
-        command(app, "evaluate", EXAMPLES)(evaluate)
+        command("evaluate", EXAMPLES)(run)(app)
         return
     whatever = {"allow_extra_args": True, "ignore_unknown_options": True}
     app.command("evaluate", context_settings=whatever, epilog=f"First: {INSTALL}")(_missing)

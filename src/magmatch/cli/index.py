@@ -16,11 +16,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "index", EXAMPLES)(index)
-
-
+@command("index", EXAMPLES)
 def index(
     maps: Annotated[list[Path], typer.Argument(help="Saved maps, or folders of them.", metavar="MAP")],
     config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the default's.")] = None,

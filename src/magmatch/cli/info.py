@@ -20,11 +20,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "info", EXAMPLES, surveys=())(info)
-
-
+@command("info", EXAMPLES, surveys=())
 def info(
     file: Annotated[
         Path, typer.Argument(help="Survey, log, saved map, trajectory or registration result.", metavar="FILE")

@@ -30,13 +30,9 @@ def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Surve
 
 def read_map(path: Path) -> "FieldMap":
     """Read a saved map."""
-    from magmatch.data.formats.sniff import sniff
     from magmatch.field.map import FieldMap
 
-    kind = sniff(path)
-    if kind != "map":
-        message = f"expected a saved map, found a {kind} file; make a map with 'magmatch map SURVEY --out MAP'"
-        raise DataFormatError(path, message)
+    _require_kind(path, "map", "a saved map", "; make a map with 'magmatch map SURVEY --out MAP'")
     return FieldMap.load(path)
 
 
@@ -50,11 +46,14 @@ def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
 
 def read_result(path: Path) -> "RegistrationResult":
     """Read a registration result."""
-    from magmatch.data.formats.sniff import sniff
     from magmatch.registration.result import RegistrationResult
 
-    kind = sniff(path)
-    if kind != "registration":
-        message = f"expected a registration result (JSON of 'magmatch register'), found a {kind} file"
-        raise DataFormatError(path, message)
+    _require_kind(path, "registration", "a registration result (JSON of 'magmatch register')")
     return RegistrationResult.load(path)
+
+
+def _require_kind(path: Path, kind: str, expected: str, advice: str = "") -> None:
+    from magmatch.data.formats.sniff import sniff
+
+    if (found := sniff(path)) != kind:
+        raise DataFormatError(path, f"expected {expected}, found a {found} file{advice}")

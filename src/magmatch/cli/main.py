@@ -8,24 +8,22 @@ from typing import Annotated
 import typer
 
 from magmatch._version import __version__
-from magmatch.cli import (
-    convert,
-    datasets,
-    demo,
-    evaluate,
-    index,
-    info,
-    map,
-    prepare,
-    query,
-    register,
-    simulate,
-    transform,
-    view,
-)
 from magmatch.cli.boundary import guarded
 from magmatch.cli.command import Debug, Verbose
+from magmatch.cli.convert import convert
+from magmatch.cli.datasets import datasets
+from magmatch.cli.demo import demo
+from magmatch.cli.evaluate import evaluate
+from magmatch.cli.index import index
+from magmatch.cli.info import info
+from magmatch.cli.map import build
 from magmatch.cli.narration import narrated, put
+from magmatch.cli.prepare import prepare
+from magmatch.cli.query import query
+from magmatch.cli.register import register
+from magmatch.cli.simulate import simulate
+from magmatch.cli.transform import transform
+from magmatch.cli.view import view
 
 EPILOG = """\b
 Examples:
@@ -42,7 +40,21 @@ Exit codes:
 """
 
 # In the order in which one gets to know the program.
-COMMANDS = (register, transform, prepare, map, index, query, info, view, convert, simulate, datasets, demo, evaluate)
+COMMANDS = (
+    register,
+    transform,
+    prepare,
+    build,
+    index,
+    query,
+    info,
+    view,
+    convert,
+    simulate,
+    datasets,
+    demo,
+    evaluate,
+)
 
 
 def build_app() -> typer.Typer:
@@ -51,8 +63,8 @@ def build_app() -> typer.Typer:
         name="magmatch", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EPILOG
     )
     app.callback()(_program)
-    for module in COMMANDS:
-        module.add_to(app)
+    for add_to in COMMANDS:
+        add_to(app)
     return app
 
 

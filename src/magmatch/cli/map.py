@@ -12,11 +12,11 @@ import typer
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_samples
 from magmatch.cli.narration import say
+from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged, read_settings
 from magmatch.cli.tile_runner import runner
 from magmatch.data.units import field_text
-from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
@@ -38,11 +38,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "map", EXAMPLES, surveys=())(build)
-
-
+@command("map", EXAMPLES, surveys=())
 def build(
     surveys: Annotated[
         list[Path],
@@ -76,6 +72,7 @@ def build(
     """Build a field map from surveys and save it, or add surveys to a saved map."""
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
+    from magmatch.field.priors import PRIORS
 
     is_addition = prior is None and domain is None and config is None and _is_map(surveys[0]) and len(surveys) > 1
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
@@ -93,7 +90,7 @@ def build(
     if config is not None:
         read = read_settings(config)
         settings = merged(settings, read.get("field", read), config)
-    stated: dict[str, Any] = {} if prior is None else {"prior": _known_prior(prior)}
+    stated: dict[str, Any] = {} if prior is None else {"prior": one_of("--prior", prior, ("auto", *PRIORS))}
     if domain is not None:
         stated["domain"] = parse_domain(domain)
     settings = FieldConfig.model_validate(settings.model_dump() | stated)
@@ -101,13 +98,13 @@ def build(
     with runner(jobs, scheduler) as run:
         field_map = build_map(samples, settings, run)
     field_map.save(out)
-    numbers, errors = field_map.hyperparameters, field_map.config.comparison
+    h, errors = field_map.hyperparameters, field_map.config.comparison
     if errors:
         told = ", ".join(f"{name} {field_text(error)}" for name, error in sorted(errors.items(), key=lambda e: e[1]))
         say(f"Prior {field_map.config.prior} taken; typical error of left-out parts: {told}")
     say(
-        f"Mapped {len(field_map.survey)} samples: lengthscale {numbers.lengthscale:.3g} m, field varies by "
-        f"{field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}\nWrote the map to {out}"
+        f"Mapped {len(field_map.survey)} samples: lengthscale {h.lengthscale:.3g} m, field varies by "
+        f"{field_text(h.signal_sd)}, noise {field_text(h.noise_sd)}\nWrote the map to {out}"
     )
     _warn_of_sensors(samples, field_map)
     draw(report, field_map, samples, command_again(surveys, layouts, out))
@@ -168,23 +165,8 @@ def _is_map(path: Path) -> bool:
 
 def parse_domain(text: str) -> tuple[float, ...]:
     """Six numbers, the lower corner below the upper one."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    is_box = len(numbers) == 6 and all(
-        -1e9 < low < high < 1e9 for low, high in zip(numbers[:3], numbers[3:], strict=True)
-    )
-    if not is_box:
-        msg = f"--domain: expected X0,Y0,Z0,X1,Y1,Z1 in metres with X0 < X1, Y0 < Y1, Z0 < Z1; found '{text}'"
-        raise ConfigurationError(msg)
-    return numbers
-
-
-def _known_prior(prior: str) -> str:
-    from magmatch.field.priors import PRIORS
-
-    if prior not in ("auto", *PRIORS):
-        msg = f"--prior: expected one of auto, {', '.join(PRIORS)}; found '{prior}'"
-        raise ConfigurationError(msg)
-    return prior
+    expected = "X0,Y0,Z0,X1,Y1,Z1 in metres with X0 < X1, Y0 < Y1, Z0 < Z1"
+    corners = numbers("--domain", text, 6, expected)
+    if not all(-1e9 < low < high < 1e9 for low, high in zip(corners[:3], corners[3:], strict=True)):
+        refuse("--domain", expected, text)
+    return tuple(corners)

@@ -8,6 +8,7 @@ import typer
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.narration import say
+from magmatch.cli.option_values import numbers, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged, read_settings
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
@@ -25,11 +26,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "prepare", EXAMPLES, surveys=())(prepare)
-
-
+@command("prepare", EXAMPLES, surveys=())
 def prepare(
     log: Annotated[Path, typer.Argument(help="Raw log: a survey with orientations.", metavar="LOG")],
     out: Annotated[Path, typer.Option(help="Write the survey here (CSV).")],
@@ -94,16 +91,11 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
     if place is None or day is None:
         msg = "--place and --date go together: the Earth's field differs from place to place and from year to year"
         raise ConfigurationError(msg)
-    try:
-        latitude, longitude, height = (float(part) for part in place.split(","))
-    except ValueError:
-        msg = f"--place: expected LAT,LON,HEIGHT in degrees and metres, found '{place}'"
-        raise ConfigurationError(msg) from None
+    latitude, longitude, height = numbers("--place", place, 3, "LAT,LON,HEIGHT in degrees and metres")
     try:
         when = date.fromisoformat(day)
     except ValueError:
-        msg = f"--date: expected YYYY-MM-DD, found '{day}'"
-        raise ConfigurationError(msg) from None
+        refuse("--date", "YYYY-MM-DD", day)
     return Place(latitude, longitude, height, when)
 
 

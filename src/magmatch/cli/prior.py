@@ -4,6 +4,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from magmatch.cli.option_values import numbers, refuse
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -23,10 +24,9 @@ def with_prior(
         if pose is None and config.prior.pose is None:
             msg = "--prior-pose-sd: there is no rough pose; say --prior-pose too"
             raise ConfigurationError(msg)
-        metres, degrees = _numbers("--prior-pose-sd", pose_sd, 2, "metres,degrees, both above 0, such as 1,10")
+        metres, degrees = numbers("--prior-pose-sd", pose_sd, 2, "metres,degrees, both above 0, such as 1,10")
         if metres <= 0 or not 0 < degrees <= 180:
-            msg = f"--prior-pose-sd: expected metres above 0 and degrees from 0 to 180, found {pose_sd}"
-            raise ConfigurationError(msg)
+            refuse("--prior-pose-sd", "metres above 0 and degrees from 0 to 180", pose_sd)
         said |= {"sd_translation": metres, "sd_rotation": radians(degrees)}
     if gravity_sd is not None and not (is_aligned or config.prior.is_gravity_aligned):
         msg = "--gravity-sd: say --gravity-aligned too"
@@ -45,7 +45,7 @@ def _pose(text: str) -> tuple[float, ...]:
     """Seven numbers, given or from a result."""
     if "," not in text or Path(text).is_file():
         return _pose_of(Path(text))
-    x, y, z, *q = _numbers("--prior-pose", text, 7, "x,y,z,qx,qy,qz,qw (m; a unit quaternion) or a result's file")
+    x, y, z, *q = numbers("--prior-pose", text, 7, "x,y,z,qx,qy,qz,qw (m; a unit quaternion) or a result's file")
     norm = sum(c * c for c in q) ** 0.5
     if not 0.99 < norm < 1.01:
         msg = f"--prior-pose: expected a unit quaternion qx,qy,qz,qw, found one of length {norm:.3g}"
@@ -64,16 +64,3 @@ def _pose_of(path: Path) -> tuple[float, ...]:
         msg = f"--prior-pose: {path} holds no pose, accepted or not"
         raise ConfigurationError(msg)
     return (*map(float, T.translation), *map(float, T.rotation.as_quat()))
-
-
-def _numbers(option: str, text: str, n: int, expected: str) -> list[float]:
-    from math import isfinite
-
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != n or not all(map(isfinite, found)):
-        msg = f"{option}: expected {expected}; found '{text}'"
-        raise ConfigurationError(msg)
-    return found

@@ -24,11 +24,7 @@ EXAMPLES = (
 CHUNK = 20_000
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "query", EXAMPLES)(query)
-
-
+@command("query", EXAMPLES)
 def query(
     field_map: Annotated[Path, typer.Argument(help="Saved map.", metavar="MAP")],
     points: Annotated[

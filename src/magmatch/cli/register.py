@@ -35,11 +35,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "register", EXAMPLES, surveys=("base", "target"))(register)
-
-
+@command("register", EXAMPLES, surveys=("base", "target"))
 def register(
     base: Annotated[
         Path, typer.Argument(help="Survey, saved map, or folder of saved maps, that gives the frame.", metavar="BASE")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from magmatch.cli.option_values import one_of
 from magmatch.errors import ConfigurationError, DataFormatError, first_fault
 
 if TYPE_CHECKING:
@@ -24,13 +25,8 @@ def registration_config(preset: str, path: Path | None, sensor: str = "auto") ->
     """Resolve the configuration of a registration: the file's settings over the preset's."""
     from magmatch.registration.config import PRESETS
 
-    if preset not in PRESETS:
-        msg = f"--preset: expected one of {', '.join(PRESETS)}; found '{preset}'"
-        raise ConfigurationError(msg)
-    config = PRESETS[preset]
-    if sensor not in SENSORS:
-        msg = f"--sensor: expected one of {', '.join(SENSORS)}; found '{sensor}'"
-        raise ConfigurationError(msg)
+    config = PRESETS[one_of("--preset", preset, PRESETS)]
+    one_of("--sensor", sensor, SENSORS)
     if path is not None:
         config = merged(config, read_settings(path), path)
     return with_sensor(config, sensor)

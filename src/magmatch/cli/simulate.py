@@ -16,11 +16,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "simulate", EXAMPLES)(simulate)
-
-
+@command("simulate", EXAMPLES)
 def simulate(
     scenario: Annotated[
         str, typer.Argument(help="Name of a scenario; a wrong one lists those there are.", metavar="SCENARIO")

@@ -18,11 +18,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "transform", EXAMPLES, surveys=("target",))(transform)
-
-
+@command("transform", EXAMPLES, surveys=("target",))
 def transform(
     target: Annotated[Path, typer.Argument(help="Survey or saved map.", metavar="TARGET")],
     by: Annotated[Path, typer.Option(help="Result of 'magmatch register' (JSON).")],

@@ -27,11 +27,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the subcommand."""
-    command(app, "view", EXAMPLES, surveys=())(view)
-
-
+@command("view", EXAMPLES, surveys=())
 def view(
     files: Annotated[
         list[Path],

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values of options that are more than one word, or one of a few: what is wrong with them is said with the option."""
+
+from collections.abc import Iterable
+from math import isfinite
+from typing import NoReturn
+
+from magmatch.errors import ConfigurationError
+
+
+def numbers(option: str, text: str, n: int, expected: str) -> list[float]:
+    """So many finite numbers, separated by commas."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != n or not all(map(isfinite, found)):
+        refuse(option, expected, text)
+    return found
+
+
+def one_of(option: str, value: str, known: Iterable[str]) -> str:
+    """A value that must be one of a few."""
+    if value not in known:
+        refuse(option, f"one of {', '.join(known)}", value)
+    return value
+
+
+def refuse(option: str, expected: str, found: str) -> NoReturn:
+    """Refuse a value that an option does not take."""
+    msg = f"{option}: expected {expected}; found '{found}'"
+    raise ConfigurationError(msg) from None
