@@ -257,14 +257,14 @@ def test_demo_finds_the_truth_and_draws_it(run, tmp_path):
         assert (tmp_path / "demo" / name).exists()
 
 
-def test_demo_works_without_the_picture(place, run, tmp_path, monkeypatch):
+def test_demo_works_without_the_report(place, run, tmp_path, monkeypatch):
     result = RegistrationResult.load(place / "result.json")
     monkeypatch.setattr("magmatch.registration.register.register_keeping_maps", lambda *_, **__: (None, None, result))
     monkeypatch.setattr("magmatch.registration.maps.as_map", lambda *_: None)
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     outcome = run("demo", "--out", tmp_path / "demo")
     assert outcome.code == 0
-    assert "No picture: " in outcome.err
+    assert "No report: " in outcome.err
     assert "magmatch[viz]" in outcome.err
     assert [path.name for path in (tmp_path / "demo").iterdir()] == ["result.json"]
 
@@ -310,7 +310,7 @@ def test_map_draws_its_report(place, run, tmp_path):
     out, report = tmp_path / "b.map", tmp_path / "b.html"
     outcome = run("map", place / "base.csv", "--prior", "spline", "--out", out, "--report", report)
     assert outcome.code == 0
-    assert f"Wrote the picture to {report}" in outcome.err
+    assert f"Wrote the report to {report}" in outcome.err
     assert f"magmatch map {place / 'base.csv'} --config settings.yaml --out {out}" in report.read_text()
 
 

@@ -164,4 +164,6 @@ def test_progress_comes_and_goes_on_a_terminal(place, run, tmp_path, monkeypatch
 
 
 def test_every_command_stands_in_its_own_file():
-    assert [module.__name__.split(".")[-1] for module in main.COMMANDS] == list(COMMANDS)
+    folder = Path(main.__file__).parent
+    assert [command.name for command in main.build_app().registered_commands] == list(COMMANDS)
+    assert all((folder / f"{name}.py").is_file() for name in COMMANDS)

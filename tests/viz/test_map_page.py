@@ -44,14 +44,14 @@ def test_it_explains_every_number_of_the_prior(page, pair):
 
 
 def test_it_compares_the_priors(page):
-    table = page.split("Priors compared on left-out parts")[1]
+    table = page.split("Priors compared on held-out data")[1]
     assert table.index("harmonic") < table.index("spline")
     for words in ("1 uT", "1.1 uT", "+10 %", "<td>yes</td>"):
         assert words in table
 
 
 def test_it_lists_what_was_left_out(page):
-    assert "3 samples contradict those around them" in page
+    assert "3 samples contradict their neighbours" in page
     assert page.split("Left out")[1].count("<tr>") >= 4
 
 
@@ -102,7 +102,7 @@ def test_a_thick_survey_is_cut_along_all_axes_a_flat_one_along_its_side(pair):
 
 def test_the_prior_that_was_taken_is_told_by_words_and_filling():
     bars = comparison_figure(COMPARISON, "harmonic").data[0]
-    assert bars.y == ("harmonic (taken)", "spline")
+    assert bars.y == ("harmonic (chosen)", "spline")
     assert bars.marker.pattern.shape == ("", "/")
 
 

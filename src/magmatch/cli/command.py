@@ -95,7 +95,7 @@ def _note_debug(ctx: typer.Context, value: bool) -> None:
     narrator_of(ctx).is_debugging |= value
 
 
-Verbose = Annotated[bool, typer.Option("--verbose", help="Say each step on stderr.", callback=_note_verbose)]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Report each step on stderr.", callback=_note_verbose)]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.", callback=_note_debug)]
 COMMON: dict[str, Any] = {"verbose": Verbose, "debug": Debug}
 

@@ -27,7 +27,7 @@ def datasets(
 ) -> None:
     """List or fetch public recordings.
 
-    What is fetched is verified; licence and citation are said, the paths of the files go to stdout.
+    Fetched files are verified. Licence and citation go to stderr, the paths of the files to stdout.
     """
     from magmatch.data.datasets import DATASETS, fetch, find_dataset
 

@@ -24,13 +24,13 @@ EXAMPLES = ("magmatch demo", "magmatch demo --out demo-output", "magmatch demo -
 
 @command("demo", EXAMPLES)
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the result and its picture.")] = Path("magmatch-demo"),
+    out: Annotated[Path, typer.Option(help="Folder for the result and its report.")] = Path("magmatch-demo"),
     seed: Annotated[int, typer.Option(help="Seed of the registration.", min=0)] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
     """Register packaged surveys of an office room.
 
-    Both are simulated, so that the answer is compared with the truth.
+    Both are simulated, so the answer is compared with the truth.
     """
     check_folder(out)
     from magmatch.cli.registering import with_help, with_wait
@@ -56,7 +56,7 @@ def demo(
         write_report(out / "report.html", base_map, target_map, result, command)
     except MissingExtraError as error:
         report = None
-        say(f"No picture: {error}")
+        say(f"No report: {error}")
     if json:
         put(as_json(result.to_dict()))
     say(f"Office room, simulated: base {len(base)} samples, target {len(target)} samples in another frame")
@@ -83,4 +83,4 @@ def _compare(result: "RegistrationResult", truth: dict[str, Any], target: "Surve
         return "There is no transform to compare with the truth"
     T_true = RigidTransform.from_matrix(np.array(truth["T_base_target"], dtype=np.float64))
     translation, rotation = transform_error(result.T_base_target, T_true, target.centroid)
-    return f"Against the truth: {1e3 * translation:.1f} mm and {np.rad2deg(rotation):.2f} deg off"
+    return f"Error against the truth: {1e3 * translation:.1f} mm, {np.rad2deg(rotation):.2f} deg"

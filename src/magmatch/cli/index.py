@@ -23,9 +23,8 @@ def index(
 ) -> None:
     """Prepare maps for many registrations.
 
-    Writes MAP.index beside each map, from which `magmatch register` takes what it would compute again for each
-    target. An index that is up to date is left alone; one of a map that changed is never used. `register` makes the
-    indexes of a folder by itself.
+    Writes MAP.index beside each map, which spares 'magmatch register' that work for each target. An index that is up
+    to date is left alone; an outdated one is never used. 'register' indexes the maps of a folder itself.
     """
     from magmatch.atlas.atlas import is_atlas, maps_in
     from magmatch.cli.inputs import read_map

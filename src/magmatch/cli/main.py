@@ -36,10 +36,10 @@ Exit codes:
   0  done (register: accepted)
   1  a fault of the machine or the program
   2  bad input or usage, one line on stderr
-  3  registered honestly, but not accepted
+  3  registered, but not accepted
 """
 
-# In the order in which one gets to know the program.
+# In the order of the help page.
 COMMANDS = (
     register,
     transform,

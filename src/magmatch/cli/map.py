@@ -44,18 +44,18 @@ def build(
         list[Path],
         typer.Argument(
             help="Surveys (or saved maps) in one frame; several are merged. Where the first is a saved map and no "
-            "setting is given, the others are added to it: only what they touch is fitted again.",
+            "setting is given, the others are added to it: only the part they touch is fitted again.",
             metavar="SURVEY...",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Write the map here.")],
     layouts: Layouts,
-    report: Annotated[Path | None, typer.Option(help="Write a picture of the map here (HTML).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write an HTML report on the map here.")] = None,
     prior: Annotated[
         str | None,
         typer.Option(
-            help="Law of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) takes what "
-            "predicts left-out parts best."
+            help="Prior of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) takes the one "
+            "that predicts held-out data best."
         ),
     ] = None,
     domain: Annotated[
@@ -66,7 +66,7 @@ def build(
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that fit the tiles of a large map.")] = 1,
     scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
+        str | None, typer.Option(help="Dask scheduler whose workers do this instead, tcp://HOST:PORT.")
     ] = None,
 ) -> None:
     """Build a field map from surveys and save it, or add surveys to a saved map."""
@@ -101,7 +101,7 @@ def build(
     h, errors = field_map.hyperparameters, field_map.config.comparison
     if errors:
         told = ", ".join(f"{name} {field_text(error)}" for name, error in sorted(errors.items(), key=lambda e: e[1]))
-        say(f"Prior {field_map.config.prior} taken; typical error of left-out parts: {told}")
+        say(f"Chose prior {field_map.config.prior}; typical error on held-out data: {told}")
     say(
         f"Mapped {len(field_map.survey)} samples: lengthscale {h.lengthscale:.3g} m, field varies by "
         f"{field_text(h.signal_sd)}, noise {field_text(h.noise_sd)}\nWrote the map to {out}"
@@ -126,7 +126,7 @@ def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", c
     from magmatch.viz.pages.map_page import write_map_report
 
     write_map_report(report, field_map, read, command)
-    say(f"Wrote the picture to {report}")
+    say(f"Wrote the report to {report}")
 
 
 def command_again(surveys: "Sequence[Path]", layouts: Layouts, out: Path, *, with_settings: bool = True) -> str:

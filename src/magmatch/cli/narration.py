@@ -82,7 +82,7 @@ def narrated() -> Iterator[Narrator]:
     logger.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():
-            # What NumPy and numba mumble is for developers; ours come through the log.
+            # Warnings of NumPy and numba are for developers; ours come through the log.
             warnings.simplefilter("ignore")
             yield narrator
     finally:

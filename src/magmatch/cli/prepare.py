@@ -40,8 +40,8 @@ def prepare(
     sensor_from: Annotated[
         Path | None,
         typer.Option(
-            help="Begin from what is known of the sensor: the report (JSON) of another log, or a CSV of bx,by,bz "
-            "(sensor frame) recorded while turning it about in one place."
+            help="Start from a known calibration: the report (JSON) of another log, or a CSV of bx,by,bz (sensor "
+            "frame) recorded while turning the sensor in one place."
         ),
     ] = None,
     place: Annotated[
@@ -49,10 +49,10 @@ def prepare(
     ] = None,
     date: Annotated[str | None, typer.Option(help="Day of the survey, YYYY-MM-DD; goes with --place.")] = None,
 ) -> None:
-    """Correct clock and sensor of LOG and check it.
+    """Correct LOG's clock and sensor errors, and check it.
 
-    Each step says what it found, before and after. Corrections are made only where the data show them; samples are
-    flagged, and left out only where the configuration says so.
+    Each step reports what it found, before and after. Only what the data show is corrected; samples are flagged, and
+    removed only where the configuration says so.
     """
     from magmatch.data.formats.load_trajectory import load_trajectory
     from magmatch.data.read import read_survey_and_channels
@@ -100,7 +100,7 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
-    """Known correction of the sensor, from a report or from a recording of it being turned about."""
+    """Known correction of the sensor, from a report or a recording of it being turned."""
     from magmatch.data.survey import FIELD_COLUMNS
     from magmatch.data.tables.table import read_table
     from magmatch.data.tables.text import read_bytes
@@ -111,7 +111,7 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     if read_bytes(path, 64).lstrip()[:1] == b"{":
         return PreparationReport.load(path).sensor
     table = read_table(path, FIELD_COLUMNS)
-    table.require(FIELD_COLUMNS, "A recording of the sensor turned about needs no more than these")
+    table.require(FIELD_COLUMNS, "A recording of a turning sensor needs only these")
     try:
         return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]
     except SurveyError as error:

@@ -34,10 +34,10 @@ def query(
     length_unit: Annotated[str, typer.Option(help="Unit of the points: m|cm|mm.")] = "m",
     gradient: Annotated[bool, typer.Option("--gradient", help="Add the field's gradient, T/m.")] = False,
 ) -> None:
-    """Write the field that MAP has at points.
+    """Write MAP's field at given points.
 
     Columns x,y,z (m), bx,by,bz (T) and the standard deviations sx,sy,sz (T) of the noise-free field, in input order.
-    Points that the map does not know get the prior's large standard deviation.
+    Points where the map does not know the field get the prior's large standard deviation.
     """
     from magmatch.data.formats.csv import read_points
     from magmatch.data.tables.table import write_table

@@ -43,7 +43,7 @@ def register(
     target: Annotated[Path, typer.Argument(help="Survey or saved map to bring into that frame.", metavar="TARGET")],
     layouts: Layouts,
     out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a picture of the result here (HTML).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write an HTML report here.")] = None,
     preset: Annotated[
         str, typer.Option(help="Settings to start from: default, or paper (as published).")
     ] = "default",
@@ -55,13 +55,13 @@ def register(
     ] = None,
     prior_pose_sd: Annotated[
         str | None,
-        typer.Option(help="Standard deviations of it where the target lies: metres,degrees.  [default: 1,10]"),
+        typer.Option(help="Standard deviations of that pose at the target: metres,degrees.  [default: 1,10]"),
     ] = None,
     gravity_aligned: Annotated[
-        bool, typer.Option("--gravity-aligned", help="z points up in both surveys: search heading and place only.")
+        bool, typer.Option("--gravity-aligned", help="z points up in both surveys: search position and heading only.")
     ] = False,
     gravity_sd: Annotated[
-        float | None, typer.Option(help="How well it does, degrees.  [default: 0.6]", min=0.001, max=45)
+        float | None, typer.Option(help="Accuracy of that, degrees.  [default: 0.6]", min=0.001, max=45)
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the preset's.")] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
@@ -69,8 +69,8 @@ def register(
 ) -> int:
     """Find the transform from TARGET to BASE.
 
-    A rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none. Where BASE is a
-    folder of maps, the result also says which one holds TARGET.
+    The answer is a rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none. Where
+    BASE is a folder of maps, the result also names the map that holds TARGET.
 
     Exit code 0: accepted; 3: not accepted, with the reason.
     """

@@ -18,13 +18,11 @@ EXAMPLES = (
 
 @command("simulate", EXAMPLES)
 def simulate(
-    scenario: Annotated[
-        str, typer.Argument(help="Name of a scenario; a wrong one lists those there are.", metavar="SCENARIO")
-    ],
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario; a wrong name lists all.", metavar="SCENARIO")],
     out: Annotated[Path, typer.Option(help="Folder to write base.csv, target.csv and truth.json to.")],
     seed: Annotated[int, typer.Option(help="Same scenario and seed give the same surveys.", min=0)] = 0,
 ) -> None:
-    """Write two surveys of a known place.
+    """Simulate two surveys of one place.
 
     The folder gets base.csv, target.csv and truth.json of a named SCENARIO.
     """

@@ -26,7 +26,7 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
         stages = ", ".join(f"{name} {s:.2f}" for name, s in result.seconds.items() if name != "total")
         lines += [f"Took {result.seconds.get('total', 0.0):.2f} s ({stages})"]
     lines += [f"Wrote the result to {out}"] if out else []
-    lines += [f"Wrote the picture to {report}"] if report else []
+    lines += [f"Wrote the report to {report}"] if report else []
     return "\n".join(lines)
 
 

@@ -27,8 +27,7 @@ def transform(
 ) -> None:
     """Write TARGET in the base's frame.
 
-    Positions move, field vectors turn.
-    A saved map stays a map, unless the name to write to ends in .csv: then its samples are written.
+    Positions move, field vectors turn. A saved map stays a map; where OUT ends in .csv, its samples are written.
     """
     from magmatch.data.survey import Survey
 

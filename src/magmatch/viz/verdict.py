@@ -4,16 +4,16 @@
 from magmatch.registration.result import RegistrationResult, Status
 
 MEANING = {
-    Status.ACCEPTED: "Both surveys are of one place; the transform below brings the target into the base's frame.",
-    Status.AMBIGUOUS: "The target fits the base in more than one way: the field repeats itself, so which fit is "
-    "right cannot be told from these data.",
-    Status.DEGENERATE: "The surveys fit, but along some direction the field hardly changes, so that the target "
-    "could be moved that way without the data objecting.",
-    Status.NO_OVERLAP: "Hardly any of the target falls where the base map knows the field: what little does is no "
-    "evidence for a transform.",
+    Status.ACCEPTED: "Both surveys cover one place; the transform below brings the target into the base's frame.",
+    Status.AMBIGUOUS: "The target fits the base in more than one way. The field repeats itself, and these data "
+    "cannot decide which fit is right.",
+    Status.DEGENERATE: "The surveys fit, but along some direction the field hardly changes: the target could be "
+    "moved that way and still fit.",
+    Status.NO_OVERLAP: "Hardly any of the target lies where the base map knows the field, too little to support a "
+    "transform.",
     Status.UNINFORMATIVE: "The field has too little structure, compared with noise, to tell one place from another.",
-    Status.INCONSISTENT: "Even the best pose found does not explain the target's field by the base's. Different "
-    "places look like this; so does one place where something went wrong with the data.",
+    Status.INCONSISTENT: "Even the best pose does not explain the target's field. Surveys of different places look "
+    "like this, and so does one place when something went wrong with the data.",
 }
 
 # What helps, the most likely first.
@@ -21,39 +21,39 @@ NEXT_STEPS = {
     Status.ACCEPTED: (
         "Use it: 'magmatch transform TARGET --by RESULT.json --out ALIGNED.csv' moves the target, 'magmatch convert "
         "RESULT.json' writes it for g2o, TUM or ROS.",
-        "Look at the residuals below: 1 or less nearly everywhere is as it should be. A patch that stands out is "
-        "iron that was moved between the surveys, or a gap in the base.",
+        "Check the residuals below: they should be 1 or less nearly everywhere. A patch that stands out means that "
+        "iron moved between the surveys, or that the base has a gap there.",
     ),
     Status.AMBIGUOUS: (
-        "Look at the other poses below: if you know roughly where the target was, say so with --prior-pose and "
-        "register again.",
-        "If z points up in both surveys, say --gravity-aligned: it leaves fewer poses to tell apart.",
-        "Survey more of the surroundings, in base or target, until something is included that does not repeat (a "
-        "door, a pillar, an end of the row of racks).",
+        "Look at the other poses below. If you know roughly where the target was, pass --prior-pose and register "
+        "again.",
+        "If z points up in both surveys, pass --gravity-aligned: fewer poses are then possible.",
+        "Survey more of the surroundings, in base or target, until they include something that does not repeat (a "
+        "door, a pillar, the end of a row of racks).",
     ),
     Status.DEGENERATE: (
         "Survey across the free direction drawn below: turn a corner, add a second line beside the first, or a "
         "second height.",
-        "If another sensor fixes that direction (wheel odometry, a floor plan), say so with --prior-pose.",
+        "If something else fixes that direction (wheel odometry, a floor plan), pass it as --prior-pose.",
     ),
     Status.NO_OVERLAP: (
-        "Survey a region in common: at least a few correlation lengths across, in both surveys.",
-        "If they should overlap, check the units of length: --base-length-unit and --target-length-unit.",
-        "If the base was made with --domain, see whether the box holds the place.",
+        "Survey a common region, at least a few correlation lengths across.",
+        "If the surveys should overlap, check their length units: --base-length-unit and --target-length-unit.",
+        "If the base was made with --domain, check that the box contains the place.",
     ),
     Status.UNINFORMATIVE: (
-        "If z points up in both surveys, or the pose is known roughly, say --gravity-aligned or --prior-pose: less "
-        "has to be found out from the field.",
+        "If z points up in both surveys, or you know the pose roughly, pass --gravity-aligned or --prior-pose: the "
+        "field then has less to determine.",
         "Survey nearer to iron (walls, floors with rebar, furniture), or a larger region.",
         "Check the units and the resolution of the field: 'magmatch info' shows how much it varies in each survey.",
     ),
     Status.INCONSISTENT: (
         "If these are different places, this is the right answer.",
-        "If they are one place, check how the vectors are given: in the sensor's frame they need --field-frame "
-        "sensor; see also --base-field-unit and --target-field-unit.",
-        "Calibrate raw logs first ('magmatch prepare'): hard iron or a clock offset can be enough for "
-        "this. Sensors that differ a lot: --sensor full.",
-        "Iron moved in between (cars, lifts, doors) spoils what is near it; leave those samples out.",
+        "If they are one place, check the field vectors: their frame (--field-frame sensor for the sensor's own) and "
+        "their units (--base-field-unit, --target-field-unit).",
+        "Calibrate raw logs first ('magmatch prepare'): hard iron or a clock offset alone can cause this. If the "
+        "sensors differ a lot, pass --sensor full.",
+        "Iron that moved between the surveys (cars, lifts, doors) spoils the samples near it; leave them out.",
     ),
 }
 
@@ -81,7 +81,7 @@ def next_steps(result: RegistrationResult) -> list[str]:
     steps = list(NEXT_STEPS[result.status])
     if result.alternatives and not result.is_accepted:
         steps.append(
-            "The best candidate is drawn below and stands first under 'alternatives' of the result file. It is not "
-            "an answer: treat it as a guess to be checked."
+            "The best candidate is drawn below and comes first under 'alternatives' in the result file. It is a "
+            "guess to check, not an answer."
         )
     return steps

@@ -21,8 +21,8 @@ class SurveyFormat(BaseModel):
     length_unit: LengthUnit = Field(default="m", description="Unit of the positions (in a trajectory file too).")
     field_frame: Literal["survey", "sensor"] = Field(
         default="survey",
-        description="Frame of the field vectors: already turned into the survey's frame, or as the sensor saw them, "
-        "which needs orientations. Bags, MCAP and phone logs: sensor, unless they name the survey's frame.",
+        description="Frame of the field vectors: the survey's, or the sensor's, which needs orientations. Bags, MCAP "
+        "and phone logs: sensor, unless they name the survey's frame.",
     )
     time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
     columns: str | None = Field(
@@ -44,7 +44,7 @@ class SurveyFormat(BaseModel):
         "tf_static says, else no offset.",
     )
     recover: bool = Field(
-        default=False, description="Read all that is whole of a damaged log or survey CSV, and say what was lost."
+        default=False, description="Read what is intact of a damaged log or survey CSV, and report what was lost."
     )
     # None: what the file says (files written by this package do), else 0, that is unknown or exact.
     pose_sd: float | None = Field(

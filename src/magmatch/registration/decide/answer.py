@@ -26,7 +26,7 @@ from magmatch.typing import Covariance6
 
 # Poses nearer than this are one answer, in correlation lengths.
 SAME_PLACE = 0.7
-MAX_LINKS = 200
+N_LINKS = 200  # enough for a picture
 
 
 def by_evidence(
@@ -208,6 +208,6 @@ def _links(target: PreparedMap, T_base_target: RigidTransform, best: PoseEvidenc
         return Links(np.zeros((0, 3)), np.zeros((0, 3)))
     forward = best.pose.blocks[0]
     rows = np.flatnonzero(forward.residual2 < 12.0)
-    rows = rows[np.linspace(0, len(rows) - 1, min(MAX_LINKS, len(rows))).astype(int)]
+    rows = rows[np.linspace(0, len(rows) - 1, min(N_LINKS, len(rows))).astype(int)]
     p_target = transform_points(forward.positions[rows], target.T_map_model)
     return Links(transform_points(p_target, T_base_target), p_target)

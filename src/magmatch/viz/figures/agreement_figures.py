@@ -30,7 +30,7 @@ from magmatch.viz.figures.slices import Cut, cut_through
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-# Top of the colour scale of normalised residuals: beyond, it is wrong whatever the number.
+# Top of the colour scale of normalised residuals; anything larger is equally wrong.
 TOP_RESIDUAL = 4.0
 OUTSIDE_STYLE = {"symbol": "x", "color": LINK_COLOR}
 
@@ -101,8 +101,8 @@ def residual_figure(compared: Comparison) -> "Figure":
     return described(
         figure,
         f"Samples of the target in the base frame, coloured by normalised residual: root mean square "
-        f"{compared.rms:.2f}; {n_large} of {n} in the overlap (squares) are above {LARGEST_ORDINARY:.1f}, which "
-        "chance gives 1 in 1000.",
+        f"{compared.rms:.2f}; {n_large} of {n} in the overlap (squares) exceed {LARGEST_ORDINARY:.1f}; "
+        "1 in 1000 would by chance.",
     )
 
 
@@ -122,7 +122,7 @@ def histogram_figure(compared: Comparison) -> "Figure":
         x=middle, y=expected, name="expected", mode="lines", line={"color": INK, "dash": "dash", "width": 2}
     )
     figure = new_plane(
-        f"Distribution of the residuals<br><sub>the last bar holds all of {TOP_RESIDUAL:.0f} and more</sub>",
+        f"Distribution of the residuals<br><sub>the last bar holds everything above {TOP_RESIDUAL:.0f}</sub>",
         [bars, line], "normalised residual", "share of samples", is_equal=False,
     )  # fmt: skip
     figure.update_layout(bargap=0.05)

@@ -79,7 +79,7 @@ def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, fre
     figure = new_scene(f"Free: {label(free.words)}", traces, "the data fit nearly as well all along the lines")
     return described(
         figure,
-        f"The target's samples with lines along which they may move without the data objecting: {free.words}.",
+        f"The target's samples with lines along which they may move and still fit: {free.words}.",
     )
 
 

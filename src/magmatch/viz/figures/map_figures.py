@@ -81,7 +81,7 @@ def coverage_figure(coverage: Coverage) -> "Figure":
     line = {"color": BASE_COLOR, "width": 2.5}
     curve = go.Scatter(x=for_display(sd), y=for_display(share), mode="lines", line=line, showlegend=False)
     figure = new_plane(
-        "How sure, over the known part<br><sub>share of the known volume whose standard deviation stays below</sub>",
+        "Uncertainty over the known part<br><sub>share of the known volume with a smaller standard deviation</sub>",
         [curve], "standard deviation of a component (uT)", "share", is_equal=False,
     )  # fmt: skip
     figure.update_yaxes(range=[0, 1.02])
@@ -93,24 +93,24 @@ def coverage_figure(coverage: Coverage) -> "Figure":
 
 
 def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
-    """Error of left-out parts by prior: bars, the one taken filled, the others hatched."""
+    """Error on held-out data by prior: bars, the chosen one filled, the others hatched."""
     names = sorted(errors, key=lambda name: errors[name])
     values: Scalars = UT_PER_TESLA * np.array([errors[name] for name in names])
     bars = require_plotly().Bar(
-        x=values, y=[f"{name} (taken)" if name == taken else name for name in names], orientation="h",
+        x=values, y=[f"{name} (chosen)" if name == taken else name for name in names], orientation="h",
         text=[f"{v:.3g} uT" for v in values], textposition="outside", cliponaxis=False, hoverinfo="skip",
         marker={"color": BASE_COLOR, "pattern": {"shape": ["" if name == taken else "/" for name in names]}},
         showlegend=False,
     )  # fmt: skip
     figure = new_plane(
-        "Priors compared<br><sub>typical error of left-out parts, as 3-vectors, noise included</sub>",
+        "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>",
         [bars], "error (uT)", "", is_equal=False,
     )  # fmt: skip
     figure.update_yaxes(autorange="reversed")
     figure.update_xaxes(range=[0, 1.3 * float(values.max())])
     figure.update_layout(height=130 + 40 * len(names))
     told = ", ".join(f"{name} {v:.3g} uT" for name, v in zip(names, values, strict=True))
-    return described(figure, f"Bars of the typical error of left-out parts by prior: {told}. Taken: {taken}.")
+    return described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")
 
 
 def _other_normals(p: Points, main: Cut) -> list[int]:

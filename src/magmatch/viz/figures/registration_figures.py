@@ -68,10 +68,10 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
     before = new_scene(
         "Before: as recorded",
         _traces(base, target.positions, target, links.base, links.target),
-        f"each survey in its own frame, drawn over one another; {drawn_words(base, target)}",
+        f"each survey in its own frame, overlaid; {drawn_words(base, target)}",
     )
     both = f"Base {base.name} ({len(base)} samples, circles) and target {target.name} ({len(target)}, diamonds)"
-    described(before, f"{both} in space, each in its own frame, with lines between keypoints that belong together.")
+    described(before, f"{both} in space, each in its own frame, with lines between matching keypoints.")
     T_base_target = shown_pose(result)
     if T_base_target is None:
         return [before]
@@ -80,7 +80,7 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
     title = "After: target in the base frame" if result.is_accepted else "Best candidate, NOT accepted"
     after = new_scene(title, _traces(base, p_base, target, links.base, moved), f"frame of {base.name}")
     apart = np.linalg.norm(links.base - moved, axis=1)
-    gap = f"; keypoints that belong together are {np.median(apart):.3g} m apart in the median" if len(apart) else ""
+    gap = f"; matching keypoints are {np.median(apart):.3g} m apart in the median" if len(apart) else ""
     described(after, f"{both} in the frame of the base{gap}.")
     return [before, after]
 
@@ -116,14 +116,14 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
             f"; diamonds: its keypoints{seen}" if seen else "",
         ),
         slice_figure(
-            "Difference of the field vectors, in magnitude",
+            "Magnitude of the difference of the field vectors",
             cut, apart, both, (0.0, common_limits(apart[both])[1]), SPREAD_SCALE,
         ),
     ]  # fmt: skip
 
 
 def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "Figure | None":
-    """Both maps side by side, each in its own frame, with lines between keypoints that belong together."""
+    """Both maps side by side, each in its own frame, with lines between matching keypoints."""
     n_links = len(result.links.base)
     if not n_links:
         return None
@@ -151,7 +151,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     ]
     planes = f"base cut at {cuts[0].words}, target at {cuts[1].words}, each in its own frame"
     figure = new_plane(
-        f"Keypoints that belong together<br><sub>left: base, right: target; {planes}; "
+        f"Matching keypoints<br><sub>left: base, right: target; {planes}; "
         f"{len(rows)} of {n_links} links drawn</sub>",
         traces, "", "",
     )  # fmt: skip

@@ -36,10 +36,10 @@ MEANINGS = {
     "lengthscale": "distance over which the field changes",
     "signal_sd": "how much a component of the field varies, by the prior",
     "noise_sd": "sensor noise and what the model cannot follow",
-    "spacing": "distance of the basis nodes",
-    "stiffness": "weight of the law div B = 0; 0: none, or exact",
-    "looseness": "width of the prior against signal_sd",
-    "inflation": "factor on standard deviations that left-out parts asked for",
+    "spacing": "spacing of the basis nodes",
+    "stiffness": "weight of div B = 0 (0: not imposed, or exact)",
+    "looseness": "standard deviation of the prior relative to signal_sd",
+    "inflation": "factor on standard deviations, from the error on held-out data",
     "reach": "how far the map reaches beyond samples, in spacings",
 }
 
@@ -56,7 +56,7 @@ def write_map_report(
 
 
 def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Section]:
-    """All there is to say and show of a map, but how to make it again."""
+    """Sections about a map, without how to reproduce it."""
     cut = cut_through(field_map.survey.positions)
     coverage, sd = cover_and_spread(field_map, cut.points)
     out = [survey.subset(left_out(field_map, survey)) for survey in read]
@@ -89,7 +89,7 @@ def _facts(field_map: FieldMap) -> list[list[str]]:
 def _coverage_rows(coverage: Coverage) -> list[list[str]]:
     rows = [
         ["Known", f"{coverage.known_share:.0%} of the box around the samples"],
-        ["Field varies by", f"{field_text(coverage.variation)} (a component, over the samples)"],
+        ["Field varies by", f"{field_text(coverage.variation)} (one component, over the samples)"],
     ]
     median, most = coverage.quantile(0.5), coverage.quantile(0.9)
     if median is not None and most is not None:
@@ -102,8 +102,8 @@ def _coverage_rows(coverage: Coverage) -> list[list[str]]:
 def _coverage_words(coverage: Coverage) -> str:
     share = coverage.share_below(0.25 * coverage.variation)
     words = (
-        f"The map knows {coverage.known_share:.0%} of the box around its samples. In {share:.0%} of that its "
-        "standard deviation is below a quarter of how much the field varies: there it tells places apart."
+        f"The map knows {coverage.known_share:.0%} of the box around its samples. In {share:.0%} of that, the "
+        "standard deviation is below a quarter of the field's variation, low enough to tell places apart."
     )
     return words + (" Survey the rest more densely." if share < 0.7 else "")
 
@@ -137,8 +137,8 @@ def _left_out_words(n_out: int) -> str:
     if not n_out:
         return "No sample contradicts those around it; all were used."
     return (
-        f"{n_out} samples contradict those around them (a phone that rang, metal that passed?) and were not used; "
-        "crosses in the picture. The setting leave_out_outliers: false keeps them."
+        f"{n_out} samples contradict their neighbours (a ringing phone, passing metal?) and were not used; crosses "
+        "mark them. The setting leave_out_outliers: false keeps them."
     )
 
 
@@ -160,16 +160,16 @@ def _prior(field_map: FieldMap) -> Section:
             for name, error in sorted(errors.items(), key=lambda pair: pair[1])
         ]
         blocks += [
-            subheading("Priors compared on left-out parts"),
+            subheading("Priors compared on held-out data"),
             columns(
-                [table(compared, ["prior", "typical error", "against the best", "taken"])],
+                [table(compared, ["prior", "typical error", "relative to the best", "chosen"])],
                 [figure_row([comparison_figure(errors, field_map.config.prior)])],
             ),
-            note("The spline is preferred unless another is better by a clear margin: left-out errors are noisy."),
+            note("The spline is preferred unless another prior is clearly better: held-out errors are noisy."),
         ]
     else:
         blocks.append(note("Priors were not compared; 'magmatch map --prior auto' does."))
-    return Section("The prior and its numbers", blocks)
+    return Section("Prior and hyperparameters", blocks)
 
 
 def _number(name: str, value: float) -> str:
@@ -187,7 +187,7 @@ def _again(field_map: FieldMap, command: str | None) -> Section:
         f"magmatch {__version__}. The same surveys and settings give the same map. Settings: save as settings.yaml."
     )
     return Section(
-        "To make it again",
+        "Reproduce this map",
         [
             paragraph(words),
             to_copy("command", command, is_wrapped=True),

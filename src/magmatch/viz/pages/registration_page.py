@@ -68,7 +68,7 @@ def _title(result: RegistrationResult) -> str:
 
 
 def _answer(result: RegistrationResult) -> Section:
-    """What came out, what it means, and what to do."""
+    """The verdict, what it means, and what to do next."""
     return Section(
         "",
         [
@@ -102,22 +102,22 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
         return []
     title = "Overlap and residuals"
     if not isinstance(base, FieldMap):
-        words = "Needs the map of the base, and none could be made: too few samples, or settings of another version."
+        words = "This needs a map of the base. None could be made: too few samples, or settings of another version."
         return [Section(title, [note(words)])]
     compared = compare(base, target, T_base_target, result)
     n, n_all = len(compared.rows), len(_survey(target))
-    words = f"From {n} of the target's {n_all} samples, evenly chosen. " if n < n_all else ""
+    words = f"Based on {n} of the target's {n_all} samples, evenly chosen. " if n < n_all else ""
     if not result.is_accepted:
-        words += "Under the best candidate, which was not accepted. "
+        words += "The pose is the best candidate, which was not accepted. "
     if compared.rms is None:
-        words += "None of them lies where the base knows the field."
+        words += "None of the samples lies where the base map knows the field."
     else:
         n_large, n_known = compared.is_large.sum(), compared.is_known.sum()
         words += (
-            f"In the overlap the residual is {compared.typical:.2f} times what noise and the base map's own spread "
-            "explain, by the median; the figure at the top is the registration's own, from its grid and samples. "
-            f"The root mean square, in which single bad samples count in full, is {compared.rms:.2f}; {n_large} of "
-            f"{n_known} samples differ by more than {LARGEST_ORDINARY:.1f}, which chance gives 1 in 1000."
+            f"In the overlap the median residual is {compared.typical:.2f} times what noise and the uncertainty of "
+            "the base map explain (the figure at the top is the registration's own, from its grid and samples). The "
+            f"root mean square, in which single bad samples count in full, is {compared.rms:.2f}. {n_large} of "
+            f"{n_known} samples exceed {LARGEST_ORDINARY:.1f}; 1 in 1000 would by chance."
         )
     blocks = [paragraph(words), figure_row(agreement_figures(base, compared))]
     if compared.rms is not None and has_order(_survey(target)):

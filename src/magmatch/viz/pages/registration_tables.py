@@ -2,8 +2,6 @@
 """Sections of a report that are mostly numbers: key figures, certainty, other poses, how to run it again."""
 
 import shlex
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import yaml
@@ -11,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.result import RegistrationResult, Sensor
 from magmatch.registration.sensor_calibration import in_words as calibration_words
 from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
 from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
@@ -26,7 +24,7 @@ MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500
 EVIDENCE = {
     "log_odds": "log odds of the best pose (nats)",
     "lead": "lead over the best pose elsewhere (nats)",
-    "decoy_log_odds": "log odds reached in places that do not exist (nats)",
+    "decoy_log_odds": "log odds of the best decoy (nats)",
     "unexplained": "share of the field's variance left unexplained",
     "agreeing_share": "share of informative cells that agree",
     "n_informative": "informative cells",
@@ -36,7 +34,7 @@ MM, DEG = 1e3, 180 / np.pi
 
 
 def figures_table(result: RegistrationResult) -> str:
-    """What there is to know in numbers."""
+    """Key figures."""
     rows = [["Overlap", f"{result.overlap:.0%} of the target's samples"]]
     if result.residual is not None:
         rows.append(["Normalised residual", f"{result.residual:.2f} (1: model and noise explain all)"])
@@ -47,18 +45,18 @@ def figures_table(result: RegistrationResult) -> str:
     if result.base is not None:
         rows.insert(0, ["Map", result.base])
     rows.append(["Probability", "not computed" if result.probability is None else percent(result.probability)])
-    rows += _sensor(result.sensor or {})
+    rows += _sensor(result.sensor or Sensor())
     rows += [[f"Calibrated {side}", words] for side, words in calibration_words(result.sensor).items()]
     rows += [["Free direction", d.words] for d in result.degenerate_directions]
     weighed = _weighed(result)
-    return table(rows) + (details("What the decision was weighed from", table(weighed)) if weighed else "")
+    return table(rows) + (details("Numbers behind the decision", table(weighed)) if weighed else "")
 
 
 def transform_table(result: RegistrationResult) -> str:
-    """The motion, or what there is instead of it."""
+    """The transform, or that there is none."""
     T = result.T_base_target
     if T is None:
-        return paragraph("No transform is given, since none was accepted.")
+        return paragraph("No transform: none was accepted.")
     rows = [["Turned by", turn_words(T)], ["Moved by", ", ".join(f"{t:.4f}" for t in T.translation) + " m"]]
     matrix = [[name, *(f"{v:.5f}" for v in row)] for name, row in zip("xyz1", T.as_matrix(), strict=True)]
     words = paragraph("T_base_target, with p_base = T_base_target p_target:")
@@ -68,7 +66,7 @@ def transform_table(result: RegistrationResult) -> str:
 def certainty(result: RegistrationResult, target: Survey | None) -> list[Section]:
     """Ellipsoids of place and turn, in words, pictures and numbers; nothing where there is no covariance."""
     T = result.T_base_target
-    title = "How sure"
+    title = "Uncertainty"
     if T is None:
         return []
     if result.covariance is None:
@@ -81,15 +79,15 @@ def certainty(result: RegistrationResult, target: Survey | None) -> list[Section
             paragraph(_ellipsoid_words(place, turn)),
             figure_row(
                 [
-                    ellipsoid_figure(place, "Where the target lies", "mm", MM, where),
-                    ellipsoid_figure(turn, "How it is turned", "deg", DEG, "rotation vector in base axes"),
+                    ellipsoid_figure(place, "Position of the target", "mm", MM, where),
+                    ellipsoid_figure(turn, "Rotation of the target", "deg", DEG, "rotation vector in base axes"),
                 ]
             ),
         ]
     blocks += [
         subheading("Standard deviations in the target's axes, about its frame's origin"),
         table(_deviations(result)),
-        note("Roots of the diagonal of the result's covariance; a far origin makes the shifts large."),
+        note("Square roots of the covariance's diagonal. A distant origin makes the shifts large."),
     ]
     return [Section(title, blocks)]
 
@@ -100,7 +98,7 @@ def free_directions(result: RegistrationResult, base: Survey, target: Survey) ->
     if T is None or not result.degenerate_directions:
         return []
     figures = [free_figure(base, target, T, free) for free in result.degenerate_directions]
-    words = f"The data do not fix the pose against {_listed([d.words for d in result.degenerate_directions])}."
+    words = f"The data do not constrain the pose against {_listed([d.words for d in result.degenerate_directions])}."
     return [Section("Free directions", [paragraph(words), figure_row(figures)])]
 
 
@@ -135,8 +133,8 @@ def other_poses(
     told = {name: cells for name, cells in columns.items() if any(cells)}
     left = len(result.alternatives) - len(listed)
     words = "Poses that fit nearly as well. " if result.is_accepted else "Poses that were considered, best first. "
-    words += "Distances are those of the target's centroid. " if target is not None else ""
-    words += f"{left} more stand in the result file." if left else ""
+    words += "Distances refer to the target's centroid. " if target is not None else ""
+    words += f"The result file lists {left} more." if left else ""
     rows = [list(row) for row in zip(*told.values(), strict=True)]
     blocks = [paragraph(words), table(rows, list(told))]
     drawn = [other.T_base_target for other in listed[:MAX_DRAWN_POSES] if other.base is None]
@@ -147,7 +145,7 @@ def other_poses(
 
 
 def again(result: RegistrationResult, command: str | None) -> Section:
-    """All it takes to get the same numbers again."""
+    """Command, inputs and settings that give the same result."""
     names = [str(entry.get("name", "?")) for entry in result.inputs]
     if command is None:
         names = names if len(names) == 2 else ["BASE", "TARGET"]
@@ -158,11 +156,11 @@ def again(result: RegistrationResult, command: str | None) -> Section:
     ]
     settings = yaml.safe_dump(result.config, sort_keys=False, width=100)
     return Section(
-        "To run it again",
+        "Reproduce this result",
         [
             paragraph(
                 f"magmatch {result.version}, seed {result.seed}. The same input, settings and seed give the same "
-                "transform. Save the settings below as settings.yaml, or give the result file itself to --config."
+                "transform. Save the settings below as settings.yaml, or pass the result file itself to --config."
             ),
             to_copy("command", command, is_wrapped=True),
             table(inputs, ["input", "SHA-256"]) if inputs else "",
@@ -183,9 +181,9 @@ def turn_words(T: RigidTransform) -> str:
 def _ellipsoid_words(place: Ellipsoid, turn: Ellipsoid) -> str:
     shift = [length_text(half) for half in place.half_axes]
     return (
-        f"With {LEVEL:.0%} probability the target's centroid lies within {shift[0]} of where the transform "
-        f"puts it, least sure along {direction_words(place.directions[0])} and within {shift[2]} across; it "
-        f"is turned within {angle_text(turn.half_axes[0])}, least sure about {direction_words(turn.directions[0])}."
+        f"With {LEVEL:.0%} probability the target's centroid lies within {shift[0]} of where the transform puts it "
+        f"(least certain along {direction_words(place.directions[0])}, within {shift[2]} across), and its rotation "
+        f"is within {angle_text(turn.half_axes[0])} (least certain about {direction_words(turn.directions[0])})."
     )
 
 
@@ -198,7 +196,7 @@ def _deviations(result: RegistrationResult) -> list[list[str]]:
     text = [f"{DEG * s:.3f} deg" for s in sd[:3]] + [f"{MM * s:.1f} mm" for s in sd[3:]]
     rows = [[axis, words] for axis, words in zip(axes, text, strict=True)]
     turn, shift = result.standard_deviations or (0.0, 0.0)
-    return [["where the data fix it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
+    return [["where the data constrain it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
 
 
 def _weighed(result: RegistrationResult) -> list[list[str]]:
@@ -221,7 +219,7 @@ def _listed(words: list[str]) -> str:
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
 
 
-def _sensor(sensor: Mapping[str, Any]) -> list[list[str]]:
+def _sensor(sensor: Sensor) -> list[list[str]]:
     """What differs between the two magnetometers, where it was estimated."""
     rows = []
     if sensor.get("bias") is not None:

@@ -53,7 +53,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Exhibit:
-    """All there is to see.
+    """Everything that a viewer shows.
 
     Attributes
     ----------
