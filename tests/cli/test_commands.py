@@ -249,7 +249,7 @@ def test_demo_finds_the_truth_and_draws_it(run, tmp_path):
     outcome = run("demo", "--out", tmp_path / "demo", "--json")
     assert outcome.code == 0
     assert json.loads(outcome.out)["status"] == "accepted"
-    millimetres, degrees = map(float, re.search(r"truth: ([\d.]+) mm and ([\d.]+) deg", outcome.err).groups())
+    millimetres, degrees = map(float, re.search(r"truth: ([\d.]+) mm, ([\d.]+) deg", outcome.err).groups())
     assert millimetres < 20
     assert degrees < 1
     for name in ("result.json", "report.html"):
