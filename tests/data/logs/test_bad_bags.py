@@ -115,7 +115,7 @@ BAGS = {
 
 @pytest.mark.parametrize("case", BAGS)
 def test_a_bag_made_wrong_is_refused(case, tmp_path, refusal, monkeypatch):
-    monkeypatch.setattr("magmatch.data.logs.source.MAX_CHUNK", 4 << 20)  # small bombs go off as large ones do
+    monkeypatch.setattr("magmatch.data.logs.bounds.MAX_CHUNK", 4 << 20)  # small bombs go off as large ones do
     make, words = BAGS[case]
     (tmp_path / "log.bag").write_bytes(make())
     assert words in refusal(tmp_path / "log.bag")

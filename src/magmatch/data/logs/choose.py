@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which topics to read: by type, and among several by one rule."""
 
+import itertools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from magmatch.data.logs.log import Topic
-from magmatch.data.logs.messages import ENCODINGS
+from magmatch.data.logs.decode import ENCODINGS
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
 
 FIELD_TYPES = ("sensor_msgs/MagneticField",)
-# Old drivers send the field as a plain vector; so do many other sensors, hence only when named.
+# Old drivers send the field as a plain vector; so do many other sensors, so it must be named.
 FIELD_TYPES_IF_NAMED = (*FIELD_TYPES, "geometry_msgs/Vector3Stamped")
 TREE_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 POSE_TYPES = (
@@ -28,15 +29,7 @@ STATIC_TOPICS = ("/tf_static", "tf_static")
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Topics to read.
-
-    Attributes
-    ----------
-    field : Topic
-        Holds the field.
-    pose : Topic or None
-        Holds the poses; None where they come from elsewhere, or from the tree of frames.
-    """
+    """Topics to read; no pose topic where poses come from another file or the tree of frames."""
 
     field: Topic
     pose: Topic | None
@@ -45,41 +38,19 @@ class Choice:
 def choose_topics(
     path: Path, topics: Sequence[Topic], mag_topic: str | None, pose_topic: str | None, *, needs_pose: bool
 ) -> Choice:
-    """Choose the topic of the field and that of the poses.
+    """Choose the topic of the field and, where `needs_pose`, that of the poses; the names asked for overrule.
 
-    Parameters
-    ----------
-    path : Path
-        The log, for messages.
-    topics : sequence of Topic
-        What it holds.
-    mag_topic, pose_topic : str, optional
-        Names that were asked for.
-    needs_pose : bool
-        False where the poses come from another file or from the tree of frames.
-
-    Returns
-    -------
-    Choice
-
-    Raises
-    ------
-    DataFormatError
-        No topic of a type that serves, or not the one asked for; lists what there is.
-
-    Notes
-    -----
     Of all pairs of a field and a pose topic, the one with the most messages logged in the time that both cover (taken
     as evenly spread over each topic's own time); of equal ones the first by name. Without poses: the field topic with
-    the most messages.
+    the most messages. DataFormatError lists what there is.
     """
     fields = _candidates(path, topics, mag_topic, FIELD_TYPES_IF_NAMED if mag_topic else FIELD_TYPES, "field")
     if not needs_pose:
         choice = Choice(min(fields, key=lambda topic: (-topic.count, topic.name)), None)
     else:
         poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
-        pairs = [Choice(field, pose) for field in fields for pose in poses]
-        choice = min(pairs, key=lambda pair: (-_shared(pair.field, pair.pose), pair.field.name, _name(pair.pose)))
+        pairs = sorted(itertools.product(fields, poses), key=lambda pair: (pair[0].name, pair[1].name))
+        choice = max((Choice(*pair) for pair in pairs), key=_shared)  # the first of equal ones
         _tell_choice(path, choice.pose, poses, "of poses", "--pose-topic")
     _tell_choice(path, choice.field, fields, "of the field", "--mag-topic")
     return choice
@@ -128,20 +99,13 @@ def _candidates(
     return filled
 
 
-def _shared(first: Topic, second: Topic | None) -> float:
-    """Messages of both in the time that both cover."""
-    if second is None:
-        return 0.0
-    low, high = max(first.first_ns, second.first_ns), min(first.last_ns, second.last_ns)
-    if high < low:
-        return 0.0
-    return sum(_share(topic, low, high) for topic in (first, second))
+def _shared(pair: Choice) -> float:
+    """Messages of both topics in the time that both cover."""
+    topics = [topic for topic in (pair.field, pair.pose) if topic is not None]
+    low, high = max(topic.first_ns for topic in topics), min(topic.last_ns for topic in topics)
+    return sum(_share(topic, low, high) for topic in topics) if high >= low else 0.0
 
 
 def _share(topic: Topic, low: int, high: int) -> float:
     span = topic.last_ns - topic.first_ns
     return topic.count * ((high - low) / span) if span else float(topic.count)
-
-
-def _name(topic: Topic | None) -> str:
-    return topic.name if topic is not None else ""

@@ -13,20 +13,12 @@ from magmatch.data.logs.streams import in_order
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
-from magmatch.typing import Scalars
+from magmatch.typing import Mask, Scalars
 
 
 @dataclass(frozen=True, slots=True)
 class FrameTree:
-    """Edges between frames, by (parent, child): each takes child coordinates to parent coordinates.
-
-    Attributes
-    ----------
-    static : dict
-        Edges that never move.
-    moving : dict
-        Edges over time.
-    """
+    """Edges by (parent, child), that never move or over time; each takes child to parent coordinates."""
 
     static: dict[Frames, RigidTransform]
     moving: dict[Frames, Trajectory]
@@ -55,24 +47,7 @@ class FrameTree:
         return frame
 
     def trajectory(self, path: Path, to: str, frm: str) -> Trajectory:
-        """Motion of one frame in another, along static and moving edges.
-
-        Parameters
-        ----------
-        path : Path
-            The log, for messages.
-        to, frm : str
-            Gives ``T_to_from`` at every time at which an edge between them was stamped and all are known.
-
-        Returns
-        -------
-        Trajectory
-
-        Raises
-        ------
-        DataFormatError
-            The frames are not connected, or only by edges that never move.
-        """
+        """``T_to_from`` at every time at which a moving edge between them was stamped and all are known."""
         edges = _path([*self.static, *self.moving], to, frm)
         if edges is None:
             message = (
@@ -93,7 +68,7 @@ class FrameTree:
             if not is_forward:
                 R = R.inv()
                 p = -R.apply(p)
-            positions, turns = positions + turns.apply(p), turns * R
+            positions, turns = positions + turns.apply(p), turns * R  # T_to_a T_a_b
         return Trajectory(times, positions, turns)
 
     def _at(self, edge: Frames, times: Scalars) -> tuple[np.ndarray, Rotation]:
@@ -106,20 +81,7 @@ class FrameTree:
 
 
 def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> FrameTree:
-    """Build the tree from decoded messages.
-
-    Parameters
-    ----------
-    path : Path
-        The log, for messages.
-    moving, static : dict of Entries
-        Of ``/tf`` and ``/tf_static``.
-
-    Returns
-    -------
-    FrameTree
-        The last static transform of each edge holds.
-    """
+    """Build the tree from the messages of ``/tf`` and ``/tf_static``; the last static transform of an edge holds."""
     fixed = {frames: _transform(part) for frames, part in static.items()}
     edges = {}
     for frames, part in moving.items():
@@ -138,13 +100,15 @@ def trajectory_of(path: Path, entries: Entries) -> Trajectory:
     values = entries.values
     if len(values) < 2:
         raise DataFormatError(path, f"expected at least two poses, found {len(values)}")
-    if values.shape[1] == 7:
-        turns = Rotation.from_quat(values[:, 3:])
-    else:
-        turns = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(values), 1)))
-    times = seconds_of(entries.stamp_ns.tolist())
-    is_new = np.concatenate([[True], np.diff(times) > 0])  # float64 seconds since 1970 tell 240 ns apart
+    turns = Rotation.from_quat(values[:, 3:] if values.shape[1] == 7 else np.tile([0.0, 0, 0, 1], (len(values), 1)))
+    times, is_new = distinct_seconds(entries)
     return Trajectory(times[is_new], values[is_new, :3].copy(), turns[is_new])
+
+
+def distinct_seconds(entries: Entries) -> tuple[Scalars, Mask]:
+    """Times in s, and which differ from the one before: float64 seconds since 1970 are 240 ns apart."""
+    times = seconds_of(entries.stamp_ns.tolist())
+    return times, np.concatenate([[True], np.diff(times) > 0])
 
 
 def _transform(part: Entries) -> RigidTransform:

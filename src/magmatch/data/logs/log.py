@@ -1,27 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What every recorder log offers: topics with counts and spans, messages of some topics, and what was lost."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-# Messages handed on at a time, of one channel, and their bytes: enough for array arithmetic, little to hold.
+# Messages decoded together, and their bytes: enough for array arithmetic, little to hold.
 BATCH, BATCH_BYTES = 8192, 8 << 20
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """Messages of one topic, type and encoding, as one publisher sent them.
-
-    Attributes
-    ----------
-    topic : str
-    type : str
-        Such as ``sensor_msgs/MagneticField``, spelled the same for ROS 1 and ROS 2.
-    encoding : str
-        ``ros1``, ``cdr``, ``json``, or one that is not read here.
-    """
+class Channel(NamedTuple):
+    """Topic, type and encoding of some messages; the type is spelled as in ROS 1 (``std_msgs/Header``)."""
 
     topic: str
     type: str
@@ -29,23 +19,31 @@ class Channel:
 
     @classmethod
     def named(cls, topic: str, kind: str, encoding: str) -> "Channel":
-        """Channel as a log names it; what could not be shown in a message is replaced."""
-        return cls(printable(topic), plain_type(printable(kind)), printable(encoding))
+        """Channel from the names in a log, made fit to be shown."""
+        kind = printable(kind).replace(".", "/").replace("::", "/").replace("/msg/dds_/", "/").replace("/msg/", "/")
+        return cls(printable(topic), kind.rstrip("_"), printable(encoding))
+
+
+Message = tuple[Channel, int, bytes]  # with the time at which it was logged, ns, and its payload
+
+
+class Count(NamedTuple):
+    """How many messages there are, and when the first and the last were logged; zeros for none."""
+
+    n: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    def plus(self, other: "Count") -> "Count":
+        """Both together."""
+        if not (self.n and other.n):
+            return self if self.n else other
+        return Count(self.n + other.n, min(self.first_ns, other.first_ns), max(self.last_ns, other.last_ns))
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a log.
-
-    Attributes
-    ----------
-    name, type, encoding : str
-        As in `Channel`.
-    count : int
-        Messages that can be read.
-    first_ns, last_ns : int
-        When the first and the last of them were logged; 0 where there is none.
-    """
+    """A topic of a log; `count` messages can be read, logged between `first_ns` and `last_ns`."""
 
     name: str
     type: str
@@ -55,46 +53,22 @@ class Topic:
     last_ns: int
 
     @property
-    def duration(self) -> float:
-        """Seconds between the first and the last message."""
-        return (self.last_ns - self.first_ns) / 1e9
+    def channel(self) -> Channel:
+        """What its messages are labelled with."""
+        return Channel(self.name, self.type, self.encoding)
 
     def facts(self) -> dict[str, Any]:
         """Name, type, count, rate and span, ready for JSON."""
-        rate = (self.count - 1) / self.duration if self.duration > 0 else None
+        seconds = (self.last_ns - self.first_ns) / 1e9
+        rate = (self.count - 1) / seconds if seconds > 0 else None
         span = [self.first_ns / 1e9, self.last_ns / 1e9] if self.count else None
         return {"name": self.name, "type": self.type, "encoding": self.encoding, "count": self.count, "rate": rate,
                 "span": span}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
-    """Some messages of one channel, in the order of the file.
-
-    Attributes
-    ----------
-    channel : Channel
-    log_ns : list of int
-        When each was logged.
-    payloads : list of bytes
-    """
-
-    channel: Channel
-    log_ns: list[int]
-    payloads: list[bytes]
-
-
-@dataclass(frozen=True, slots=True)
 class Loss:
-    """A piece of a damaged log that was left out.
-
-    Attributes
-    ----------
-    start, stop : int
-        Bytes of the file; both 0 where the file does not keep messages in order (SQLite).
-    words : str
-        What was wrong with it.
-    """
+    """A piece of a damaged log that was left out: bytes of the file (0 to 0 where unknown) and what was wrong."""
 
     start: int
     stop: int
@@ -116,52 +90,42 @@ class Log(Protocol):
     def topics(self) -> list[Topic]:
         """All topics, by name."""
 
-    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
-        """Messages of some topics, batch by batch; others are skipped without being looked at."""
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, in the order of the file."""
 
     def losses(self) -> list[Loss]:
-        """What was left out so far; empty unless damage may be passed over."""
+        """What was left out so far; empty unless recovery was asked for."""
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
 
 
 def printable(name: str) -> str:
-    """Names of a log as they can be shown: on one line and not endless."""
+    """A name that can be shown: on one line, and not endless."""
     return "".join(c if c.isprintable() else "?" for c in name[:200])
 
 
-def plain_type(name: str) -> str:
-    """Message type as ROS 1 spells it.
-
-    Examples
-    --------
-    >>> plain_type("sensor_msgs/msg/MagneticField"), plain_type("sensor_msgs.MagneticField")
-    ('sensor_msgs/MagneticField', 'sensor_msgs/MagneticField')
-    """
-    return name.replace(".", "/").replace("::", "/").replace("/msg/dds_/", "/").replace("/msg/", "/").rstrip("_")
+def topics_of(counts: Iterable[tuple[Channel, Count]]) -> list[Topic]:
+    """Topics by name, from the counts of their channels."""
+    total: dict[Channel, Count] = {}
+    for channel, count in counts:
+        total[channel] = total.get(channel, Count()).plus(count)
+    return [Topic(*channel, *total[channel]) for channel in sorted(total)]
 
 
-class Batcher:
-    """Collects messages by channel and hands on full batches."""
-
-    def __init__(self) -> None:
-        self._open: dict[int, Batch] = {}
-        self._n_bytes: dict[int, int] = {}
-
-    def add(self, key: int, channel: Channel, log_ns: int, payload: bytes) -> Batch | None:
-        """Take one message of the channel with this number; gives a batch when one is full."""
-        batch = self._open.get(key)
-        if batch is None:
-            batch = self._open[key] = Batch(channel, [], [])
-            self._n_bytes[key] = 0
-        batch.log_ns.append(log_ns)
-        payloads = batch.payloads
+def batches(messages: Iterable[Message]) -> Iterator[tuple[Channel, list[int], list[bytes]]]:
+    """Messages grouped by channel, in portions that fit in memory: channel, log times and payloads."""
+    waiting: dict[Channel, tuple[list[int], list[bytes]]] = {}
+    n_bytes: dict[Channel, int] = {}
+    for channel, log_ns, payload in messages:
+        if channel not in waiting:
+            waiting[channel], n_bytes[channel] = ([], []), 0
+        times, payloads = waiting[channel]
+        times.append(log_ns)
         payloads.append(payload)
-        n_bytes = self._n_bytes[key] = self._n_bytes[key] + len(payload)
-        return self._open.pop(key) if n_bytes >= BATCH_BYTES or len(payloads) >= BATCH else None
-
-    def rest(self) -> Iterator[Batch]:
-        """Whatever has not been handed on."""
-        while self._open:
-            yield self._open.pop(next(iter(self._open)))
+        n_bytes[channel] += len(payload)
+        if len(payloads) >= BATCH or n_bytes[channel] >= BATCH_BYTES:
+            del waiting[channel]
+            yield channel, times, payloads
+    for channel, (times, payloads) in waiting.items():
+        yield channel, times, payloads

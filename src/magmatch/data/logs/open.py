@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Open a recorder log, whatever its container."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
-from magmatch.data.logs.chunked import ChunkedLog
 from magmatch.data.logs.log import Log
-from magmatch.data.logs.mcap import MAGIC as MCAP_MAGIC
-from magmatch.data.logs.mcap import McapContainer
-from magmatch.data.logs.ros1_bag import Ros1Container
-from magmatch.data.logs.ros2_bag import open_ros2_folder
-from magmatch.data.logs.sqlite_log import SqliteLog
 from magmatch.data.tables.text import is_folder, read_bytes
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, MissingExtraError
+
+NEEDED = ("rosbags", "mcap", "lz4", "zstandard")
 
 
 def open_log(path: str | Path, *, recover: bool = False) -> Log:
@@ -22,7 +19,7 @@ def open_log(path: str | Path, *, recover: bool = False) -> Log:
     path : path
         The file or folder.
     recover : bool
-        Pass over damaged pieces and note them (`Log.losses`), instead of refusing.
+        Leave out damaged pieces and note them (`Log.losses`) instead of refusing.
 
     Returns
     -------
@@ -32,15 +29,22 @@ def open_log(path: str | Path, *, recover: bool = False) -> Log:
     Raises
     ------
     DataFormatError
-        No such log, or a damaged one; then it names ``--recover``.
+        No such log, or a damaged one; the message then names ``--recover``.
+    MissingExtraError
+        Reading logs needs the extra ``ros``.
     """
+    if any(find_spec(name) is None for name in NEEDED):
+        feature = "reading a ROS bag or MCAP file"
+        raise MissingExtraError(feature, "ros")
+    from magmatch.data.logs.mcap_log import McapLog
+    from magmatch.data.logs.ros1_bag import Ros1Log
+    from magmatch.data.logs.ros2_bag import open_ros2_folder
+    from magmatch.data.logs.sqlite_log import SqliteLog
+
     if is_folder(path):
         return open_ros2_folder(path, lambda part: open_log(part, recover=recover), recover=recover)
     head = read_bytes(path, 16)
-    if head.startswith(MCAP_MAGIC):
-        return ChunkedLog(path, McapContainer(), recover=recover)
-    if head.startswith(b"#ROSBAG V"):
-        return ChunkedLog(path, Ros1Container(), recover=recover)
-    if head == b"SQLite format 3\0":
-        return SqliteLog(path, recover=recover)
+    for signature, kind in ((b"\x89MCAP", McapLog), (b"#ROSBAG V", Ros1Log), (b"SQLite format 3\0", SqliteLog)):
+        if head.startswith(signature):
+            return kind(path, recover=recover)
     raise DataFormatError(path, "is no ROS 1 bag, ROS 2 bag or MCAP file, or its first bytes are damaged")

@@ -15,13 +15,13 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
 from magmatch.data.logs.choose import STATIC_TOPICS, TREE_TYPES, Choice, choose_topics, has_poses
-from magmatch.data.logs.frames import FrameTree, frame_tree, trajectory_of
+from magmatch.data.logs.decode import ENCODINGS
+from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import ENCODINGS, Entries, Frames
+from magmatch.data.logs.messages import Entries, Frames
 from magmatch.data.logs.numbers import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
-from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -31,18 +31,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Poses and what they are poses of.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Of the body, in the fixed frame.
-    fixed, body : str
-        Names of the frames; "" where the log does not say.
-    has_orientations : bool
-    source : Path or None
-        The file they came from, where that is another one.
-    """
+    """Motion of a body in a fixed frame, the frames' names where the log says, and another file as its source."""
 
     trajectory: Trajectory
     fixed: str = ""
@@ -94,8 +83,7 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     is_turned = bool(sensor) and sensor == poses.fixed
     frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
     extrinsic = _extrinsic(log.path, layout, tree, poses, "" if frame == "survey" else sensor)
-    times = seconds_of(field.stamp_ns.tolist())
-    is_new = np.concatenate([[True], np.diff(times) > 0])  # float64 seconds since 1970 tell 240 ns apart
+    times, is_new = distinct_seconds(field)
     return Recording(
         path=log.path,
         times=times[is_new],
@@ -159,7 +147,7 @@ def _delay_ns(field: Entries) -> float:
 def _of_one_frame(path: Path, stream: Stream) -> Entries:
     """The entries of a topic that should speak of one thing; others are counted."""
     entries = stream.largest
-    n, n_other = len(entries.number), sum(len(part.number) for part in stream.entries.values()) - len(entries.number)
+    n, n_other = len(entries.number), len(stream) - len(entries.number)
     if n_other:
         logger.warning(
             "%s: %s holds several frames; read are the %d messages of %s, not the other %d",

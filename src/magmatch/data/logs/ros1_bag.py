@@ -1,203 +1,256 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The layout of ROS 1 bags (http://wiki.ros.org/Bags/Format/2.0): records of named fields and data."""
+"""ROS 1 bags, read by rosbags.
 
+Ours are bounds on what chunks and indexes may hold, and the index of a damaged bag: rosbags bounds neither, and reads
+a bag by its index alone.
+"""
+
+import errno
 import struct
+from collections import defaultdict
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
-import numpy as np
+from rosbags.interfaces import Connection
+from rosbags.rosbag1.reader import Chunk, Header, IndexData, Reader, ReaderError, RecordType, decompressors
+from rosbags.rosbag1.reader import read_uint32 as read_length
 
-from magmatch.data.logs.chunked import Chunk, Count, Definition, Index, Loose, Message, Piece
-from magmatch.data.logs.log import Channel
-from magmatch.data.logs.source import MAX_RECORD, DamagedError, Source
+from magmatch.data.logs.bounds import MAX_CHUNK, DamagedError, Decompressor
+from magmatch.data.logs.log import Channel, Count, Loss, Message, Topic, printable, topics_of
 from magmatch.errors import DataFormatError
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, BAG_HEADER, INDEX, CHUNK, CONNECTION = 0x02, 0x03, 0x04, 0x05, 0x07
-OPCODES = range(0x02, 0x08)
-MAX_HEADER = 64 << 10
-_UINT32 = struct.Struct("<I")
-_TIME = struct.Struct("<II")
+MAX_HEADER = 64 << 10  # bytes of a record's header
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
+_FAULTS = (ReaderError, DamagedError, AssertionError, LookupError, ValueError, struct.error, ArithmeticError, EOFError,
+           MemoryError)  # fmt: skip
 
 
-class Ros1Container:
-    """Layout of ROS 1 bags, version 2.0."""
+class Place(NamedTuple):
+    """An index entry of rosbags, sorted by place instead of time: no chunk is opened twice."""
 
-    def begin(self, source: Source) -> int:
-        """Check version and encryption."""
-        if source.read_available(0, len(MAGIC)) != MAGIC:
-            version = source.read_available(0, 20).split(b"\n")[0].decode("ascii", "replace")
-            raise DataFormatError(
-                source.path, f"expected a bag of version 2.0, found {version!r} (rosbag migrates it)"
-            )
-        fields, _, _ = _record(source, len(MAGIC))
-        if fields.get(b"encryptor"):
-            raise DataFormatError(source.path, "is an encrypted bag; decrypt it first")
-        return len(MAGIC)
+    chunk_pos: int
+    offset: int
+    time: int
 
-    def doubt(self, source: Source) -> str | None:
-        """A bag that was closed knows where its index lies, and the index lies within the file."""
-        fields, _, _ = _record(source, len(MAGIC))
-        position = int.from_bytes(fields.get(b"index_pos", b"")[:8], "little")
-        if _opcode(fields) != BAG_HEADER:
-            return "is a bag whose header is damaged"
-        if position == 0:
-            return "is a bag that was never closed (no index: the recorder was stopped hard?)"
-        return None if position <= source.size else "is a bag without its end: cut off while copying?"
 
-    def piece(self, source: Source, position: int) -> tuple[Piece, int]:
-        """Read one record."""
-        fields, data, stop = _record(source, position)
-        opcode = _opcode(fields)
-        if opcode not in OPCODES:
-            raise DamagedError(position, f"no record begins here (opcode {opcode})")
-        if opcode == CHUNK:
-            name = fields.get(b"compression", b"?").decode("ascii", "replace")
-            size = _number(fields, b"size", position)
-            return Chunk(position, stop, data, name, size), min(stop, source.size)
-        if stop > source.size:
-            raise DamagedError(position, "the file ends in the middle of a record")
-        if opcode == MESSAGE:
-            return Loose(position, stop, position), stop
-        if opcode not in {INDEX, CONNECTION}:
-            return None, stop
-        if stop - data > MAX_RECORD:
-            raise DamagedError(position, f"a record declares {stop - data} bytes, more than the {MAX_RECORD} allowed")
-        content = source.read(data, stop - data)
-        if opcode == CONNECTION:
+class BoundedReader(Reader):
+    """The reader of rosbags, with bounds on chunks and indexes."""
+
+    position = 0  # where it stopped reading
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._decompressor = Decompressor(path)
+        self._index_left = path.stat().st_size
+
+    def close(self) -> None:
+        """Close the file, and keep the place for messages."""
+        self.position = self.bio.tell() if self.bio else self.position
+        super().close()
+
+    def read_chunk(self) -> Chunk:
+        """Read the head of the chunk at the current position."""
+        chunk = super().read_chunk()
+        if chunk.datasize > MAX_CHUNK:
+            msg = f"a chunk of {chunk.datasize} bytes, more than the {MAX_CHUNK} allowed"
+            raise ReaderError(msg)
+        name = next(name for name, function in decompressors.items() if function is chunk.decompressor)
+        return chunk._replace(decompressor=partial(self._decompressor.expand, name))
+
+    def read_index_data(self, pos: int, indexes: dict[int, list[IndexData]]) -> None:
+        """Read what one index record says of the chunk before it."""
+        assert self.bio
+        start = self.bio.tell()
+        super().read_index_data(pos, indexes)
+        self._index_left -= self.bio.tell() - start
+        if self._index_left < 0:  # else a small file could make a large index
+            msg = "its indexes overlap"
+            raise ReaderError(msg)
+
+
+class Ros1Log:
+    """A ROS 1 bag, open for reading; with `recover`, damaged pieces are left out and noted."""
+
+    def __init__(self, path: str | Path, *, recover: bool = False) -> None:
+        self.path = Path(path)
+        self._losses: list[Loss] = []
+        self._reader = BoundedReader(self.path)
+        with self.path.open("rb") as stream, self._refusing():
+            version = stream.readline(20)
+            if version != MAGIC:
+                words = printable(version.decode("ascii", "replace").strip())
+                message = f"expected a bag of version 2.0, found {words!r} (rosbag migrates it)"
+                raise DataFormatError(path, message)
+            header, _, _ = _record(stream, len(MAGIC))
+            if header.get("encryptor"):
+                raise DataFormatError(path, "is an encrypted bag; decrypt it first")
+        if recover:
+            self._index_anew()
+            return
+        with self._refusing():
+            self._reader.open()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._reader.bio:
+            self._reader.close()
+
+    def losses(self) -> list[Loss]:
+        """What was left out."""
+        return self._losses
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        return topics_of((_channel(c), _count(self._reader.indexes.get(c.id, []))) for c in self._reader.connections)
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, in the order of the file."""
+        connections = [c for c in self._reader.connections if _channel(c).topic in topics]
+        channels = {c.id: _channel(c) for c in connections}
+        for key in channels:
+            places = (Place(entry.chunk_pos, entry.offset, entry.time) for entry in self._reader.indexes[key])
+            self._reader.indexes[key] = sorted(places)  # type: ignore[arg-type]
+        with self._refusing():
+            for connection, log_ns, payload in self._reader.messages(connections) if connections else ():
+                yield channels[connection.id], log_ns, payload
+
+    def _index_anew(self) -> None:
+        """Fill the reader with the connections and messages of all that is whole."""
+        self._reader.bio = stream = self.path.open("rb")
+        size = stream.seek(0, 2)
+        indexes: dict[int, list[Place]] = defaultdict(list)
+        connections: dict[int, Connection] = {}
+        position = len(MAGIC)
+        while position < size:
+            start = position
             try:
-                return _definition(fields, content), stop
-            except ValueError as error:
-                raise DamagedError(position, str(error)) from None
-        return _index(fields, content, position), stop
+                header, data, stop = _record(stream, start)
+                opcode, position = header.get_uint8("op"), min(stop, size)
+                if opcode == RecordType.CHUNK:
+                    stream.seek(start)
+                    chunk = self._reader.read_chunk()._replace(datasize=position - data)
+                    self._index_chunk(start, stop, chunk, indexes, connections)
+                elif stop > size:
+                    msg = "the file ends in the middle of a record"
+                    raise DamagedError(msg)  # noqa: TRY301
+                elif opcode == RecordType.MSGDATA:  # of a chunk whose head was never written
+                    self._index_chunk(start, stop, Chunk(stop - start, start, bytes), indexes, connections)
+                elif opcode == RecordType.CONNECTION:
+                    self._connect(stream, start, connections)
+            except DataFormatError:
+                raise
+            except _FAULTS as error:
+                position = _resume(stream, start + 1, size)
+                self._losses.append(Loss(start, position, printable(str(error))))
+        for key in indexes.keys() - connections.keys():
+            self._losses.append(Loss(0, 0, f"{len(indexes[key])} messages of connection {key}, nowhere defined"))
+        self._reader.connections = list(connections.values())
+        self._reader.indexes = {key: indexes[key] for key in connections}  # type: ignore[misc]
 
-    def contents(self, body: bytes, start: int, wanted: Collection[int] | None) -> Iterator[Message | Definition]:
-        """Walk the records of a chunk."""
-        position, end = start, len(body)
-        uint32 = _UINT32.unpack_from
-        broken = "a chunk breaks off within a record"
-        while position < end:
-            if position + 4 > end:
-                raise ValueError(broken)
-            header = position + 4
-            data = header + uint32(body, position)[0] + 4
-            if data > end:
-                raise ValueError(broken)
-            stop = data + uint32(body, data - 4)[0]
-            if stop > end:
-                raise ValueError(broken)
-            fields = _fields(body[header : data - 4])
-            opcode = _opcode(fields)
-            if opcode == MESSAGE:
-                key, moment = fields.get(b"conn", b""), fields.get(b"time", b"")
-                if len(key) != 4 or len(moment) != 8:
-                    msg = "a message without connection or time"
-                    raise ValueError(msg)
-                channel = int.from_bytes(key, "little")
-                if wanted is None or channel in wanted:
-                    yield channel, _nanoseconds(moment), data, stop
-            elif opcode == CONNECTION:
-                yield _definition(fields, body[data:stop])
-            elif opcode not in OPCODES:
-                msg = "a record without a known operation in a chunk"
-                raise ValueError(msg)
-            position = stop
-
-    def verify(self, chunk: Chunk, body: bytes) -> None:
-        """Bags have no checksum of their own."""
-
-    def resume(self, source: Source, position: int) -> int | None:
-        """Next chunk, found by the field that every chunk's header has."""
-        block = 1 << 20
-        while position < source.size:
-            window = source.read_available(position, block + len(_CHUNK_MARK))
-            mark = window.find(_CHUNK_MARK)
-            while mark >= 0:
-                start = _start_of_chunk(source, position + mark, position)
-                if start is not None:
-                    return start
-                mark = window.find(_CHUNK_MARK, mark + 1)
-            position += block
-        return None
-
-
-def _record(source: Source, position: int) -> tuple[dict[bytes, bytes], int, int]:
-    """Fields of a record, where its data begin and where they should end."""
-    n_header = _UINT32.unpack(source.read(position, 4))[0]
-    if n_header > MAX_HEADER:
-        raise DamagedError(position, f"no record begins here (a header of {n_header} bytes)")
-    try:
-        fields = _fields(source.read(position + 4, n_header))
-    except ValueError as error:
-        raise DamagedError(position, str(error)) from None
-    data = position + 4 + n_header + 4
-    return fields, data, data + _UINT32.unpack(source.read(data - 4, 4))[0]
-
-
-def _fields(header: bytes) -> dict[bytes, bytes]:
-    """Named fields of a header; ValueError where it is none."""
-    fields, position, end = {}, 0, len(header)
-    while position < end:
-        if position + 4 > end:
-            msg = "a record's header breaks off"
-            raise ValueError(msg)
-        start = position + 4
-        position = start + _UINT32.unpack_from(header, position)[0]
-        name, mark, value = header[start:position].partition(b"=")
-        if position > end or not mark:
-            msg = "a record's header is damaged"
-            raise ValueError(msg)
-        fields[name] = value
-    return fields
-
-
-def _opcode(fields: dict[bytes, bytes]) -> int:
-    value = fields.get(b"op", b"")
-    return value[0] if len(value) == 1 else -1
-
-
-def _number(fields: dict[bytes, bytes], name: bytes, position: int) -> int:
-    value = fields.get(name, b"")
-    if len(value) != 4:
-        raise DamagedError(position, f"a record without its {name.decode()}")
-    return int.from_bytes(value, "little")
-
-
-def _nanoseconds(moment: bytes) -> int:
-    seconds, nanoseconds = _TIME.unpack(moment)
-    return int(seconds * 1_000_000_000 + nanoseconds)
-
-
-def _definition(fields: dict[bytes, bytes], content: bytes) -> Definition:
-    """A connection; what the publisher named (the topic may be remapped) stands in its data."""
-    about, key = _fields(content), fields.get(b"conn", b"")
-    if len(key) != 4 or b"type" not in about:
-        msg = "a connection without number or type"
-        raise ValueError(msg)
-    topic = fields.get(b"topic", about.get(b"topic", b"")).decode("utf-8", "replace")
-    name = about[b"type"].decode("utf-8", "replace")
-    return Definition(int.from_bytes(key, "little"), Channel.named(topic, name, "ros1"))
-
-
-def _index(fields: dict[bytes, bytes], content: bytes, position: int) -> Index | None:
-    """How many messages of a connection the chunk before holds, and when."""
-    key, n = _number(fields, b"conn", position), _number(fields, b"count", position)
-    if _number(fields, b"ver", position) != 1 or n * 12 != len(content):
-        raise DamagedError(position, "an index whose lengths do not fit")
-    if not n:
-        return None
-    rows = np.frombuffer(content, "<u4").reshape(n, 3).astype(np.int64)
-    times = rows[:, 0] * 1_000_000_000 + rows[:, 1]
-    return Index(key, Count(n, int(times.min()), int(times.max())))
-
-
-def _start_of_chunk(source: Source, mark: int, earliest: int) -> int | None:
-    """Where the record begins whose header has a field at this place."""
-    for start in range(mark - 4, max(earliest, mark - 120) - 1, -1):
+    def _index_chunk(
+        self, start: int, stop: int, chunk: Chunk, indexes: dict[int, list[Place]], connections: dict[int, Connection]
+    ) -> None:
+        """Index the messages of a chunk, up to where it breaks off."""
+        assert self._reader.bio
+        self._reader.bio.seek(chunk.datapos)
         try:
-            fields, _, _ = _record(source, start)
-        except DamagedError:
-            continue
-        if _opcode(fields) == CHUNK and len(fields.get(b"size", b"")) == 4 and b"compression" in fields:
-            return start
-    return None
+            content = chunk.decompressor(self._reader.bio.read(chunk.datasize))
+        except DamagedError as error:
+            self._losses.append(Loss(start, chunk.datapos + chunk.datasize, str(error)))
+            return
+        self._reader.chunks[start] = chunk
+        is_cut = stop > chunk.datapos + chunk.datasize
+        if is_cut:
+            words = f"the file ends within a chunk, of which {len(content)} bytes are left and read"
+            self._losses.append(Loss(stop, stop, words))
+        inner, offset = BytesIO(content), 0
+        while offset < len(content):
+            try:
+                header, _, following = _record(inner, offset)
+                if following > len(content):
+                    msg = "a chunk breaks off within a record"
+                    raise DamagedError(msg)  # noqa: TRY301
+                if header.get_uint8("op") == RecordType.MSGDATA:
+                    place = Place(start, offset, header.get_time("time"))
+                    indexes[header.get_uint32("conn")].append(place)
+                elif header.get_uint8("op") == RecordType.CONNECTION:
+                    self._connect(inner, offset, connections)
+            except _FAULTS as error:
+                if not is_cut:
+                    self._losses.append(Loss(start, stop, printable(str(error))))
+                return
+            offset = following
+
+    def _connect(self, stream: BinaryIO, position: int, connections: dict[int, Connection]) -> None:
+        """Take the connection at a place."""
+        bio, self._reader.bio = self._reader.bio, stream
+        stream.seek(position)
+        try:
+            found = self._reader.read_connection()
+        finally:
+            self._reader.bio = bio
+        connections[found.id] = found
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Say in one line what rosbags finds."""
+        try:
+            yield
+        except DataFormatError:
+            raise
+        except (*_FAULTS, OSError) as error:
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a seek to where no file reaches
+                raise
+            self.close()
+            words = printable(str(error) or type(error).__name__)
+            message = f"is a damaged bag, near byte {self._reader.position}: {words}"
+            raise DataFormatError(self.path, f"{message}; --recover reads all that is whole of it") from None
+
+
+def _channel(connection: Connection) -> Channel:
+    return Channel.named(connection.topic, connection.msgtype, "ros1")
+
+
+def _count(index: Collection[IndexData | Place]) -> Count:
+    times = [entry.time for entry in index]
+    return Count(len(times), min(times), max(times)) if times else Count()
+
+
+def _record(stream: BinaryIO, position: int) -> tuple[Header, int, int]:
+    """Header of the record at a place, where its data begin, and where they should end."""
+    stream.seek(position)
+    if (n := read_length(stream)) > MAX_HEADER:
+        msg = f"no record begins here (a header of {n} bytes)"
+        raise DamagedError(msg)
+    stream.seek(position)
+    header = Header.read(stream)
+    if header.get_uint8("op") not in set(RecordType):
+        msg = "no record begins here (an unknown operation)"
+        raise DamagedError(msg)
+    n = read_length(stream)
+    return header, stream.tell(), stream.tell() + n
+
+
+def _resume(stream: BinaryIO, position: int, size: int) -> int:
+    """Where the next chunk begins, found by the field that every chunk's header has; else the end of the file."""
+    block = 1 << 20
+    while position < size:
+        stream.seek(position)
+        window = stream.read(block + len(_CHUNK_MARK))
+        mark = window.find(_CHUNK_MARK)
+        while mark >= 0:
+            for start in range(position + mark - 4, max(position, position + mark - 120) - 1, -1):
+                try:
+                    header, _, _ = _record(stream, start)
+                except _FAULTS:
+                    continue
+                if header.get_uint8("op") == RecordType.CHUNK and {"size", "compression"} <= header.keys():
+                    return start
+            mark = window.find(_CHUNK_MARK, mark + 1)
+        position += block
+    return size

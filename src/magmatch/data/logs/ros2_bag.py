@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""ROS 2 bag folders: ``metadata.yaml`` and the files it names, as one log."""
+"""ROS 2 bag folders: ``metadata.yaml`` and the files it names, as one log.
+
+Ours, because rosbags needs the metadata whole and every file present, unpacks to the disk, and bounds no message.
+"""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from magmatch.data.logs.log import Batch, Batcher, Log, Loss, Topic
-from magmatch.data.logs.source import MAX_CHUNK, MAX_RATIO
+from magmatch.data.logs.bounds import DamagedError, Decompressor
+from magmatch.data.logs.log import Count, Log, Loss, Message, Topic, topics_of
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.yaml_text import load_yaml
-from magmatch.errors import DataFormatError, MissingExtraError
+from magmatch.errors import DataFormatError
 
 METADATA = "metadata.yaml"
 SUFFIXES = (".db3", ".mcap")
@@ -20,85 +24,55 @@ MAX_MESSAGE = 1 << 20  # bytes of one field, pose or tf message; an honest one n
 
 
 class JoinedLog:
-    """Several files of one recording, read as one.
+    """Files of one recording in order, read as one; messages may be compressed one by one."""
 
-    Parameters
-    ----------
-    path : Path
-        The folder.
-    parts : sequence of Log
-        In the order of recording.
-    unpack : callable
-        Applied to every payload (recorders may compress messages one by one).
-    losses : sequence of Loss
-        What is known to be lost already.
-    """
-
-    def __init__(
-        self, path: Path, parts: Sequence[Log], unpack: Callable[[bytes], bytes] | None, losses: Sequence[Loss]
-    ) -> None:
-        self.path, self._parts, self._unpack, self._lost = path, parts, unpack, list(losses)
+    def __init__(self, path: Path, parts: Sequence[Log], losses: Sequence[Loss], *, is_packed: bool) -> None:
+        self.path, self._parts, self._lost = path, parts, list(losses)
+        self._decompressor = Decompressor(path) if is_packed else None
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         for part in self._parts:
             part.close()
 
     def losses(self) -> list[Loss]:
         """What was left out so far, in all files."""
-        inside = [
-            Loss(loss.start, loss.stop, f"{loss.words} (in {part.path.name})")
-            for part in self._parts
-            for loss in part.losses()
-        ]
-        return self._lost + inside
+        inside = [(part.path.name, loss) for part in self._parts for loss in part.losses()]
+        return self._lost + [replace(loss, words=f"{loss.words} (in {name})") for name, loss in inside]
 
     def topics(self) -> list[Topic]:
         """All topics, by name."""
-        joined: dict[tuple[str, str, str], Topic] = {}
-        for topic in (topic for part in self._parts for topic in part.topics()):
-            key = (topic.name, topic.type, topic.encoding)
-            known = joined.get(key, topic)
-            if known is topic or not topic.count:
-                joined.setdefault(key, topic)
-                continue
-            first = min(known.first_ns, topic.first_ns) if known.count else topic.first_ns
-            joined[key] = Topic(*key, known.count + topic.count, first, max(known.last_ns, topic.last_ns))
-        return sorted(joined.values(), key=lambda topic: (topic.name, topic.type))
+        found = [topic for part in self._parts for topic in part.topics()]
+        return topics_of((topic.channel, Count(topic.count, topic.first_ns, topic.last_ns)) for topic in found)
 
-    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, file after file."""
-        for batch in (batch for part in self._parts for batch in part.messages(topics)):
-            if self._unpack is None:
-                yield batch
-                continue
-            batcher = Batcher()  # a full batch may be too much once it is unpacked
-            for log_ns, payload in zip(batch.log_ns, batch.payloads, strict=True):
-                full = batcher.add(0, batch.channel, log_ns, self._unpack(payload))
-                if full is not None:
-                    yield full
-            yield from batcher.rest()
+        for part in self._parts:
+            for channel, log_ns, payload in part.messages(topics):
+                yield channel, log_ns, self._unpacked(payload)
+
+    def _unpacked(self, payload: bytes) -> bytes:
+        """A message as it was sent; empty where it cannot be unpacked, which the decoder then names."""
+        if self._decompressor is None:
+            return payload
+        try:
+            return self._decompressor.expand("zstd", payload, MAX_MESSAGE)
+        except DamagedError:
+            return b""
 
 
 def open_ros2_folder(folder: str | Path, open_file: Callable[[Path], Log], *, recover: bool = False) -> JoinedLog:
-    """Open a ROS 2 bag folder.
+    """Open a folder with ``metadata.yaml``, or at least the files of one recording.
 
-    Parameters
-    ----------
-    folder : path
-        Holds ``metadata.yaml``, or at least files of one recording.
-    open_file : callable
-        Opens one of them.
-    recover : bool
-        Go on where a file is missing or cannot be opened, and note it.
-
-    Returns
-    -------
-    JoinedLog
+    With `recover`, files that are missing or cannot be opened are left out and noted.
     """
     folder = Path(folder)
-    about = read_metadata(folder)
+    about = _metadata(folder)
     files, losses = _files(folder, about, recover=recover)
+    is_packed = str(about.get("compression_mode", "")).upper() == "MESSAGE"
+    if is_packed and about.get("compression_format") != "zstd":
+        message = f"messages are compressed with {str(about.get('compression_format'))[:40]!r}, expected zstd"
+        raise DataFormatError(folder / METADATA, message)
     parts: list[Log] = []
     try:
         for file in files:
@@ -114,28 +88,27 @@ def open_ros2_folder(folder: str | Path, open_file: Callable[[Path], Log], *, re
         raise
     if not parts:
         raise DataFormatError(folder, f"holds no {' or '.join(SUFFIXES)} file that can be read")
-    return JoinedLog(folder, parts, _unpacker(folder, about), losses)
+    return JoinedLog(folder, parts, losses, is_packed=is_packed)
 
 
-def read_metadata(folder: Path) -> dict[str, Any]:
+def _metadata(folder: Path) -> dict[str, Any]:
     """What ``metadata.yaml`` says of a bag; empty where there is none."""
     path = folder / METADATA
     if not path.exists():
         return {}
+    advice = "delete it to read the bag without it"
     raw = read_bytes(path, MAX_METADATA + 1)
     if len(raw) > MAX_METADATA:
-        raise DataFormatError(path, f"is larger than {MAX_METADATA} bytes; delete it to read the bag without it")
+        raise DataFormatError(path, f"is larger than {MAX_METADATA} bytes; {advice}")
     try:
         content = load_yaml(raw.decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
-        if isinstance(error, DataFormatError):
-            raise
-        words = " ".join(str(error).split())[:120]
-        raise DataFormatError(path, f"is not YAML ({words}); delete it to read the bag without it") from None
+    except DataFormatError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:
+        raise DataFormatError(path, f"is not YAML ({' '.join(str(error).split())[:120]}); {advice}") from None
     about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     if not isinstance(about, dict):
-        message = "expected rosbag2_bagfile_information in it; delete it to read the bag without it"
-        raise DataFormatError(path, message)
+        raise DataFormatError(path, f"expected rosbag2_bagfile_information in it; {advice}")
     return about
 
 
@@ -151,43 +124,13 @@ def _files(folder: Path, about: dict[str, Any], *, recover: bool) -> tuple[list[
         return present, []
     if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
         raise DataFormatError(folder / METADATA, "expected a list of names in relative_file_paths")
-    names = [Path(name).name for name in named]  # old recorders wrote the folder in front
     stray = [name for name in named if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name]
     if stray:
         raise DataFormatError(folder / METADATA, f"names a file outside the folder: {stray[0]!r}")
+    names = list(dict.fromkeys(Path(name).name for name in named))  # old recorders wrote the folder in front
     missing = [name for name in names if not (folder / name).is_file()]
     if missing and not recover:
         message = f"names {missing[0]!r}, which is not in the folder; --recover reads the other files"
         raise DataFormatError(folder / METADATA, message)
     losses = [Loss(0, 0, f"a whole file: {name!r} is not in the folder") for name in missing]
-    found = [folder / name for name in dict.fromkeys(names) if name not in missing]
-    return (found or present), losses
-
-
-def _unpacker(folder: Path, about: dict[str, Any]) -> Callable[[bytes], bytes] | None:
-    """How messages are compressed one by one, where they are."""
-    if str(about.get("compression_mode", "")).upper() != "MESSAGE":
-        return None
-    kind = about.get("compression_format")
-    if kind != "zstd":
-        raise DataFormatError(folder / METADATA, f"messages are compressed with {str(kind)[:40]!r}, expected zstd")
-    try:
-        import zstandard
-    except ImportError:
-        feature = "reading a ROS 2 bag with zstd messages"
-        raise MissingExtraError(feature, "ros") from None
-    decompressor, budget = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK), MAX_CHUNK
-
-    def unpack(payload: bytes) -> bytes:
-        nonlocal budget
-        try:
-            content = decompressor.stream_reader(payload, read_across_frames=True).read(MAX_MESSAGE)
-        except (zstandard.ZstdError, ValueError):
-            return b""  # no message: named as such where it is decoded
-        budget += MAX_RATIO * len(payload) - len(content)
-        if budget < 0:
-            message = f"messages decompress to more than {MAX_RATIO} times their size: refused as a zip bomb"
-            raise DataFormatError(folder, message)
-        return content
-
-    return unpack
+    return [folder / name for name in names if name not in missing] or present, losses

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The SQLite files of ROS 2 bags: tables ``topics`` and ``messages``."""
+"""The SQLite files of ROS 2 bags: tables ``topics`` and ``messages``, read by SQLite itself.
+
+Not by rosbags, whose reader sorts by time, takes any row and any query for honest, leaves a journal unread, and stops
+at the first damaged page.
+"""
 
 import sqlite3
 from collections import deque
@@ -8,29 +12,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from magmatch.data.logs.log import Batch, Batcher, Channel, Loss, Topic, printable
-from magmatch.data.logs.source import MAX_CHUNK
+from magmatch.data.logs.bounds import MAX_CHUNK
+from magmatch.data.logs.log import Channel, Count, Loss, Message, Topic, printable, topics_of
 from magmatch.data.tables.text import read_bytes
 from magmatch.errors import DataFormatError
 
-# The last of them: names in a damaged file are no UTF-8.
-SQLITE_ERRORS = (sqlite3.Error, OverflowError, UnicodeDecodeError)
-MAX_STEP = 1 << 40  # how far behind a damage the next message is looked for, in message numbers
+SQLITE_ERRORS = (sqlite3.Error, OverflowError, UnicodeDecodeError)  # the last: names in a damaged file
+MAX_STEP = 1 << 40  # how far behind damage the next message is looked for, in message numbers
 # Steps of SQLite's machine; counting and reading honest messages takes less than one for each byte.
 WORK, WORK_PER_BYTE, WORK_STEP = 10_000_000, 5, 100_000
 Row = tuple[int, int, int, bytes]  # id, topic, log time (ns), payload
 
 
 class SqliteLog:
-    """A ``.db3`` file, open for reading.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    recover : bool
-        Pass over messages on damaged pages and note them, instead of refusing.
-    """
+    """A ``.db3`` file, open for reading; with `recover`, messages on damaged pages are left out and noted."""
 
     def __init__(self, path: str | Path, *, recover: bool = False) -> None:
         self.path, self._recover = Path(path), recover
@@ -49,7 +44,7 @@ class SqliteLog:
             raise
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._database.close()
 
     def losses(self) -> list[Loss]:
@@ -58,38 +53,30 @@ class SqliteLog:
 
     def topics(self) -> list[Topic]:
         """All topics, by name."""
-        counts: dict[int, tuple[int, int, int]] = {}
+        counts: dict[int, Count] = {}
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
         try:
             with self._refusing():
-                counts = {key: (n, first, last) for key, n, first, last in self._database.execute(query)}
+                counts = {key: Count(*found) for key, *found in self._database.execute(query)}
         except DataFormatError:
             if not self._recover:
                 raise
             for _, key, log_ns, _ in self._rows(set(self._channels)):
-                n, first, last = counts.get(key, (0, log_ns, log_ns))
-                counts[key] = (n + 1, min(first, log_ns), max(last, log_ns))
+                counts[key] = counts.get(key, Count()).plus(Count(1, log_ns, log_ns))
             self._is_searched = True
-        topics = [
-            Topic(channel.topic, channel.type, channel.encoding, *self._checked(counts.get(key, (0, 0, 0))))
-            for key, channel in self._channels.items()
-        ]
-        return sorted(topics, key=lambda topic: (topic.name, topic.type))
+        counts = {key: counts.get(key, Count()) for key in self._channels}
+        if not all(isinstance(number, int) for count in counts.values() for number in count):
+            raise DataFormatError(self.path, "holds messages whose time stamp is no whole number")
+        return topics_of((channel, counts[key]) for key, channel in self._channels.items())
 
-    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order in which they were written."""
-        batcher = Batcher()
-        for _, key, log_ns, payload in self._rows({k for k, c in self._channels.items() if c.topic in topics}):
-            batch = batcher.add(key, self._channels[key], log_ns, payload)
-            if batch is not None:
-                yield batch
-        yield from batcher.rest()
+        wanted = {key: channel for key, channel in self._channels.items() if channel.topic in topics}
+        for _, key, log_ns, payload in self._rows(wanted):
+            yield wanted[key], log_ns, payload
 
-    def _rows(self, wanted: set[int]) -> Iterator[Row]:
-        """Rows of some topics; where a page is damaged, go on behind it."""
-        if not self._suspect:
-            yield from self._readable_rows(wanted)
-            return
+    def _rows(self, wanted: Collection[int]) -> Iterator[Row]:
+        """Rows of some topics, but those that may lie on the page in which a file ends."""
         held: deque[Row] = deque()
         n_held = 0
         for row in self._readable_rows(wanted):
@@ -98,11 +85,11 @@ class SqliteLog:
             while held and n_held - len(held[0][3]) >= self._suspect:
                 n_held -= len(held[0][3])
                 yield held.popleft()
-        if held:  # they may lie on the page in which the file ends, whose missing part SQLite takes for zeros
+        if held:  # SQLite takes the missing part of that page for zeros
             self._note(f"messages {held[0][0]} to {held[-1][0]} may lie on the page in which the file ends")
 
-    def _readable_rows(self, wanted: set[int]) -> Iterator[Row]:
-        """Rows that SQLite gives."""
+    def _readable_rows(self, wanted: Collection[int]) -> Iterator[Row]:
+        """Rows of some topics; where a page is damaged, from the next readable one on."""
         marks = ",".join(str(int(key)) for key in wanted)
         query = (
             f"SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? AND topic_id IN ({marks}) ORDER BY id"
@@ -133,12 +120,12 @@ class SqliteLog:
             self._note(f"messages after {last} lie on damaged pages")
 
     def _is_too_much(self) -> bool:
-        """Stop a query that runs on and on: damaged pages may lead in circles."""
+        """Whether to stop a query that runs on and on: damaged pages may lead in circles."""
         self._work_left -= WORK_STEP
         return self._work_left < 0
 
     def _note(self, words: str) -> None:
-        """Keep what was lost; a later look at some topics alone would say it again in other words."""
+        """Keep what was lost; a later pass over some topics would repeat it in other words."""
         if not self._is_searched:
             self._losses[words] = Loss(0, 0, words)
 
@@ -149,30 +136,18 @@ class SqliteLog:
         if missing:
             message = f"is a SQLite database without table {', '.join(sorted(missing))}: not a ROS 2 bag"
             raise DataFormatError(self.path, message)
-        channels = {}
-        for key, name, kind, encoding in self._database.execute(
-            "SELECT id, name, type, serialization_format FROM topics"
-        ):
-            if not isinstance(key, int) or not all(isinstance(text, str) for text in (name, kind, encoding)):
-                raise DataFormatError(self.path, "its table of topics holds other things than names")
-            channels[key] = Channel.named(name, kind, encoding)
-        return channels
-
-    def _checked(self, count: tuple[object, object, object]) -> tuple[int, int, int]:
-        if not all(isinstance(number, int) for number in count):
-            raise DataFormatError(self.path, "holds messages whose time stamp is no whole number")
-        n, first, last = count
-        return n, first, last  # type: ignore[return-value]
+        rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        if not all(isinstance(key, int) and all(isinstance(text, str) for text in texts) for key, *texts in rows):
+            raise DataFormatError(self.path, "its table of topics holds other things than names")
+        return {key: Channel.named(*texts) for key, *texts in rows}
 
     def _refusal(self, error: Exception) -> DataFormatError:
-        return DataFormatError(
-            self.path,
-            f"is a damaged ROS 2 bag (SQLite: {printable(str(error))}); --recover reads all that is whole of it",
-        )
+        words = f"is a damaged ROS 2 bag (SQLite: {printable(str(error))})"
+        return DataFormatError(self.path, f"{words}; --recover reads all that is whole of it")
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
-        """Say in words what SQLite finds."""
+        """Say in one line what SQLite finds."""
         try:
             yield
         except SQLITE_ERRORS as error:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Write a survey as MCAP that ROS 2 tools read: the field and the poses it was measured at."""
 
-import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,39 +12,7 @@ from magmatch.data.tables.nanoseconds import SECOND, nanoseconds_of
 from magmatch.errors import MissingExtraError, SurveyError
 
 FIELD_TOPIC, POSE_TOPIC = "/magmatch/field", "/magmatch/pose"
-_HEADER = """
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec"""
-_VECTOR = """
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z"""
-_POINT = _VECTOR.replace("Vector3", "Point")
-_POSE = """
-================================================================================
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w"""
-DEFINITIONS = {
-    "sensor_msgs/msg/MagneticField": "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\n"
-    "float64[9] magnetic_field_covariance" + _HEADER + _VECTOR,
-    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose" + _HEADER + _POSE + _POINT,
-    "geometry_msgs/msg/PointStamped": "std_msgs/Header header\ngeometry_msgs/Point point" + _HEADER + _POINT,
-}
+FIELD, POSE, POINT = "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"
 
 
 def write_mcap(survey: Survey, path: str | Path) -> None:
@@ -71,40 +37,33 @@ def write_mcap(survey: Survey, path: str | Path) -> None:
     """
     try:
         from mcap.writer import CompressionType, Writer
+        from rosbags.typesys import Stores, get_typestore
     except ImportError:
         feature = "writing MCAP"
         raise MissingExtraError(feature, "ros") from None
-    stamps = _stamps(survey)
-    poses = survey.positions
-    kind = "geometry_msgs/msg/PointStamped"
-    if survey.orientations is not None:
-        kind = "geometry_msgs/msg/PoseStamped"
-        poses = np.hstack([poses, survey.orientations.as_quat()])
+    stamps, store = _stamps(survey), get_typestore(Stores.ROS2_HUMBLE)
+    new: dict[str, Any] = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
+    quaternions = None if survey.orientations is None else survey.orientations.as_quat().tolist()
+    kinds = {FIELD_TOPIC: FIELD, POSE_TOPIC: POINT if quaternions is None else POSE}
     with atomic_write(path) as stream:
         writer: Any = Writer(stream, compression=CompressionType.ZSTD)
         writer.start("ros2")
-        field_channel = _register(writer, FIELD_TOPIC, "sensor_msgs/msg/MagneticField")
-        pose_channel = _register(writer, POSE_TOPIC, kind)
-        for stamp, head, b, pose in _rows(survey, stamps, poses):
-            writer.add_message(pose_channel, stamp, head + pose, stamp)
-            writer.add_message(field_channel, stamp, head + b + bytes(72), stamp)
+        channels = {}
+        for topic, kind in kinds.items():
+            definition = store.generate_msgdef(kind, ros_version=2)[0].encode()
+            channels[topic] = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", definition))
+        no_covariance = np.zeros(9)
+        rows = zip(stamps, survey.field.tolist(), survey.positions.tolist(), strict=True)
+        for i, (stamp, b, p) in enumerate(rows):
+            header = new["Header"](new["Time"](*divmod(stamp, SECOND)), survey.frame or "survey")
+            pose = new["PointStamped"](header, new["Point"](*p))
+            if quaternions is not None:
+                pose = new["PoseStamped"](header, new["Pose"](new["Point"](*p), new["Quaternion"](*quaternions[i])))
+            field = new["MagneticField"](header, new["Vector3"](*b), no_covariance)
+            for topic, message in ((POSE_TOPIC, pose), (FIELD_TOPIC, field)):
+                data = bytes(store.serialize_cdr(message, kinds[topic]))
+                writer.add_message(channels[topic], stamp, data, stamp)
         writer.finish()
-
-
-def _register(writer: Any, topic: str, kind: str) -> int:
-    schema = writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
-    return int(writer.register_channel(topic, "cdr", schema))
-
-
-def _rows(survey: Survey, stamps: list[int], poses: np.ndarray) -> Iterator[tuple[int, bytes, bytes, bytes]]:
-    """Per sample: stamp, serialised header, field, pose."""
-    name = (survey.frame or "survey").encode() + b"\0"
-    field = survey.field.astype("<f8")
-    packed = poses.astype("<f8")
-    for i, stamp in enumerate(stamps):
-        head = struct.pack("<4BiII", 0, 1, 0, 0, *divmod(stamp, SECOND), len(name)) + name
-        head += bytes(-(len(head) - 4) % 8)  # doubles are aligned behind the four bytes of CDR
-        yield stamp, head, field[i].tobytes(), packed[i].tobytes()
 
 
 def _stamps(survey: Survey) -> list[int]:
