@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.logs.log import Batch, Channel
-from magmatch.data.logs.numbers import decoded, read_numbers
+from magmatch.data.logs.numbers import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.read import read_survey, read_survey_and_channels
 
@@ -51,35 +50,37 @@ def test_other_numbers_stand_at_the_times_of_the_samples(container, made, flight
         np.testing.assert_allclose(channels[name], factor * expected, rtol=0, atol=4e-3 * abs(factor))
 
 
-def test_the_battery_of_older_robots_is_read_too():
-    """ROS 1 had no temperature in it before 2019."""
-    head = struct.pack("<III", 1, 2, 3) + struct.pack("<I", 4) + b"base"
-    body = struct.pack("<6f", 24.0, 3.5, 1.0, 2.0, 3.0, 0.5) + bytes(4) + struct.pack("<I2f", 2, 4.0, 4.0)
-    raw = head + body + bytes(8)
-    batch = Batch(Channel("/battery", "sensor_msgs/BatteryState", "ros1"), [5], [raw])
-    ((numbers, n_bad),) = decoded(batch)
-    assert n_bad == 0
-    assert numbers["current"][1].tolist() == [3.5]
-
-
-def test_numbers_written_as_json_are_read(tmp_path):
+def numbers_of(path, encoding, contents):
+    """What is read of messages written as they stand: by topic, their type and payloads."""
     writers = pytest.importorskip("mcap.writer")
-    path = tmp_path / "log.mcap"
-    contents = {"/amps": ("std_msgs/Float64", [{"data": 2.5}, {"data": "x"}, {}, [], {"data": 3.5}]),
-                "/battery": ("sensor_msgs/BatteryState", [{"current": 1.5}, {"current": None}]),
-                "/joints": ("sensor_msgs/JointState", [{"name": ["a"], "effort": [4.0]}])}  # fmt: skip
     with path.open("wb") as stream:
         writer = writers.Writer(stream)
         writer.start()
-        for topic, (kind, messages) in contents.items():
-            channel = writer.register_channel(topic, "json", writer.register_schema(kind, "jsonschema", b"{}"))
-            for i, content in enumerate(messages):
-                writer.add_message(channel, i, json.dumps(content).encode(), i)
+        for topic, (kind, payloads) in contents.items():
+            channel = writer.register_channel(topic, encoding, writer.register_schema(kind, "", b""))
+            for i, payload in enumerate(payloads):
+                writer.add_message(channel, i, payload, i)
         writer.finish()
     log = open_log(path)
     found = read_numbers(log, log.topics(), 0.0).by_name
     log.close()
-    assert {name: channel.values.tolist() for name, channel in found.items()} == {
+    return {name: channel.values.tolist() for name, channel in found.items()}
+
+
+def test_the_battery_of_older_robots_is_read_too(tmp_path):
+    """ROS 1 had no temperature in it before 2019."""
+    head = struct.pack("<III", 1, 2, 3) + struct.pack("<I", 4) + b"base"
+    body = struct.pack("<6f", 24.0, 3.5, 1.0, 2.0, 3.0, 0.5) + bytes(4) + struct.pack("<I2f", 2, 4.0, 4.0)
+    contents = {"/battery": ("sensor_msgs/BatteryState", [head + body + bytes(8)])}
+    assert numbers_of(tmp_path / "log.mcap", "ros1", contents) == {"/battery current": [3.5]}
+
+
+def test_numbers_written_as_json_are_read(tmp_path):
+    contents = {"/amps": ("std_msgs/Float64", [{"data": 2.5}, {"data": "x"}, {}, [], {"data": 3.5}]),
+                "/battery": ("sensor_msgs/BatteryState", [{"current": 1.5}, {"current": None}]),
+                "/joints": ("sensor_msgs/JointState", [{"name": ["a"], "effort": [4.0]}])}  # fmt: skip
+    written = {t: (kind, [json.dumps(content).encode() for content in c]) for t, (kind, c) in contents.items()}
+    assert numbers_of(tmp_path / "log.mcap", "json", written) == {
         "/amps": [2.5, 3.5], "/battery current": [1.5], "/joints effort a": [4.0],
     }  # fmt: skip
 

@@ -94,7 +94,7 @@ class McapLog:
                 for part in self._parts():
                     self._counted(part)
             for key in counts.keys() - self._channels.keys():
-                self._lose(len(MAGIC), len(MAGIC), f"{counts[key].n} messages of channel {key}, nowhere defined")
+                self._lose(len(MAGIC), len(MAGIC), f"{counts[key].n} messages of channel {key}, which is nowhere defined")
             self._topics = topics_of((c, counts.get(key, Count())) for key, c in self._channels.items())
         return self._topics
 
@@ -163,10 +163,10 @@ class McapLog:
                 msg = f"a record of {length} bytes, more than the {MAX_RECORD} allowed"
                 raise DamagedError(msg)
             content = self._read(body, length)
-            if opcode != INDEX:
+            if opcode == INDEX:
+                (part.index if part else {}).update(_index(content))
+            else:
                 self._define(opcode, content)
-            elif part is not None:
-                part.index.update(_index(content))
         return None, stop
 
     def _chunk(self, position: int, stop: int) -> Part:

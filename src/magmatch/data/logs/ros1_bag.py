@@ -89,11 +89,12 @@ class Ros1Log:
             header, _, _ = _record(stream, len(MAGIC))
             if header.get("encryptor"):
                 raise DataFormatError(path, "is an encrypted bag; decrypt it first")
-        if recover:
-            self._index_anew()
-            return
-        with self._refusing():
-            self._reader.open()
+        try:
+            with self._refusing():
+                self._index_anew() if recover else self._reader.open()
+        except DataFormatError:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the file."""
@@ -134,12 +135,12 @@ class Ros1Log:
                 if opcode == RecordType.CHUNK:
                     stream.seek(start)
                     chunk = self._reader.read_chunk()._replace(datasize=position - data)
-                    self._index_chunk(start, stop, chunk, indexes, connections)
+                    self._index_chunk(start, stop, header.get_uint32("size"), chunk, indexes, connections)
                 elif stop > size:
                     msg = "the file ends in the middle of a record"
                     raise DamagedError(msg)  # noqa: TRY301
                 elif opcode == RecordType.MSGDATA:  # of a chunk whose head was never written
-                    self._index_chunk(start, stop, Chunk(stop - start, start, bytes), indexes, connections)
+                    self._index_chunk(start, stop, stop - start, Chunk(stop - start, start, bytes), indexes, connections)
                 elif opcode == RecordType.CONNECTION:
                     self._connect(stream, start, connections)
             except DataFormatError:
@@ -148,26 +149,31 @@ class Ros1Log:
                 position = _resume(stream, start + 1, size)
                 self._losses.append(Loss(start, position, printable(str(error))))
         for key in indexes.keys() - connections.keys():
-            self._losses.append(Loss(0, 0, f"{len(indexes[key])} messages of connection {key}, nowhere defined"))
+            self._losses.append(Loss(0, 0, f"{len(indexes[key])} messages of connection {key}, which is nowhere defined"))
         self._reader.connections = list(connections.values())
         self._reader.indexes = {key: indexes[key] for key in connections}  # type: ignore[misc]
 
     def _index_chunk(
-        self, start: int, stop: int, chunk: Chunk, indexes: dict[int, list[Place]], connections: dict[int, Connection]
-    ) -> None:
+        self, start: int, stop: int, size: int, chunk: Chunk,
+        indexes: dict[int, list[Place]], connections: dict[int, Connection],
+    ) -> None:  # fmt: skip
         """Index the messages of a chunk, up to where it breaks off."""
         assert self._reader.bio
         self._reader.bio.seek(chunk.datapos)
+        end = chunk.datapos + chunk.datasize
+        is_cut = stop > end
         try:
             content = chunk.decompressor(self._reader.bio.read(chunk.datasize))
+            if len(content) != size and not is_cut:
+                msg = f"a chunk declares {size} bytes but holds {len(content)}"
+                raise DamagedError(msg)  # noqa: TRY301
         except DamagedError as error:
-            self._losses.append(Loss(start, chunk.datapos + chunk.datasize, str(error)))
+            self._losses.append(Loss(start, end, str(error)))
             return
         self._reader.chunks[start] = chunk
-        is_cut = stop > chunk.datapos + chunk.datasize
         if is_cut:
-            words = f"the file ends within a chunk, of which {len(content)} bytes are left and read"
-            self._losses.append(Loss(stop, stop, words))
+            words = f"the file ends within a chunk, of which {len(content)} of {size} bytes are left and read"
+            self._losses.append(Loss(end, end, words))
         inner, offset = BytesIO(content), 0
         while offset < len(content):
             try:
@@ -206,7 +212,6 @@ class Ros1Log:
         except (*_FAULTS, OSError) as error:
             if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a seek to where no file reaches
                 raise
-            self.close()
             words = printable(str(error) or type(error).__name__)
             message = f"is a damaged bag, near byte {self._reader.position}: {words}"
             raise DataFormatError(self.path, f"{message}; --recover reads all that is whole of it") from None
