@@ -19,7 +19,11 @@ _FAULTS = (OSError, RuntimeError, EOFError, ValueError, MemoryError, zstandard.Z
 
 
 class DamagedError(Exception):
-    """A piece of a log is not whole."""
+    """A piece of a log is not whole: a byte of the file or chunk, or the id of a record, and what is wrong there."""
+
+    def __init__(self, place: int, words: str) -> None:
+        super().__init__(words)
+        self.place = place
 
 
 class Decompressor:
@@ -28,12 +32,11 @@ class Decompressor:
     def __init__(self, path: Path) -> None:
         self._path, self._left = path, MAX_CHUNK
 
-    def expand(self, compression: str, raw: bytes, size: int | None = None) -> bytes:
+    def expand(self, compression: str, raw: bytes, size: int | None = None, place: int = 0) -> bytes:
         """Content of a chunk, or of as much of one as there is; DamagedError beyond `size` bytes."""
         size = MAX_CHUNK if size is None else size
         if max(size, len(raw)) > MAX_CHUNK:
-            msg = f"a chunk of {max(size, len(raw))} bytes, more than the {MAX_CHUNK} allowed"
-            raise DamagedError(msg)
+            raise DamagedError(place, f"a chunk of {max(size, len(raw))} bytes, more than the {MAX_CHUNK} allowed")
         try:
             if compression == "bz2":
                 content = bz2.BZ2Decompressor().decompress(raw, size + 1)
@@ -50,14 +53,12 @@ class Decompressor:
         except _FAULTS as error:
             if isinstance(error, DataFormatError):
                 raise
-            msg = f"a chunk of {compression} is damaged ({error})"
-            raise DamagedError(msg) from None
+            raise DamagedError(place, f"a chunk of {compression} is damaged ({error})") from None
         if content is not raw:
             self._left += MAX_RATIO * len(raw) - len(content)
         if self._left < 0:
             message = f"decompresses to more than {MAX_RATIO} times its size: no log does, refused as a zip bomb"
             raise DataFormatError(self._path, message)
         if len(content) > size:
-            msg = f"a chunk of {size} bytes holds more"
-            raise DamagedError(msg)
+            raise DamagedError(place, f"a chunk of {size} bytes holds more")
         return content

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from magmatch.data.logs.log import Topic
 from magmatch.data.logs.decode import ENCODINGS
+from magmatch.data.logs.log import Topic
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ double the time to read a log (docs/decisions.md).
 import json
 from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -39,7 +39,11 @@ class UnevenError(Exception):
 
 
 class MalformedError(Exception):
-    """These bytes are no message of the expected type."""
+    """These bytes are no message of the expected type: the byte where they cease to be, and why."""
+
+    def __init__(self, place: int, words: str) -> None:
+        super().__init__(words)
+        self.place = place
 
 
 @cache
@@ -61,14 +65,15 @@ class Cursor:
     def __init__(self, rows: UInt8[np.ndarray, "k n"], encoding: str) -> None:
         self._rows, self._is_cdr, self._store = rows, encoding == "cdr", definitions(encoding)
         self._at = self._origin = 0
-        self._order = "<"
+        self._order: Literal["<", ">"] = "<"
         if self._is_cdr:
             kind = self.numbers("u1", 4)
             if (kind[:, 1] != kind[0, 1]).any():
                 raise UnevenError(kind[:, 1])
             if kind[0, 0] or kind[0, 1] > 1:
-                msg = f"expected plain CDR, found representation {kind[0, 0]:#04x} {kind[0, 1]:#04x}"
-                raise MalformedError(msg)
+                raise MalformedError(
+                    self._at, f"expected plain CDR, found representation {kind[0, 0]:#04x} {kind[0, 1]:#04x}"
+                )
             self._order = "<" if kind[0, 1] else ">"
             self._origin = 4
 
@@ -92,8 +97,7 @@ class Cursor:
         """MalformedError unless all has been read; some writers of CDR pad to four bytes."""
         rest = self._rows.shape[1] - self._at
         if rest > (3 if self._is_cdr else 0):
-            msg = f"{rest} bytes are left over: another message definition?"
-            raise MalformedError(msg)
+            raise MalformedError(self._at, f"{rest} bytes are left over: another message definition?")
 
     def _field(self, node: Nodetype, detail: Any) -> Any:
         """A column, a table (k, n) of numbers, a list of these, or a nested message."""
@@ -117,8 +121,7 @@ class Cursor:
     def _bytes(self, n: int) -> np.ndarray:
         rest = self._rows.shape[1] - self._at
         if n > rest:
-            msg = f"a field of {n} bytes where {max(rest, 0)} are left"
-            raise MalformedError(msg)
+            raise MalformedError(self._at, f"a field of {n} bytes where {max(rest, 0)} are left")
         self._at += n
         return np.ascontiguousarray(self._rows[:, self._at - n : self._at])
 
@@ -144,7 +147,7 @@ def decode(channel: Channel, payloads: Sequence[bytes]) -> Iterator[tuple[Indice
     lengths = np.array([len(payload) for payload in payloads])
     for length in np.unique(lengths).tolist():
         which = np.flatnonzero(lengths == length)
-        rows = np.frombuffer(b"".join([payloads[i] for i in which]), np.uint8).reshape(len(which), length)
+        rows = np.frombuffer(b"".join([payloads[i] for i in which.tolist()]), np.uint8).reshape(len(which), length)
         waiting = [np.arange(len(which))]
         while waiting:
             picked = waiting.pop()

@@ -66,14 +66,14 @@ class McapLog:
         self._decompressor = Decompressor(self.path)
         self._stream = self.path.open("rb")
         self._file_size = self._stream.seek(0, 2)
-        try:
-            if self._available(0, len(MAGIC)) != MAGIC:
-                raise DataFormatError(path, "is not an MCAP file of version 0")
-            if not recover and self._available(max(8, self._file_size - 8), 8) != MAGIC:
-                raise self._refusal("is an MCAP file without its end: cut off while recording or copying?")
-        except DataFormatError:
+        words = ""
+        if self._available(0, len(MAGIC)) != MAGIC:
+            words = "is not an MCAP file of version 0"
+        elif not recover and self._available(max(8, self._file_size - 8), 8) != MAGIC:
+            words = "is an MCAP file without its end: cut off while recording or copying?"
+        if words:
             self.close()
-            raise
+            raise self._refusal(words)
 
     def close(self) -> None:
         """Close the file."""
@@ -94,7 +94,9 @@ class McapLog:
                 for part in self._parts():
                     self._counted(part)
             for key in counts.keys() - self._channels.keys():
-                self._lose(len(MAGIC), len(MAGIC), f"{counts[key].n} messages of channel {key}, which is nowhere defined")
+                self._lose(
+                    len(MAGIC), len(MAGIC), f"{counts[key].n} messages of channel {key}, which is nowhere defined"
+                )
             self._topics = topics_of((c, counts.get(key, Count())) for key, c in self._channels.items())
         return self._topics
 
@@ -115,8 +117,9 @@ class McapLog:
     def _read(self, position: int, n: int) -> bytes:
         """Bytes from a position; DamagedError where the file ends before."""
         if position + n > self._file_size:
-            msg = f"the file ends at byte {self._file_size}, {position + n - self._file_size} too early"
-            raise DamagedError(msg)
+            raise DamagedError(
+                position, f"the file ends at byte {self._file_size}, {position + n - self._file_size} too early"
+            )
         return self._available(position, n)
 
     def _parts(self) -> Iterator[Part]:
@@ -148,20 +151,17 @@ class McapLog:
         opcode, length = _RECORD.unpack(head)
         body, stop = position + _RECORD.size, position + _RECORD.size + length
         if opcode not in _OPCODES and opcode < _PRIVATE:
-            msg = f"no record begins here (opcode {opcode})"
-            raise DamagedError(msg)
+            raise DamagedError(position, f"no record begins here (opcode {opcode})")
         if opcode == CHUNK:
             return self._chunk(position, stop), min(stop, self._file_size)
         if stop > self._file_size:
-            msg = "the file ends in the middle of a record"
-            raise DamagedError(msg)
+            raise DamagedError(position, "the file ends in the middle of a record")
         if opcode == MESSAGE:
             stop = self._end_of_run(position, stop)
             return Part(position, stop, position), stop
         if opcode in {SCHEMA, CHANNEL, INDEX}:
             if length > MAX_RECORD:
-                msg = f"a record of {length} bytes, more than the {MAX_RECORD} allowed"
-                raise DamagedError(msg)
+                raise DamagedError(position, f"a record of {length} bytes, more than the {MAX_RECORD} allowed")
             content = self._read(body, length)
             if opcode == INDEX:
                 (part.index if part else {}).update(_index(content))
@@ -174,13 +174,11 @@ class McapLog:
         at = position + _RECORD.size
         first, last, size, crc, n_name = _CHUNK.unpack(self._read(at, _CHUNK.size))
         if n_name > 32 or first > last:
-            msg = "the head of a chunk is damaged"
-            raise DamagedError(msg)
+            raise DamagedError(position, "the head of a chunk is damaged")
         name = self._read(at + _CHUNK.size, n_name + 8)
         body = at + _CHUNK.size + n_name + 8
         if body + int.from_bytes(name[n_name:], "little") != stop:
-            msg = "the lengths in the head of a chunk do not fit each other"
-            raise DamagedError(msg)
+            raise DamagedError(position, "the lengths in the head of a chunk do not fit each other")
         return Part(position, stop, body, name[:n_name].decode("ascii", "replace"), size, crc)
 
     def _end_of_run(self, position: int, stop: int) -> int:
@@ -202,30 +200,29 @@ class McapLog:
             kind = self._schemas[record.schema_id]
             self._channels[record.id] = Channel.named(record.topic, kind, record.message_encoding)
         else:
-            msg = f"channel {record.id} refers to schema {record.schema_id}, which is nowhere defined"
-            raise DamagedError(msg)
+            raise DamagedError(
+                record.id, f"channel {record.id} refers to schema {record.schema_id}, which is nowhere defined"
+            )
 
     def _items(self, part: Part, wanted: Collection[int] | None) -> Iterator[Item]:
         """Messages of some channels in a part (all by default), up to where it breaks off."""
         is_cut = part.stop > self._file_size
         try:
             if part.stop - part.body > MAX_CHUNK:
-                msg = f"a chunk of {part.stop - part.body} bytes, more than the {MAX_CHUNK} allowed"
-                raise DamagedError(msg)
+                raise DamagedError(
+                    part.start, f"a chunk of {part.stop - part.body} bytes, more than the {MAX_CHUNK} allowed"
+                )
             if is_cut and not self._recover:
-                msg = "the file ends in the middle of a chunk"
-                raise DamagedError(msg)
+                raise DamagedError(part.start, "the file ends in the middle of a chunk")
             raw = self._available(part.body, part.stop - part.body)
             body = self._decompressor.expand(part.compression, raw, part.size)
             if is_cut:
                 words = f"the file ends within a chunk, of which {len(body)} of {part.size} bytes are left and read"
                 self._lose(self._file_size, self._file_size, words)
             elif part.size not in {None, len(body)}:
-                msg = f"a chunk declares {part.size} bytes but holds {len(body)}"
-                raise DamagedError(msg)
+                raise DamagedError(part.start, f"a chunk declares {part.size} bytes but holds {len(body)}")
             elif part.crc and zlib.crc32(body) != part.crc:
-                msg = "the checksum of a chunk does not fit its content"
-                raise DamagedError(msg)
+                raise DamagedError(part.start, "the checksum of a chunk does not fit its content")
             yield from self._walk(body, wanted)
         except DataFormatError:
             raise
@@ -242,20 +239,17 @@ class McapLog:
             position += 9
             stop = position + length
             if stop > end or (opcode == MESSAGE and length < _MESSAGE_HEAD):
-                msg = "a chunk breaks off within a record"
-                raise DamagedError(msg)
+                raise DamagedError(position, "a chunk breaks off within a record")
             if opcode == MESSAGE:
                 channel, _, log_ns = message(body, position)
                 if log_ns >> 63:
-                    msg = f"a message of the year {1970 + log_ns // 31_556_952_000_000_000}"
-                    raise DamagedError(msg)
+                    raise DamagedError(position, f"a message of the year {1970 + log_ns // 31_556_952_000_000_000}")
                 if wanted is None or channel in wanted:
                     yield channel, log_ns, body[position + _MESSAGE_HEAD : stop]
             elif opcode in {SCHEMA, CHANNEL}:
                 self._define(opcode, body[position:stop])
             else:
-                msg = f"a chunk holds a record of operation {opcode}"
-                raise DamagedError(msg)
+                raise DamagedError(position, f"a chunk holds a record of operation {opcode}")
             position = stop
 
     def _counted(self, part: Part) -> dict[int, Count]:
@@ -300,7 +294,8 @@ class McapLog:
     def _lose(self, start: int, stop: int, words: str) -> None:
         """Refuse the damage, or note it once."""
         if not self._recover:
-            raise self._refusal(f"damaged at byte {start}: {words}")
+            words = f"damaged at byte {start}: {words}"
+            raise self._refusal(words)
         known = self._losses.get(start, Loss(start, stop, words))
         self._losses[start] = replace(known, stop=max(known.stop, stop))
 
@@ -312,10 +307,8 @@ def _index(content: bytes) -> dict[int, Count]:
     """How many messages of a channel the chunk before holds, and when; in Python mcap takes 2 us for each."""
     key, n_bytes = struct.unpack_from("<HI", content)
     if n_bytes != len(content) - 6 or n_bytes % 16:
-        msg = "a message index whose lengths do not fit"
-        raise DamagedError(msg)
+        raise DamagedError(key, "a message index whose lengths do not fit")
     times = np.frombuffer(content, "<u8", offset=6)[::2]
     if len(times) and int(times.max()) >> 63:
-        msg = "a message index beyond all calendars"
-        raise DamagedError(msg)
+        raise DamagedError(key, "a message index beyond all calendars")
     return {key: Count(len(times), int(times.min()), int(times.max()))} if len(times) else {}

@@ -30,7 +30,9 @@ def read_numbers(log: Log, topics: Sequence[Topic], delay_ns: float) -> Channels
     stamps say. Channels are named after their topic, and the number where a message holds several. A message of
     another definition is counted and left out.
     """
-    wanted = {topic.channel for topic in topics if topic.type in TYPES and topic.encoding in ENCODINGS and topic.count}
+    wanted = {
+        topic.channel for topic in topics if topic.type in TYPES and topic.encoding in ENCODINGS and topic.count
+    }
     parts: dict[str, list[tuple[Indices, Scalars]]] = {}
     n_bad = 0
     for channel, times, payloads in batches(log.messages({c.topic for c in wanted})) if wanted else ():

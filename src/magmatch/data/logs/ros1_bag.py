@@ -26,7 +26,7 @@ from magmatch.errors import DataFormatError
 MAGIC = b"#ROSBAG V2.0\n"
 MAX_HEADER = 64 << 10  # bytes of a record's header
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
-_FAULTS = (ReaderError, DamagedError, AssertionError, LookupError, ValueError, struct.error, ArithmeticError, EOFError,
+_FAULTS = (ReaderError, DamagedError, AssertionError, LookupError, ValueError, struct.error, OverflowError, EOFError,
            MemoryError)  # fmt: skip
 
 
@@ -137,10 +137,11 @@ class Ros1Log:
                     chunk = self._reader.read_chunk()._replace(datasize=position - data)
                     self._index_chunk(start, stop, header.get_uint32("size"), chunk, indexes, connections)
                 elif stop > size:
-                    msg = "the file ends in the middle of a record"
-                    raise DamagedError(msg)  # noqa: TRY301
+                    raise DamagedError(start, "the file ends in the middle of a record")
                 elif opcode == RecordType.MSGDATA:  # of a chunk whose head was never written
-                    self._index_chunk(start, stop, stop - start, Chunk(stop - start, start, bytes), indexes, connections)
+                    self._index_chunk(
+                        start, stop, stop - start, Chunk(stop - start, start, bytes), indexes, connections
+                    )
                 elif opcode == RecordType.CONNECTION:
                     self._connect(stream, start, connections)
             except DataFormatError:
@@ -149,7 +150,9 @@ class Ros1Log:
                 position = _resume(stream, start + 1, size)
                 self._losses.append(Loss(start, position, printable(str(error))))
         for key in indexes.keys() - connections.keys():
-            self._losses.append(Loss(0, 0, f"{len(indexes[key])} messages of connection {key}, which is nowhere defined"))
+            self._losses.append(
+                Loss(0, 0, f"{len(indexes[key])} messages of connection {key}, which is nowhere defined")
+            )
         self._reader.connections = list(connections.values())
         self._reader.indexes = {key: indexes[key] for key in connections}  # type: ignore[misc]
 
@@ -165,8 +168,8 @@ class Ros1Log:
         try:
             content = chunk.decompressor(self._reader.bio.read(chunk.datasize))
             if len(content) != size and not is_cut:
-                msg = f"a chunk declares {size} bytes but holds {len(content)}"
-                raise DamagedError(msg)  # noqa: TRY301
+                words = f"a chunk declares {size} bytes but holds {len(content)}"
+                raise DamagedError(start, words)  # noqa: TRY301
         except DamagedError as error:
             self._losses.append(Loss(start, end, str(error)))
             return
@@ -179,8 +182,7 @@ class Ros1Log:
             try:
                 header, _, following = _record(inner, offset)
                 if following > len(content):
-                    msg = "a chunk breaks off within a record"
-                    raise DamagedError(msg)  # noqa: TRY301
+                    raise DamagedError(start, "a chunk breaks off within a record")
                 if header.get_uint8("op") == RecordType.MSGDATA:
                     place = Place(start, offset, header.get_time("time"))
                     indexes[header.get_uint32("conn")].append(place)
@@ -230,13 +232,11 @@ def _record(stream: BinaryIO, position: int) -> tuple[Header, int, int]:
     """Header of the record at a place, where its data begin, and where they should end."""
     stream.seek(position)
     if (n := read_length(stream)) > MAX_HEADER:
-        msg = f"no record begins here (a header of {n} bytes)"
-        raise DamagedError(msg)
+        raise DamagedError(position, f"no record begins here (a header of {n} bytes)")
     stream.seek(position)
     header = Header.read(stream)
     if header.get_uint8("op") not in set(RecordType):
-        msg = "no record begins here (an unknown operation)"
-        raise DamagedError(msg)
+        raise DamagedError(position, "no record begins here (an unknown operation)")
     n = read_length(stream)
     return header, stream.tell(), stream.tell() + n
 

@@ -12,7 +12,11 @@ from magmatch.data.tables.nanoseconds import SECOND, nanoseconds_of
 from magmatch.errors import MissingExtraError, SurveyError
 
 FIELD_TOPIC, POSE_TOPIC = "/magmatch/field", "/magmatch/pose"
-FIELD, POSE, POINT = "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"
+FIELD, POSE, POINT = (
+    "sensor_msgs/msg/MagneticField",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PointStamped",
+)
 
 
 def write_mcap(survey: Survey, path: str | Path) -> None:
@@ -51,7 +55,9 @@ def write_mcap(survey: Survey, path: str | Path) -> None:
         channels = {}
         for topic, kind in kinds.items():
             definition = store.generate_msgdef(kind, ros_version=2)[0].encode()
-            channels[topic] = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", definition))
+            channels[topic] = writer.register_channel(
+                topic, "cdr", writer.register_schema(kind, "ros2msg", definition)
+            )
         no_covariance = np.zeros(9)
         rows = zip(stamps, survey.field.tolist(), survey.positions.tolist(), strict=True)
         for i, (stamp, b, p) in enumerate(rows):
