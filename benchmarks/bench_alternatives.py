@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What our own k-d tree, CSV parser, archive and sparse Cholesky do, against SciPy, pandas, zarr and SuperLU.
+
+Run ``python benchmarks/bench_alternatives.py [--points 100000] [--rows 300000] [--side 2.0]``; needs the extra ``test``.
+Seconds of the processor, best of three, after compilation. docs/decisions.md says what follows from it.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import numpy as np
+
+
+def seconds(run: Callable[[], Any], repeats: int = 3) -> float:
+    """Least processor time of some runs."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        run()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def kdtree(n: int) -> None:
+    from scipy.spatial import KDTree
+
+    from magmatch.registration.search.kdtree import NeighbourTree
+
+    rng = np.random.default_rng(0)
+    points, targets = rng.normal(size=(n, 6)).astype(np.float32), rng.normal(size=(2000, 6)).astype(np.float32)
+    for name, make in (("ours", NeighbourTree.of), ("SciPy", KDTree)):
+        tree = make(points)
+        tree.query(targets[:2], 8)
+        print(f"k-d tree, {n} points of 6 numbers, {name}: build {seconds(lambda m=make: m(points)):.3f} s, "
+              f"8 nearest of 2000 {seconds(lambda t=tree: t.query(targets, 8)):.3f} s")  # fmt: skip
+
+
+def tables(n: int, folder: Path) -> None:
+    import pandas as pd
+
+    from magmatch.data.tables.table import read_table
+
+    names = ["t", "x", "y", "z", "bx", "by", "bz"]
+    numbers = np.random.default_rng(0).normal(size=(n, 7))
+    path = folder / "survey.csv"
+    path.write_text("\n".join([",".join(names), *(",".join(map(repr, row)) for row in numbers.tolist()), ""]))
+    ours, theirs = read_table(path, names), pd.read_csv(path)
+    print(f"CSV, {path.stat().st_size / 1e6:.0f} MB: ours {seconds(lambda: read_table(path, names)):.2f} s, "
+          f"pandas {seconds(lambda: pd.read_csv(path)):.2f} s; "
+          f"{sum(int((theirs[k] != ours.columns[k]).sum()) for k in names)} of {n * 7} numbers differ")  # fmt: skip
+
+
+def archives(folder: Path) -> None:
+    import zarr
+
+    from magmatch.field.storage.archive import read_archive, write_archive
+
+    rng = np.random.default_rng(0)
+    arrays = {"positions": rng.normal(size=(500_000, 3)), "weights": rng.normal(size=2_000_000)}
+    path, other = folder / "ours.zip", folder / "zarr.zip"
+
+    def write() -> None:
+        other.unlink(missing_ok=True)
+        with zarr.storage.ZipStore(other, mode="w") as store:
+            group = zarr.open_group(store, mode="w")
+            for name, values in arrays.items():
+                group.create_array(name, data=values, compressors=None, chunks=values.shape)
+
+    def read() -> dict[str, np.ndarray]:
+        with zarr.storage.ZipStore(other, mode="r") as store:
+            group = zarr.open_group(store, mode="r")
+            return {name: group[name][:] for name in arrays}
+
+    print(f"archive, 28 MB: ours write {seconds(lambda: write_archive(path, 'test/1', {}, arrays)):.2f} s, "
+          f"read {seconds(lambda: read_archive(path, 'test/1')):.2f} s (SHA-256); "
+          f"zarr write {seconds(write):.2f} s, read {seconds(read):.2f} s (CRC of the zip)")  # fmt: skip
+    for name, file, load in (("ours", path, lambda: read_archive(path, "test/1")), ("zarr", other, read)):
+        raw, unnoticed = file.read_bytes(), 0
+        for at in np.linspace(200, len(raw) - 1, 40).astype(int):
+            file.write_bytes(raw[:at] + bytes([raw[at] ^ 1]) + raw[at + 1 :])
+            try:
+                load()
+                unnoticed += 1
+            except Exception:  # noqa: BLE001, S110
+                pass
+        file.write_bytes(raw)
+        print(f"  {name}: {unnoticed} of 40 flipped bits unnoticed")
+
+
+def cholesky(side: float) -> None:
+    from scipy.sparse import coo_array
+    from scipy.sparse.linalg import splu
+
+    from magmatch.field.cholesky.cells import HALF_STENCIL, lay_cells
+    from magmatch.field.cholesky.multifrontal import factorise
+    from magmatch.field.cholesky.nested_dissection import order_elimination
+    from magmatch.field.cholesky.selected_inverse import selected_inverse
+    from magmatch.field.hyperparameters import Hyperparameters
+    from magmatch.field.spline.spline_model import SplineModel
+
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0, 1, (20_000, 3)) * [side, side, 0.4]
+    h = Hyperparameters(0.4, 1e-5, 1e-6, 0.15, 100.0)
+    cells = lay_cells(x, h.spacing, 1.5)
+    model = SplineModel(h, cells, order_elimination(cells))
+    information = model.observe(x, 1e-5 * rng.normal(size=x.shape))
+    A, m = information.gram + model.prior_precision(), cells.n_nodes
+    other = cells.node_index.ravel()[cells.flat_nodes()[:, None] + cells.stencil_shifts()[HALF_STENCIL - 1 :]]
+    row, slot = np.nonzero(other >= 0)
+    column, values = other[row, slot], A.stencil[row, slot]
+    off = row != column
+    edge = np.repeat(np.arange(m), 3), np.tile(np.arange(m, m + 3), m)
+    corner = np.repeat(np.arange(m, m + 3), 3), np.tile(np.arange(m, m + 3), 3)
+    rows = np.concatenate([row, column[off], edge[0], edge[1], corner[0]])
+    columns = np.concatenate([column, row[off], edge[1], edge[0], corner[1]])
+    entries = np.concatenate([values, values[off], A.border.ravel(), A.border.ravel(), A.corner.ravel()])
+    sparse = coo_array((entries, (rows, columns)), shape=(m + 3, m + 3)).tocsc()
+    factor = factorise(model.elimination, A)
+    selected_inverse(factor)
+    options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    theirs = splu(sparse, **options)
+    difference = np.abs(factor.solve(information.eta) - theirs.solve(information.eta)).max()
+    scale = np.abs(factor.solve(information.eta)).max()
+    print(f"Cholesky, {m + 3} unknowns, {sparse.nnz} entries: ours {seconds(lambda: factorise(model.elimination, A)):.2f} s"
+          f", {factor.n_bytes / 1e6:.0f} MB; SuperLU {seconds(lambda: splu(sparse, **options), 1):.2f} s, "
+          f"{(theirs.L.nnz + theirs.U.nnz) * 12 / 1e6:.0f} MB; solutions differ by {difference / scale:.1e}")  # fmt: skip
+    column = np.zeros(m + 3)
+    column[0] = 1.0
+    print(f"  all variances: ours {seconds(lambda: selected_inverse(factor)):.2f} s (selected inverse); "
+          f"SuperLU {m * seconds(lambda: theirs.solve(column)):.0f} s ({m} solves)")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--points", type=int, default=100_000)
+    parser.add_argument("--rows", type=int, default=300_000)
+    parser.add_argument("--side", type=float, default=2.0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        kdtree(arguments.points)
+        tables(arguments.rows, Path(folder))
+        archives(Path(folder))
+        cholesky(arguments.side)
+
+
+if __name__ == "__main__":
+    main()
