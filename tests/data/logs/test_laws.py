@@ -207,13 +207,13 @@ def test_every_container_counts_the_same(container, made, flight, tmp_path):
 
 
 def test_a_message_at_fault_is_named_by_its_number_in_the_topic(made, flight, tmp_path):
-    """Also behind the first of the batches that are decoded together."""
+    """Also behind the first batches that are decoded together."""
     mag, odom = flight.series
-    n = 9000
+    n = 17_000
     values = np.tile(mag.values[:1], (n, 1))
-    values[8500] = np.nan
+    values[16_500] = np.nan
     many = made.replace(mag, log_ns=mag.log_ns[0] + np.arange(n) * 500_000, stamp_ns=None, values=values)
-    with pytest.raises(DataFormatError, match="/imu/mag, message 8500: holds NaN"):
+    with pytest.raises(DataFormatError, match="/imu/mag, message 16500: holds NaN"):
         read_survey(made.mcap(tmp_path / "log.mcap", [many, odom]))
 
 
