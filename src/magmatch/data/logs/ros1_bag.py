@@ -15,13 +15,25 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
 from rosbags.interfaces import Connection
-from rosbags.rosbag1.reader import Chunk, Header, IndexData, Reader, ReaderError, RecordType, decompressors
+from rosbags.rosbag1.reader import (
+    Chunk,
+    Header,
+    IndexData,
+    Reader,
+    ReaderError,
+    RecordType,
+    decompressors,
+    read_bytes,
+)
 from rosbags.rosbag1.reader import read_uint32 as read_length
 
 from magmatch.data.logs.bounds import MAX_CHUNK, DamagedError, Decompressor
 from magmatch.data.logs.log import Channel, Count, Loss, Message, Topic, printable, topics_of
+from magmatch.data.tables.nanoseconds import SECOND
 from magmatch.errors import DataFormatError
+from magmatch.typing import Indices
 
 MAGIC = b"#ROSBAG V2.0\n"
 MAX_HEADER = 64 << 10  # bytes of a record's header
@@ -31,11 +43,35 @@ _FAULTS = (ReaderError, DamagedError, AssertionError, LookupError, ValueError, s
 
 
 class Place(NamedTuple):
-    """An index entry of rosbags, sorted by place instead of time: no chunk is opened twice."""
+    """An index entry as rosbags takes it, but sorted by its place in the file: no chunk is opened twice."""
 
     chunk_pos: int
     offset: int
     time: int
+
+
+class Index:
+    """Places of the messages of one connection, chunk by chunk; as arrays, where rosbags holds 150 bytes for each."""
+
+    def __init__(self) -> None:
+        self._parts: dict[int, tuple[Indices, Indices]] = {}
+
+    def __iter__(self) -> Iterator[Place]:
+        for start, (offsets, times) in sorted(self._parts.items(), key=lambda part: part[0]):
+            for offset, time in zip(offsets.tolist(), times.tolist(), strict=True):
+                yield Place(start, offset, time)
+
+    def add(self, start: int, rows: Indices) -> None:
+        """Take the messages of a chunk: seconds, nanoseconds, and their offsets in it."""
+        seconds, nanoseconds, offsets = rows[np.argsort(rows[:, 2], kind="stable")].astype(np.int64).T
+        self._parts[start] = offsets, seconds * SECOND + nanoseconds
+
+    def count(self) -> Count:
+        """Number of messages, first and last time."""
+        times = [part[1] for part in self._parts.values() if len(part[1])]
+        if not times:
+            return Count()
+        return Count(sum(map(len, times)), min(int(t.min()) for t in times), max(int(t.max()) for t in times))
 
 
 class BoundedReader(Reader):
@@ -47,6 +83,7 @@ class BoundedReader(Reader):
         super().__init__(path)
         self._decompressor = Decompressor(path)
         self._index_left = path.stat().st_size
+        self.places: dict[int, Index] = defaultdict(Index)
 
     def close(self) -> None:
         """Close the file, and keep the place for messages."""
@@ -62,15 +99,17 @@ class BoundedReader(Reader):
         name = next(name for name, function in decompressors.items() if function is chunk.decompressor)
         return chunk._replace(decompressor=partial(self._decompressor.expand, name))
 
-    def read_index_data(self, pos: int, indexes: dict[int, list[IndexData]]) -> None:
+    def read_index_data(self, pos: int, indexes: dict[int, list[IndexData]]) -> None:  # noqa: ARG002
         """Read what one index record says of the chunk before it."""
         assert self.bio
-        start = self.bio.tell()
-        super().read_index_data(pos, indexes)
-        self._index_left -= self.bio.tell() - start
-        if self._index_left < 0:  # else a small file could make a large index
-            msg = "its indexes overlap"
+        header = Header.read(self.bio, RecordType.IDXDATA)
+        n_bytes = read_length(self.bio)
+        self._index_left -= n_bytes
+        if self._index_left < 0 or n_bytes != 12 * header.get_uint32("count"):  # or a small file makes a large index
+            msg = "the lengths of its indexes do not fit"
             raise ReaderError(msg)
+        rows = np.frombuffer(read_bytes(self.bio, n_bytes), "<u4").reshape(-1, 3)
+        self.places[header.get_uint32("conn")].add(pos, rows)
 
 
 class Ros1Log:
@@ -79,6 +118,7 @@ class Ros1Log:
     def __init__(self, path: str | Path, *, recover: bool = False) -> None:
         self.path = Path(path)
         self._losses: list[Loss] = []
+        self._found: dict[int, Connection] = {}
         self._reader = BoundedReader(self.path)
         with self.path.open("rb") as stream, self._refusing():
             version = stream.readline(20)
@@ -92,6 +132,7 @@ class Ros1Log:
         try:
             with self._refusing():
                 self._index_anew() if recover else self._reader.open()
+                self._reader.indexes = self._reader.places  # type: ignore[assignment]
         except DataFormatError:
             self.close()
             raise
@@ -107,25 +148,21 @@ class Ros1Log:
 
     def topics(self) -> list[Topic]:
         """All topics, by name."""
-        return topics_of((_channel(c), _count(self._reader.indexes.get(c.id, []))) for c in self._reader.connections)
+        return topics_of((_channel(c), self._reader.places[c.id].count()) for c in self._reader.connections)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
         connections = [c for c in self._reader.connections if _channel(c).topic in topics]
         channels = {c.id: _channel(c) for c in connections}
-        for key in channels:
-            places = (Place(entry.chunk_pos, entry.offset, entry.time) for entry in self._reader.indexes[key])
-            self._reader.indexes[key] = sorted(places)  # type: ignore[arg-type]
         with self._refusing():
             for connection, log_ns, payload in self._reader.messages(connections) if connections else ():
                 yield channels[connection.id], log_ns, payload
 
     def _index_anew(self) -> None:
         """Fill the reader with the connections and messages of all that is whole."""
-        self._reader.bio = stream = self.path.open("rb")
+        reader = self._reader
+        reader.bio = stream = self.path.open("rb")
         size = stream.seek(0, 2)
-        indexes: dict[int, list[Place]] = defaultdict(list)
-        connections: dict[int, Connection] = {}
         position = len(MAGIC)
         while position < size:
             start = position
@@ -134,32 +171,25 @@ class Ros1Log:
                 opcode, position = header.get_uint8("op"), min(stop, size)
                 if opcode == RecordType.CHUNK:
                     stream.seek(start)
-                    chunk = self._reader.read_chunk()._replace(datasize=position - data)
-                    self._index_chunk(start, stop, header.get_uint32("size"), chunk, indexes, connections)
+                    chunk = reader.read_chunk()._replace(datasize=position - data)
+                    self._index_chunk(start, stop, header.get_uint32("size"), chunk)
                 elif stop > size:
                     raise DamagedError(start, "the file ends in the middle of a record")
                 elif opcode == RecordType.MSGDATA:  # of a chunk whose head was never written
-                    self._index_chunk(
-                        start, stop, stop - start, Chunk(stop - start, start, bytes), indexes, connections
-                    )
+                    self._index_chunk(start, stop, stop - start, Chunk(stop - start, start, bytes))
                 elif opcode == RecordType.CONNECTION:
-                    self._connect(stream, start, connections)
+                    self._connect(stream, start)
             except DataFormatError:
                 raise
             except _FAULTS as error:
                 position = _resume(stream, start + 1, size)
                 self._losses.append(Loss(start, position, printable(str(error))))
-        for key in indexes.keys() - connections.keys():
-            self._losses.append(
-                Loss(0, 0, f"{len(indexes[key])} messages of connection {key}, which is nowhere defined")
-            )
-        self._reader.connections = list(connections.values())
-        self._reader.indexes = {key: indexes[key] for key in connections}  # type: ignore[misc]
+        for key in reader.places.keys() - self._found.keys():
+            words = f"{reader.places[key].count().n} messages of connection {key}, which is nowhere defined"
+            self._losses.append(Loss(0, 0, words))
+        reader.connections = list(self._found.values())
 
-    def _index_chunk(
-        self, start: int, stop: int, size: int, chunk: Chunk,
-        indexes: dict[int, list[Place]], connections: dict[int, Connection],
-    ) -> None:  # fmt: skip
+    def _index_chunk(self, start: int, stop: int, size: int, chunk: Chunk) -> None:
         """Index the messages of a chunk, up to where it breaks off."""
         assert self._reader.bio
         self._reader.bio.seek(chunk.datapos)
@@ -178,23 +208,25 @@ class Ros1Log:
             words = f"the file ends within a chunk, of which {len(content)} of {size} bytes are left and read"
             self._losses.append(Loss(end, end, words))
         inner, offset = BytesIO(content), 0
-        while offset < len(content):
-            try:
+        found: dict[int, list[tuple[int, int, int]]] = defaultdict(list)
+        try:
+            while offset < len(content):
                 header, _, following = _record(inner, offset)
                 if following > len(content):
                     raise DamagedError(start, "a chunk breaks off within a record")
                 if header.get_uint8("op") == RecordType.MSGDATA:
-                    place = Place(start, offset, header.get_time("time"))
-                    indexes[header.get_uint32("conn")].append(place)
+                    seconds, nanoseconds = divmod(header.get_time("time"), SECOND)
+                    found[header.get_uint32("conn")].append((seconds, nanoseconds, offset))
                 elif header.get_uint8("op") == RecordType.CONNECTION:
-                    self._connect(inner, offset, connections)
-            except _FAULTS as error:
-                if not is_cut:
-                    self._losses.append(Loss(start, stop, printable(str(error))))
-                return
-            offset = following
+                    self._connect(inner, offset)
+                offset = following
+        except _FAULTS as error:
+            if not is_cut:
+                self._losses.append(Loss(start, stop, printable(str(error))))
+        for key, rows in found.items():
+            self._reader.places[key].add(start, np.array(rows))
 
-    def _connect(self, stream: BinaryIO, position: int, connections: dict[int, Connection]) -> None:
+    def _connect(self, stream: BinaryIO, position: int) -> None:
         """Take the connection at a place."""
         bio, self._reader.bio = self._reader.bio, stream
         stream.seek(position)
@@ -202,7 +234,7 @@ class Ros1Log:
             found = self._reader.read_connection()
         finally:
             self._reader.bio = bio
-        connections[found.id] = found
+        self._found[found.id] = found
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
@@ -221,11 +253,6 @@ class Ros1Log:
 
 def _channel(connection: Connection) -> Channel:
     return Channel.named(connection.topic, connection.msgtype, "ros1")
-
-
-def _count(index: Collection[IndexData | Place]) -> Count:
-    times = [entry.time for entry in index]
-    return Count(len(times), min(times), max(times)) if times else Count()
 
 
 def _record(stream: BinaryIO, position: int) -> tuple[Header, int, int]:
