@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Logs that cannot be a survey, by name: each is refused in one line that says what is wrong and what to do."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import magmatch
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 
@@ -168,3 +174,26 @@ def test_an_extrinsic_that_is_none_is_refused(case, made, flight, tmp_path, refu
 def test_the_name_of_a_log_does_not_matter(name, made, flight, tmp_path):
     path = made.WRITERS["MCAP of ROS 2"](tmp_path, flight.series).rename(tmp_path / name)
     assert len(read_survey(path)) == 300
+
+
+@pytest.mark.parametrize("package", ["rosbags", "mcap"])
+def test_without_the_extra_logs_are_refused_and_tables_read(package, made, flight, tmp_path):
+    """In a process of its own, which has never imported the package."""
+    path = made.WRITERS["MCAP of ROS 2"](tmp_path, flight.series)
+    table = tmp_path / "survey.csv"
+    table.write_text("x,y,z,bx,by,bz\n" + "".join(f"{i},{i * i},0,2e-5,{i}e-7,-4e-5\n" for i in range(20)))
+    code = (
+        f"import sys; sys.modules[{package!r}] = None; sys.argv[:] = ['magmatch', 'info', sys.argv[1]]\n"
+        "from magmatch.cli.main import main; sys.exit(main())"
+    )
+    source = os.pathsep.join([str(Path(magmatch.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", code, file], env=os.environ | {"PYTHONPATH": source}, capture_output=True,
+            text=True, check=False,
+        )
+        for file in (path, table)
+    ]  # fmt: skip
+    assert [run.returncode for run in runs] == [2, 0]
+    assert "magmatch[ros]" in runs[0].stderr
+    assert len(runs[0].stderr.splitlines()) == 1

@@ -8,16 +8,17 @@ double the time to read a log (docs/decisions.md).
 import json
 from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import UInt8
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from magmatch.data.logs.log import Channel
 from magmatch.typing import Indices
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys.store import Typestore
 
 ENCODINGS = ("ros1", "cdr", "json")
 _TF = "tf2_msgs/msg/TFMessage"
@@ -47,8 +48,10 @@ class MalformedError(Exception):
 
 
 @cache
-def definitions(encoding: str) -> Typestore:
+def definitions(encoding: str) -> "Typestore":
     """Message definitions of ROS 1 or, for CDR, ROS 2."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
     if encoding == "ros1":
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
@@ -99,15 +102,15 @@ class Cursor:
         if rest > (3 if self._is_cdr else 0):
             raise MalformedError(self._at, f"{rest} bytes are left over: another message definition?")
 
-    def _field(self, node: Nodetype, detail: Any) -> Any:
+    def _field(self, node: "Nodetype", detail: Any) -> Any:
         """A column, a table (k, n) of numbers, a list of these, or a nested message."""
-        if node == Nodetype.NAME:
+        if node.name == "NAME":
             return self.message(detail)
-        if node == Nodetype.BASE:
+        if node.name == "BASE":
             return self.text() if detail[0] == "string" else self.numbers(detail[0], 1)[:, 0]
         (inner, kind), n = detail
-        n = n if node == Nodetype.ARRAY else self._count()
-        if inner == Nodetype.BASE and kind[0] != "string":
+        n = n if node.name == "ARRAY" else self._count()
+        if inner.name == "BASE" and kind[0] != "string":
             return self.numbers(kind[0], n)
         return [self._field(inner, kind) for _ in range(n)]
 
