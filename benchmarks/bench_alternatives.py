@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What our own k-d tree, CSV parser, archive and sparse Cholesky do, against SciPy, pandas, zarr and SuperLU.
 
-Run ``python benchmarks/bench_alternatives.py``; needs the extra ``test``. Seconds of the processor, best of three, after
-compilation. docs/decisions.md says what follows.
+Run ``python benchmarks/bench_alternatives.py``; needs the extra ``test``. Seconds of the processor, best of three,
+after compilation. docs/decisions.md says what follows.
 """
 
 import argparse
