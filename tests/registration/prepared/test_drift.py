@@ -8,7 +8,7 @@ import pytest
 import magmatch as mm
 from magmatch.data.survey import Survey
 from magmatch.field.values import FieldValues
-from magmatch.registration.prepared.drift import CORRELATION_SHARE, Drift, field_variance, white_variance
+from magmatch.registration.prepared.drift import Drift, field_variance, white_variance
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.trial import nees_of
 
@@ -41,21 +41,19 @@ def circles(n=400):
     return np.c_[(1 + 0.1 * angle) * np.cos(angle), (1 + 0.1 * angle) * np.sin(angle), 0.1 * angle]
 
 
-def test_scores_scatter_as_much_as_drawn_drifts_move_them():
+def test_scores_scatter_as_much_as_drifts_move_them_that_forget_themselves_in_a_tenth_of_the_path():
+    """Against the covariance of all samples; stretches are an eighth of the correlation length."""
     rng = np.random.default_rng(1)
     x = circles()
     drift = drift_along(x, 0.05)
     rows = np.sort(rng.permutation(len(x))[:300])
-    weighted, G = rng.normal(size=(300, 3, 7)), rng.normal(size=(300, 3, 3))
-    G, weighted = G + np.eye(3), weighted + 1.0
+    weighted, G = 1.0 + rng.normal(size=(300, 3, 7)), np.eye(3) + rng.normal(size=(300, 3, 3))
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-    apart = np.abs(walked[rows, None] - walked[rows])
-    K = 0.05**2 * np.exp(-apart / (CORRELATION_SHARE * walked[-1]))
-    errors = np.einsum("ij,djc->dic", np.linalg.cholesky(K + 1e-12 * np.eye(300)), rng.normal(size=(20_000, 300, 3)))
-    scores = np.einsum("nip,nij,dnj->dp", weighted, G, errors, optimize=True)
+    K = 0.05**2 * np.exp(-np.abs(walked[rows, None] - walked[rows]) / (walked[-1] / 10))
+    push = np.einsum("nip,nij->njp", weighted, G)
+    expected = np.einsum("njp,nm,mjq->pq", push, K, push, optimize=True)
     found = drift.score_covariance(weighted, G, rows)
-    # Stretches are an eighth of the correlation length, draws as many as bring the sampling error to a percent.
-    np.testing.assert_allclose(found, np.cov(scores.T), atol=0.05 * np.diag(found).max())
+    np.testing.assert_allclose(found, expected, atol=0.04 * np.diag(found).max())
     np.testing.assert_allclose(found, found.T, rtol=1e-12)
 
 
