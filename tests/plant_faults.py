@@ -140,45 +140,49 @@ def draw(n, seed, rooms):
         for path in sorted((REPOSITORY / PACKAGE / room).rglob("*.py")):
             all_places += places(path.relative_to(REPOSITORY), path.read_text(), types)
     random.Random(seed).shuffle(all_places)
-    return list({(path, line): (path, line, kind, new) for path, line, kind, new in all_places[::-1]}.values())[::-1][:n]
+    chosen = {}
+    for place in all_places:
+        chosen.setdefault(place[:2], place)
+    return list(chosen.values())[:n]
 
 
-def dependents(tree, path):
-    """Compiled files that hold a file's code: of itself and of all that import it, themselves or through others."""
+def compiled_with(tree, path):
+    """Files whose compiled code holds a file's: its own, and of all that import its loops, through others too."""
     stale, texts = {path}, {p: p.read_text() for p in tree.rglob("*.py")}
-    while True:
-        names = [".".join(p.relative_to(tree.parent).with_suffix("").parts) for p in stale]
-        more = {p for p, t in texts.items() if any(f"from {name} import" in t for name in names)} - stale
-        if not more:
-            return stale
-        stale |= more
+    found = {path} if "@njit" in texts[path] else set()
+    while found:
+        names = [".".join(p.relative_to(tree.parent).with_suffix("").parts) for p in found]
+        found = {p for p, t in texts.items() if any(f"from {name} import" in t for name in names)} - stale
+        stale |= found
+    return stale
 
 
 def tests_of(path):
     """The file's own tests, those of its sub-room, and those of its room, as far as there are any."""
     inner = Path(path).relative_to(PACKAGE)
     mirror = Path("tests") / inner.with_name(f"test_{inner.name}")
-    wanted = [mirror, mirror.parent, *(p for p in mirror.parents[1:] if len(p.parts) > 1)]
-    wanted += [Path("tests/data/logs")] if str(inner).startswith("data/logs") else []
-    return [str(t) for t in dict.fromkeys(wanted) if (REPOSITORY / t).exists() and str(t) != "tests/data"]
+    return [str(t) for t in (mirror, *mirror.parents[:-2]) if (REPOSITORY / t).exists() and t != Path("tests/data")]
 
 
 def run_tests(tree, tests, limit):
     """Outcome and the first test that failed."""
     environment = os.environ | {"PYTHONPATH": str(tree / "src"), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "--no-header", "-p", "no:randomly", *tests]
-    process = subprocess.Popen(
-        command, cwd=tree, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        start_new_session=True,
-    )  # fmt: skip
-    try:
-        output = process.communicate(timeout=limit)[0]
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        return "timeout", ""
-    failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return ("unnoticed" if process.returncode == 0 else "noticed"), failed[0][:160] if failed else output[-160:]
+    end = time.monotonic() + limit
+    for test in tests:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "-q", "-x", test], cwd=tree, env=environment, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, text=True, start_new_session=True,
+        )  # fmt: skip
+        try:
+            output = process.communicate(timeout=max(end - time.monotonic(), 1))[0]
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+            return "timeout", test
+        if process.returncode:
+            failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
+            return "noticed", failed[0][:160] if failed else output[-160:]
+    return "unnoticed", ""
 
 
 def main():
@@ -187,7 +191,9 @@ def main():
     parser.add_argument("--n", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rooms", nargs="+", default=ROOMS)
-    parser.add_argument("--limit", type=float, default=600, help="seconds for the tests of one fault")
+    parser.add_argument(
+        "--limit", type=float, default=600, help="seconds for the tests of one fault; then: unnoticed"
+    )
     parser.add_argument("--out", type=Path, help="JSON lines; default: planted-SEED.jsonl in the temporary folder")
     options = parser.parse_args()
     out = options.out or Path(tempfile.gettempdir()) / f"planted-{options.seed}.jsonl"
@@ -205,7 +211,7 @@ def main():
                 (shutil.copytree if source.is_dir() else shutil.copy2)(source, tree / part)
             old = (tree / path).read_text().splitlines()[line - 1]
             (tree / path).write_text(new)
-            for stale in dependents(tree / PACKAGE, tree / path):
+            for stale in compiled_with(tree / PACKAGE, tree / path):
                 for compiled in (stale.parent / "__pycache__").glob(f"{stale.stem}.*"):
                     compiled.unlink()
             start = time.monotonic()

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import box, prepared_map, some_field, turn_about
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import box, prepared_map, some_field, turn_about
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.decide.answer import by_evidence, by_fitness, covariance_of, refined
 from magmatch.registration.decide.decision import DecisionConfig

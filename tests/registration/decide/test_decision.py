@@ -17,8 +17,8 @@ CONFIG = DecisionConfig()
 SENSOR = identical_sensors(SensorConfig(mode="none"), -1)
 POSE = RefinedPose(RigidTransform.identity(), np.zeros(3), SENSOR, np.ones(3), np.zeros((6, 6)), ())
 CLEAR = PoseEvidence(
-    POSE, np.eye(6), overlap=0.9, n_informative=40, n_good=38, n_bad=0, log_evidence=200.0, unexplained=1e-3, residual=1.0,
-    misfit=0.6,
+    POSE, np.eye(6), overlap=0.9, n_informative=40, n_good=38, n_bad=0, log_evidence=200.0, unexplained=1e-3,
+    residual=1.0, misfit=0.6,
 )  # fmt: skip
 REFUSED = Status.INCONSISTENT
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import prepared_map, some_field
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import prepared_map, some_field
 from magmatch.geometry import random_transform
 from magmatch.registration.decide.probability import shares, walk_probability
 from magmatch.registration.decide.walk_answer import WalkDecisionConfig, by_line_evidence
@@ -37,8 +37,12 @@ def answer(*ranked, lead=np.inf):
 
 
 def off_by(turn=0.0, shift=0.0, log_evidence=50.0):
-    T = RigidTransform.from_translation(CENTER + [shift, 0, 0]) * RigidTransform.from_exp_coords([0, 0, turn, 0, 0, 0])
-    return replace(CLEAR, T_base_walk=T_POSE * T * RigidTransform.from_translation(-CENTER), log_evidence=log_evidence)
+    T = RigidTransform.from_translation(CENTER + np.array([shift, 0, 0])) * RigidTransform.from_exp_coords(
+        [0, 0, turn, 0, 0, 0]
+    )
+    return replace(
+        CLEAR, T_base_walk=T_POSE * T * RigidTransform.from_translation(-CENTER), log_evidence=log_evidence
+    )
 
 
 @pytest.mark.parametrize(

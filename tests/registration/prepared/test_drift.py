@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hand_made import box, prepared_map, some_field
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import box, prepared_map, some_field
 from magmatch.data.survey import Survey
 from magmatch.field.values import FieldValues
 from magmatch.registration.prepared.drift import Drift, field_variance, white_variance

@@ -16,7 +16,13 @@ NOISE = PathNoise(1.1e-6, 0.8, 0.3e-6, 0.5e-6, 1.4, 0.6, 0.02, 0.06, 4.0, spread
 def some_path(n=5, seed=0):
     rng = np.random.default_rng(seed)
     x = np.cumsum(0.3 * rng.standard_normal((n, 3)), axis=0)
-    return x, cdist(x, x), 3e-7 * rng.uniform(0.5, 2, n), 1e-5 * rng.standard_normal((n, 3, 3)), 4e-5 * rng.standard_normal((n, 3))
+    return (
+        x,
+        cdist(x, x),
+        3e-7 * rng.uniform(0.5, 2, n),
+        1e-5 * rng.standard_normal((n, 3, 3)),
+        4e-5 * rng.standard_normal((n, 3)),
+    )
 
 
 def test_a_components_covariance_is_the_sum_of_what_lasts_what_is_shared_the_maps_own_and_each_bins():

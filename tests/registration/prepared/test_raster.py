@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
-from hand_made import box, prepared_map, some_field
 from scipy.interpolate import RegularGridInterpolator
 
-from magmatch.registration.prepared.raster import Raster
+from hand_made import box, prepared_map, some_field
+from magmatch.registration.prepared.raster import Raster, find_cell, interpolate_field
 
 ORIGIN, SPACING, SHAPE = np.array([0.3, -0.2, 0.1]), 0.25, (5, 4, 6)
 RNG = np.random.default_rng(0)
@@ -47,7 +47,7 @@ def test_a_cell_is_known_where_all_its_corners_are():
         inside = ORIGIN + SPACING * (np.array([2, 1, 3]) + 0.5)
         field, spread, gradient, is_known = raster_of(sd).lookup(inside[None])
         assert not is_known.any()
-        assert not (field.any() or spread.any() or gradient.any())
+        assert not np.concatenate([v.ravel() for v in (field, spread, gradient)]).any()
         far = inside + SPACING * (1 - 2 * np.array(corner)) * [1, 0, 0]
         assert raster_of(sd).lookup(far[None])[3].all()
 
@@ -56,7 +56,9 @@ def test_a_cell_is_known_where_all_its_corners_are():
 def test_the_raster_ends_at_its_outermost_points(axis):
     middle, side = ORIGIN + SPACING * 1.5, SPACING * np.eye(3)[axis]
     last = SHAPE[axis] - 1
-    known = [raster_of().lookup((middle + side * (k - 1.5))[None])[3][0] for k in (-0.01, 0.01, last - 0.01, last + 0.01)]
+    known = [
+        raster_of().lookup((middle + side * (k - 1.5))[None])[3][0] for k in (-0.01, 0.01, last - 0.01, last + 0.01)
+    ]
     assert known == [False, True, True, False]
 
 
@@ -76,3 +78,11 @@ def test_of_a_field_that_is_linear_nothing_is_lost():
     assert is_known.all()
     np.testing.assert_allclose(field, base.point_field, atol=1e-18)
     np.testing.assert_allclose(gradient, base.point_gradient, atol=1e-17)
+
+
+def test_a_search_is_told_the_same_field_as_who_asks_for_the_gradient_too():
+    raster = raster_of()
+    field, sd, _, _ = raster.lookup(points_inside())
+    for k, point in enumerate(points_inside()):
+        found = interpolate_field(raster.values, *find_cell(raster.values, ORIGIN, SPACING, *point))
+        np.testing.assert_allclose(found, [*field[k], sd[k]], atol=1e-12)

@@ -18,7 +18,7 @@ def straight(n=200, length=3.0):
 def some_survey():
     rng = np.random.default_rng(0)
     x = straight() + 0.02 * rng.standard_normal((200, 3))
-    x = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).apply(x) + [5.0, -2.0, 1.0]
+    x = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).apply(x) + np.array([5.0, -2.0, 1.0])
     return Survey(x, 4e-5 * rng.standard_normal((200, 3)), pose_sd=0.03)
 
 
@@ -34,8 +34,12 @@ def test_a_walk_is_the_mean_of_its_bins_in_its_principal_frame():
     assert len(walk) == rows[-1] + 1 < 12
     for k in range(len(walk)):
         some = survey.subset(np.flatnonzero(rows == k))
-        np.testing.assert_allclose(walk.T_survey_walk.apply(walk.positions[k]), some.positions.mean(axis=0), atol=1e-12)
-        np.testing.assert_allclose(walk.T_survey_walk.rotation.apply(walk.field[k]), some.field.mean(axis=0), atol=1e-18)
+        np.testing.assert_allclose(
+            walk.T_survey_walk.apply(walk.positions[k]), some.positions.mean(axis=0), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            walk.T_survey_walk.rotation.apply(walk.field[k]), some.field.mean(axis=0), atol=1e-18
+        )
     assert walk.counts.tolist() == np.bincount(rows).tolist()
     assert walk.pose_sd == 0.03
 

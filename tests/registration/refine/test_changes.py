@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import EARTH, Polynomial, box, prepared_map
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import EARTH, Polynomial, box, prepared_map
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import prepare

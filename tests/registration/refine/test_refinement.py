@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import Polynomial, box, prepared_map, some_field, turn_about
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import Polynomial, box, prepared_map, some_field, turn_about
 from magmatch.geometry import rotation_matrix
 from magmatch.registration.prepared.drift import Drift, field_variance
 from magmatch.registration.prepared.pose_prior import PosePrior
@@ -136,7 +136,9 @@ def test_in_a_uniform_field_refinement_ends_at_the_priors_pose():
     start = turn_about(center, np.array([0.0, 0.0, 0.0, 0.06, -0.04, 0.05]))
     prior = PosePrior(10.0, RigidTransform.identity(), np.repeat([0.05, 0.1], 3))
     found = refined(base, target, start, prior)
-    np.testing.assert_allclose(step_between(found, replace(found, T_base_target=RigidTransform.identity())), 0, atol=1e-6)
+    np.testing.assert_allclose(
+        step_between(found, replace(found, T_base_target=RigidTransform.identity())), 0, atol=1e-6
+    )
     up = np.array([0.0, 0.6, 0.8])
     leaning = turn_about(center, np.append(0.05 * np.cross(up, [0.0, 0.0, 1.0]), np.zeros(3)))
     upright = refined(base, target, leaning, PosePrior(10.0, None, None, up, up, 0.01))

@@ -62,7 +62,9 @@ def test_the_jacobian_is_that_of_residuals_half_way_to_first_order_in_the_gain(m
 
 
 def test_no_parameter_is_stepped_beyond_its_limit():
-    sensor = identical_sensors(SensorConfig(mode="scale"), 3).stepped(np.array([5e-6, -5e-6, 1e-6, 0.5]), np.full(4, 2e-6))
+    sensor = identical_sensors(SensorConfig(mode="scale"), 3).stepped(
+        np.array([5e-6, -5e-6, 1e-6, 0.5]), np.full(4, 2e-6)
+    )
     np.testing.assert_allclose(sensor.parameters, [2e-6, -2e-6, 1e-6, 2e-6], atol=1e-15)
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import box, prepared_map, some_field, turn_about
 
+from hand_made import box, prepared_map, some_field, turn_about
 from magmatch.geometry import rotation_matrix
 from magmatch.registration.search.annealing import anneal_poses
 from magmatch.registration.search.scoring import score_poses, weigh_samples

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import EARTH, box, prepared_map, seen_from, some_field, turn_about
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
+from hand_made import EARTH, box, prepared_map, seen_from, some_field, turn_about
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.search.scoring import expected_variance, mixture_ratio, score_poses, weigh_samples
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Covariances of a pose: what cells and drift make of it, in which frame, what is free, and which encloses another."""
+"""Covariances of a pose: what cells and drift make of it, its frame, what is free, which encloses another."""
 
 import numpy as np
 import pytest
@@ -99,7 +99,8 @@ def test_the_joint_covariance_is_a_sandwich_over_cells_added_over_blocks(n_block
     rng = np.random.default_rng(0)
     prior = np.diag(rng.uniform(1, 5, 6))
     blocks = [
-        block_of(rng.normal(size=(400, 6)), rng.normal(size=400), rng.uniform(0, 1, (400, 3))) for _ in range(n_blocks)
+        block_of(rng.normal(size=(400, 6)), rng.normal(size=400), rng.uniform(0, 1, (400, 3)))
+        for _ in range(n_blocks)
     ]
     pose = pose_with(blocks, prior)
     expected = np.zeros((9, 9))
@@ -188,7 +189,9 @@ def test_a_free_direction_is_the_one_in_survey_axes_in_which_the_covariance_is_l
     C = np.diag([1e-6] * 3 + [1e-4] * 3)
     C[k, k] = 1.0
     (free,) = free_directions(C, center, T_survey_model, np.eye(3), 0.1, 0.3)
-    large = np.linalg.eigh(to_survey_axes(C - np.diag(np.diag(C) * (np.arange(6) != k)), center, T_survey_model))[1][:, -1]
+    large = np.linalg.eigh(to_survey_axes(C - np.diag(np.diag(C) * (np.arange(6) != k)), center, T_survey_model))[1][
+        :, -1
+    ]
     np.testing.assert_allclose(np.outer(free.xi, free.xi), np.outer(large, large), atol=1e-9)
     assert free.words.startswith("turning about base" if k < 3 else "sliding along base")
 

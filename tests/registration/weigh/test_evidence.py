@@ -6,18 +6,18 @@ from math import comb
 
 import numpy as np
 import pytest
-from hand_made import box, prepared_map, seen_from, some_field, turn_about
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
+from hand_made import box, prepared_map, seen_from, some_field, turn_about
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
 from magmatch.registration.weigh.evidence import (
-    Change,
     CellComparison,
+    Change,
     PoseEvidence,
     agreeing_cells,
     compare_cells,
@@ -56,7 +56,7 @@ def test_evidence_is_odds_of_the_cells_and_the_share_of_all_poses_that_the_estim
     seen = compare_cells(base, target, HERE, target.sample_field, null)
     log_ratio, unexplained = null.log_ratio(seen.residual[seen.rows], seen.map_variance[seen.rows], seen.rows)
     joint = joint_covariance(pose, 1.0)
-    # Laplace's approximation: (2 pi)^(6/2) sqrt(det C) times the prior's density; of the sensor, as a share of its own.
+    # Laplace's approximation: (2 pi)^(6/2) sqrt(det C) times the prior's density; of the sensor, as a share.
     scale = np.append(np.ones(6), pose.sensor_sd)
     log_det = np.linalg.slogdet(joint / np.outer(scale, scale))[1]
     price = 0.5 * log_det + 3 * np.log(2 * np.pi) - np.log(10.0 * 8 * np.pi**2)
@@ -109,7 +109,9 @@ def test_evidence_does_not_change_with_the_unit_of_the_field(pair):
         scale = np.append(np.full(3, unit), unit)
         posterior = replace(m.posterior, constant=unit * m.posterior.constant, linear=unit * m.posterior.linear)
         raster = replace(m.raster, values=m.raster.values * np.where(m.raster.values[..., 3:] < 0, 1.0, scale))
-        return replace(m, posterior=posterior, raster=raster, sample_field=unit * m.sample_field, noise_sd=unit * m.noise_sd)
+        return replace(
+            m, posterior=posterior, raster=raster, sample_field=unit * m.sample_field, noise_sd=unit * m.noise_sd
+        )
 
     base, target = in_unit(base), in_unit(target)
     there = weigh_pose(base, target, pose_at(base, target), null_model_of(base, target), PRIOR)

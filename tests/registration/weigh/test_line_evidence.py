@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import prepared_map, seen_from, some_field, turn_about
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import multivariate_normal
 
+from hand_made import prepared_map, seen_from, some_field, turn_about
 from magmatch.geometry import random_transform
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
@@ -77,7 +77,7 @@ def test_evidence_is_that_of_dense_normal_densities_and_laplaces_approximation(b
 
 
 def test_the_estimate_is_that_of_generalised_least_squares_and_its_covariance_too(base, walk):
-    """Gauss-Newton from the truth by numerical derivatives, with the data's own factor and the search's own spread."""
+    """Gauss-Newton by numerical derivatives, with the data's own factor and the search's own spread."""
     found = weighed(base, walk)
     x, n, c = walk.positions, len(walk), found.center
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hand_made import Polynomial, box, prepared_map, some_field
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import Polynomial, box, prepared_map, some_field
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine, step_between
 from magmatch.registration.refine.sensors import SensorConfig
@@ -48,12 +48,14 @@ class Drawn:
 
 
 def error_fields(rng, size, n):
-    return [Polynomial(size * rng.standard_normal(3), some_field(k, slope=size).linear) for k in rng.integers(0, 999, n)]
+    return [
+        Polynomial(size * rng.standard_normal(3), some_field(k, slope=size).linear) for k in rng.integers(0, 999, n)
+    ]
 
 
 @pytest.mark.parametrize("sizes", [(2e-8, 0.0), (0.0, 2e-8), (1e-8, 2e-8)])
 def test_poses_in_drawn_maps_scatter_as_the_covariance_says(sizes):
-    """Draws so small that one linear step is all; what bends the likelihood's tail less than its weight is a tenth."""
+    """Draws so small that one linear step is all; the tail bends less than it weighs by a tenth."""
     rng, n = np.random.default_rng(1), 6
     errors = [error_fields(rng, size, n) for size in sizes]
     base, target = (

@@ -97,7 +97,9 @@ def test_a_constant_field_more_changes_nothing():
 def test_odds_do_not_depend_on_the_unit_of_the_field():
     model = replace(model_of(), roughness=2e-13)
     unit = 1e6
-    same = NullModel(model.cells, unit * model.field, unit**2 * model.covariance, unit**2 * model.noise, unit**2 * 2e-13)
+    same = NullModel(
+        model.cells, unit * model.field, unit**2 * model.covariance, unit**2 * model.noise, unit**2 * 2e-13
+    )
     residual, extra, rows = 3e-7 * RNG.standard_normal((12, 3)), np.full(12, 1e-15), np.arange(3, 12)
     expected = model.log_ratio(residual[rows], extra[rows], rows)
     found = same.log_ratio(unit * residual[rows], unit**2 * extra[rows], rows)
