@@ -225,6 +225,21 @@ def test_choosing_cells_costs_the_logarithm_of_how_many_choices_there_are(pair):
     assert agreeing_cells(nothing, null)[1] == -np.inf
 
 
+@pytest.mark.parametrize("spread", [1e-7, 1e-6, 3e-6])
+def test_of_all_shares_the_one_is_chosen_whose_odds_pay_best_for_the_choice(pair, spread):
+    base, target = pair
+    null = null_model_of(base, target)
+    n = len(null.cells.counts)
+    residual = spread * np.random.default_rng(9).standard_normal((n, 3))
+    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.full(n, spread**2))
+    shares = (1.0, 0.9, 0.7, 0.5)
+    each = [agreeing_cells(seen, null, (share,)) for share in shares]
+    best = agreeing_cells(seen, null, shares)
+    assert best[1] == max(odds for _, odds, _ in each)
+    # Cells that agree alike are all counted: the choice would cost more than it brings.
+    assert len(best[0]) == n
+
+
 def test_beside_a_change_its_own_odds_stand_for_the_cells_and_its_field_is_taken_off(pair):
     base, target = pair
     pose, null = pose_at(base, target), null_model_of(base, target)
