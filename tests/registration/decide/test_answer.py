@@ -9,14 +9,13 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import box, prepared_map, some_field, turn_about
 from magmatch.geometry import random_transform, rotation_matrix
-from magmatch.registration.decide.answer import by_evidence, by_fitness, covariance_of, refined
+from magmatch.registration.decide.answer import by_evidence, covariance_of, refined
 from magmatch.registration.decide.decision import DecisionConfig
-from magmatch.registration.decide.fitness import Fitness
 from magmatch.registration.decide.probability import pose_probability, shares
 from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
-from magmatch.registration.result import Links, Status
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.result import Status
+from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.covariance import to_survey_axes
 from magmatch.registration.weigh.evidence import PoseEvidence
 
@@ -42,7 +41,7 @@ def judged(log_evidence=100.0, xi=None, mode="none", **changes):
     T = T_POSE * turn_about(CENTER, np.zeros(6) if xi is None else np.asarray(xi))
     sd = np.full(sensor.n_parameters, 1e-12 if mode == "none" else 1e-6)
     pose = RefinedPose(T, CENTER, sensor, sd, np.zeros((6, 6)), (block,))
-    best = PoseEvidence(pose, np.diag(SD**2), 0.9, 40, 38, 1, log_evidence, 1e-3, 1.1, 0.6)
+    best = PoseEvidence(pose, np.diag(SD**2), 0.9, 40, 38, log_evidence, 1e-3, 1.1, 0.6)
     return replace(best, **changes)
 
 
@@ -165,21 +164,6 @@ def test_a_further_refinement_takes_the_place_of_the_pose_and_is_free_or_accepte
     assert (free.T_base_target, free.covariance, len(free.degenerate_directions)) == (None, None, 6)
     np.testing.assert_allclose(free.alternatives[0].T_base_target.as_matrix(), in_surveys(better), atol=1e-12)
     assert free.alternatives[0].log_odds == 100.0
-
-
-def test_the_published_methods_answer_is_its_best_consensus():
-    candidates = tuple(Candidate(random_transform(RNG), s) for s in (0.9, 0.5))
-    links = Links(np.zeros((2, 3)), np.ones((2, 3)))
-    found = SearchResult(candidates, 30, 20, 10, links)
-    accepted = by_fitness(found, Fitness(0.05, 0.7), CONFIG)
-    assert accepted.T_base_target is candidates[0].T_base_target
-    assert (accepted.fitness, accepted.overlap, accepted.n_inliers, accepted.links) == (0.05, 0.7, 10, links)
-    assert (accepted.n_keypoints, accepted.n_correspondences, accepted.alternatives) == (30, 20, ())
-    refused = by_fitness(found, Fitness(0.5, 0.7), CONFIG)
-    assert refused.T_base_target is None
-    assert [a.T_base_target for a in refused.alternatives] == [c.T_base_target for c in candidates]
-    assert by_fitness(SearchResult(), None, CONFIG).status is Status.UNINFORMATIVE
-    assert by_fitness(SearchResult(), None, CONFIG).overlap == 0.0
 
 
 def test_no_pose_at_all_is_a_result():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.decide.decision import DecisionConfig, decide, decide_by_fitness, odds_in_words
+from magmatch.registration.decide.decision import DecisionConfig, decide, odds_in_words
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.result import Status
@@ -17,7 +17,7 @@ CONFIG = DecisionConfig()
 SENSOR = identical_sensors(SensorConfig(mode="none"), -1)
 POSE = RefinedPose(RigidTransform.identity(), np.zeros(3), SENSOR, np.ones(3), np.zeros((6, 6)), ())
 CLEAR = PoseEvidence(
-    POSE, np.eye(6), overlap=0.9, n_informative=40, n_good=38, n_bad=0, log_evidence=200.0, unexplained=1e-3,
+    POSE, np.eye(6), overlap=0.9, n_informative=40, n_good=38, log_evidence=200.0, unexplained=1e-3,
     residual=1.0, misfit=0.6,
 )  # fmt: skip
 REFUSED = Status.INCONSISTENT
@@ -90,16 +90,3 @@ def test_reason_names_the_number_that_decided():
     assert "38 of 40" in decide([CLEAR], False, 123.0, None, CONFIG).reason
     assert odds_in_words(50.0, 20.0) == "log odds 50 nats, 20 nats ahead of any other pose"
     assert odds_in_words(50.0, None) == odds_in_words(50.0, np.inf) == "log odds 50 nats, no rival pose"
-
-
-@pytest.mark.parametrize(
-    ("fitness", "overlap", "status"),
-    [
-        (None, 0.0, Status.UNINFORMATIVE),
-        (0.01, 0.0499, Status.NO_OVERLAP),
-        (0.1001, 0.9, Status.INCONSISTENT),
-        (0.1, 0.05, Status.ACCEPTED),
-    ],
-)
-def test_published_rule_looks_at_fitness_and_overlap_alone(fitness, overlap, status):
-    assert decide_by_fitness(fitness, overlap, CONFIG).status is status
