@@ -94,13 +94,14 @@ def test_what_the_data_leave_open_stays_at_zero_with_the_spread_it_had():
     assert found.p_value["constant"] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("times", "is_open"), [(4.0, True), (7.0, False)])
+@pytest.mark.parametrize(("times", "is_open"), [(1.0, True), (4.0, True), (7.0, False)])
 def test_a_direction_is_fixed_where_the_data_know_it_five_times_better_than_before(times, is_open):
     column = np.random.default_rng(3).standard_normal((1, N, 3))
     size = times * NOISE / np.sqrt(3 * N)
     y = 4e-5 + NOISE * np.random.default_rng(4).standard_normal((N, 3))
     found = solved(y, {"one": Block(column, size)})
     assert found.is_open["one"].tolist() == [is_open]
+    assert found.noise_sd == pytest.approx(NOISE, rel=0.1)
 
 
 def test_blocks_that_are_not_active_are_zero():
