@@ -3,7 +3,7 @@
 
 By hand: ``python tests/plant_faults.py --n 60 --seed 1 --rooms registration preparation``. Faults are drawn at random
 over function bodies; numbers that are settings (module and class level) are choices, not arithmetic, and are left
-alone, as are messages. Results go to a file of JSON lines, and a run that was broken off goes on where it stood.
+alone, as are messages. A run that was broken off goes on where it stood.
 """
 
 import argparse
@@ -15,13 +15,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
 ROOMS = ("registration", "field", "preparation", "data/logs")
 PACKAGE = Path("src/magmatch")
+COMMAND = [sys.executable, "-m", "pytest", "-q", "-x"]
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
 # The opposite of a comparison, and what differs from it in the limit alone.
 TURNED = {ast.Lt: ">=", ast.LtE: ">", ast.Gt: "<=", ast.GtE: "<", ast.Eq: "!=", ast.NotEq: "=="}
@@ -30,10 +30,8 @@ AT_LIMIT = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">"}
 COUNTED = ("len(", "n_", "config.", "row", "count", "limit")
 TWINS = {"min": "max", "minimum": "maximum", "any": "all", "argmin": "argmax", "floor": "ceil"}
 TWINS |= {other: one for one, other in TWINS.items()}
-# Below and above, numbers guard against zero and overflow.
-SMALLEST, LARGEST = 1e-8, 1e8
+SMALLEST, LARGEST = 1e-8, 1e8  # beyond, numbers guard against zero and overflow
 SKIPPED_CALLS = ("log.info", "log.debug", "log.warning", "Verdict", "print")
-SKIPPED_FUNCTIONS = ("__repr__", "words", "_words")
 
 
 def signatures(tree):
@@ -81,9 +79,10 @@ def variants(node, parent, text, types):
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield "truth", str(not node.value)
     elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        is_shape = isinstance(parent, ast.Call) and text(parent.func).endswith("reshape")  # any negative side is open
         if isinstance(parent, ast.Subscript | ast.Slice | ast.Tuple) and isinstance(node.value, int):
             yield "index", str(node.value + 1)
-        elif SMALLEST < abs(node.value) < LARGEST and not isinstance(parent, ast.UnaryOp):
+        elif SMALLEST < abs(node.value) < LARGEST and not isinstance(parent, ast.UnaryOp) and not is_shape:
             yield "number", f"({2 * node.value!r})"
             yield "number", f"(-{node.value!r})"
 
@@ -94,7 +93,7 @@ def places(path, source, types):
 
     def visit(node, parent, is_inside):
         if isinstance(node, ast.FunctionDef):
-            if node.name not in SKIPPED_FUNCTIONS:
+            if node.name not in ("__repr__", "words", "_words"):
                 for child in node.body:
                     visit(child, node, True)
             return
@@ -148,12 +147,10 @@ def tests_of(path):
 def run_tests(tree, tests, limit):
     """Outcome, and the first test that failed."""
     environment = os.environ | {"PYTHONPATH": str(tree / "src"), "OPENBLAS_NUM_THREADS": "1"}
-    end = time.monotonic() + limit
     for test in tests:
-        command = [sys.executable, "-m", "pytest", "-q", "-x", test]
-        settings = {"cwd": tree, "env": environment, "timeout": max(end - time.monotonic(), 1)}
+        settings = {"cwd": tree, "env": environment, "timeout": limit, "text": True}
         try:
-            done = subprocess.run(command, **settings, capture_output=True, text=True, check=False)
+            done = subprocess.run([*COMMAND, test], **settings, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return "timeout", test
         if done.returncode not in (0, 5):  # all passed, or there are none
@@ -168,17 +165,16 @@ def main():
     parser.add_argument("--n", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rooms", nargs="+", default=ROOMS)
-    parser.add_argument("--limit", type=float, default=600, help="seconds; beyond, a fault is unnoticed")
-    parser.add_argument("--out", type=Path, help="default: planted-SEED.jsonl in the temporary folder")
+    parser.add_argument("--limit", type=float, default=600, help="seconds for a file or folder of tests")
+    parser.add_argument("--out", type=Path, default="planted.jsonl")
     options = parser.parse_args()
-    out = options.out or Path(tempfile.gettempdir()) / f"planted-{options.seed}.jsonl"
+    out = options.out
     rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
     done = {(row["path"], row["line"]) for row in rows}
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
-        for path, line, kind, new in draw(options.n, options.seed, options.rooms):
-            if (path, line) in done:
-                continue
+        faults = draw(options.n, options.seed, options.rooms)
+        for path, line, kind, new in (fault for fault in faults if fault[:2] not in done):
             shutil.rmtree(tree, ignore_errors=True)
             # Times of files are kept, and with them what is compiled of all that does not change.
             for part in ("src", "tests", "benchmarks"):
