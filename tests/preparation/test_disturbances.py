@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from magmatch.errors import SurveyError
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
@@ -95,14 +96,16 @@ def test_what_is_removed_is_counted(removed):
     assert 1100 < len(survey) < 1190
 
 
-def test_nothing_left_is_an_error_in_words(robot, monkeypatch):
-    monkeypatch.setattr(
-        "magmatch.preparation.survey_steps.find_repeats", lambda readings: np.ones(len(readings), bool)
-    )
-    off = dict.fromkeys(("spikes", "moving_metal", "saturation"), "off") | {"drop_outs": "remove"}
+def test_nothing_left_is_an_error_in_words(robot):
+    off = dict.fromkeys(("spikes", "moving_metal", "drop_outs"), "off") | {"saturation": "remove"}
     few = robot[0].subset(np.arange(60))
+    # One component or another at the end of its range.
+    readings = 1e-6 * np.random.default_rng(0).uniform(-1, 1, (60, 3))
+    readings[:30, 0] = readings[30:, 1] = 50e-6
+    # A sensor that never turns, so that equal readings stay equal to the bit.
+    stuck = replace(few, field=readings, orientations=Rotation.identity(60))
     with pytest.raises(SurveyError, match="nothing is left"):
-        prepare(few, settings_of(disturbances=off))
+        prepare(stuck, settings_of(disturbances=off))
 
 
 def test_poses_that_are_a_little_off_beside_steel_are_no_metal_that_moved(hand_held):

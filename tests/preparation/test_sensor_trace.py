@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.field.tiles.region_model import fit_operations
 from magmatch.geometry import random_transform
-from magmatch.preparation import sensor_trace
 from magmatch.preparation.sensor_trace import MIN_EVIDENCE, offset_evidence
 
 
@@ -54,11 +53,5 @@ def test_without_orientations_nothing_is_told(hand_held):
     assert offset_evidence(raw, choose_spline_hyperparameters(raw.positions, raw.field)) == -np.inf
 
 
-def test_costly_maps_are_asked_with_wider_splines_or_not_at_all(hand_held, monkeypatch):
-    raw = hand_held[1]
-    h = choose_spline_hyperparameters(raw.positions, raw.field)
-    least = fit_operations(raw.positions, replace(h, spacing=sensor_trace.WIDER[-1] * h.spacing))
-    monkeypatch.setattr(sensor_trace, "MOST_OPERATIONS", 1.01 * least)
-    assert offset_evidence(raw, h) > MIN_EVIDENCE
-    monkeypatch.setattr(sensor_trace, "MOST_OPERATIONS", 0.0)
-    assert offset_evidence(raw, h) == -np.inf
+def test_maps_that_would_take_too_long_are_not_asked(hand_held):
+    assert offset_evidence(hand_held[1], Hyperparameters(0.5, 1e-5, 1e-6, 0.005)) == -np.inf

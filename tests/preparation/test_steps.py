@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
@@ -14,8 +15,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation, runs
 from magmatch.preparation.earth_field import Place, check_earth_field, earth_field
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
-from magmatch.preparation.resampling import resample_by_distance
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.resampling import resample_by_distance, steps_of
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=30)
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
@@ -89,10 +89,32 @@ def test_standing_still_becomes_one_sample(walk):
 @given(step=st.floats(0.01, 5.0))
 def test_resampling_by_the_mean_keeps_the_centroid(step):
     rng = np.random.default_rng(3)
-    survey = Survey(np.cumsum(rng.normal(0, 0.1, (80, 3)), axis=0), rng.normal(0, 1e-5, (80, 3)))
+    survey = Survey(
+        np.cumsum(rng.normal(0, 0.1, (80, 3)), axis=0), rng.normal(0, 1e-5, (80, 3)), np.arange(80.0),
+        Rotation.from_rotvec(0.1 * rng.normal(size=(80, 3))),
+    )  # fmt: skip
     few = resample_by_distance(survey, step, "mean")
-    assert 1 <= len(few) <= len(survey)
-    assert (few.positions >= survey.positions.min(axis=0) - 1e-12).all()
+    counts = np.bincount(steps_of(survey.positions, step))
+    assert len(counts) == len(few)
+    for name in ("positions", "field", "times"):
+        whole = getattr(survey, name).mean(axis=0)
+        np.testing.assert_allclose(np.average(getattr(few, name), axis=0, weights=counts), whole, atol=1e-12)
+
+
+def test_each_step_is_the_mean_or_the_median_of_its_own_samples(walk):
+    number = steps_of(walk.positions, 0.3)
+    mean, median = (resample_by_distance(walk, 0.3, average) for average in ("mean", "median"))
+    for k in range(number[-1] + 1):
+        some = walk.subset(np.flatnonzero(number == k))
+        np.testing.assert_allclose(mean.field[k], some.field.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(median.field[k], np.median(some.field, axis=0), rtol=1e-12)
+        np.testing.assert_allclose(median.positions[k], some.positions.mean(axis=0), atol=1e-12)
+        assert (mean.orientations[k].inv() * some.orientations.mean()).magnitude() < 1e-9
+
+
+def test_a_step_begins_where_the_last_one_is_as_far_away_as_it_is_long():
+    x = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0.3], [0, 0.4, 0.31], [0, 0, 0], [0, 0, 0.1]])
+    assert steps_of(x, 0.5).tolist() == [0, 0, 1, 1, 2, 2]
 
 
 def test_earth_field_is_that_of_the_model():
@@ -140,11 +162,42 @@ def test_what_is_no_report_is_refused(text, tmp_path):
         PreparationReport.load(tmp_path / "r.json")
 
 
-def test_the_model_undoes_what_the_sensor_does(rng):
-    A = np.eye(3) + 0.05 * rng.standard_normal((3, 3))
-    c, b = 3e-5 * rng.standard_normal(3), 4e-5 * rng.standard_normal((20, 3))
-    M = np.linalg.inv(A)
-    model = SensorModel(M, M @ c)
-    np.testing.assert_allclose(model.corrected(b @ A.T + c), b, atol=1e-18)
-    np.testing.assert_allclose(model.hard_iron, c, atol=1e-18)
-    np.testing.assert_allclose(model.soft_iron, A / np.cbrt(np.linalg.det(A)), atol=1e-12)
+def test_an_inclination_and_a_magnitude_are_plausible_on_both_sides_of_each_limit():
+    pytest.importorskip("ppigrf")
+    model = earth_field(MUNICH)
+    for ratio, is_plausible in ((0.59, False), (0.61, True), (1.59, True), (1.61, False)):
+        assert check_earth_field(np.tile(ratio * model, (5, 1)), MUNICH).is_plausible == is_plausible
+    north = Rotation.from_euler("z", np.arctan2(model[1], model[0])).apply([1.0, 0, 0])
+    about = np.cross(north, [0, 0, 1.0])
+    for bend, is_plausible in ((34.0, True), (36.0, False)):
+        tilted = Rotation.from_rotvec(np.radians(bend) * about).apply(model)
+        check = check_earth_field(np.tile(tilted, (5, 1)), MUNICH)
+        assert check.is_plausible == is_plausible
+        dip = np.degrees(np.arcsin(-tilted[2] / np.linalg.norm(tilted)))
+        assert check.figures()["inclination_deg"] == pytest.approx(dip)
+        assert check.magnitude == pytest.approx(check.expected_magnitude)
+
+
+def test_a_spike_beyond_the_threshold_is_a_jump_and_one_below_is_none():
+    x = np.random.default_rng(0).standard_normal((400, 3))
+    x[200] = 0.0
+    spread = 1.4826 * np.median(np.abs(x - median_filter(x, size=(7, 1), mode="nearest")), axis=0)
+    for size, is_jump in ((9.0, False), (12.0, True)):
+        y = x.copy()
+        y[200, 1] = size * spread[1]
+        assert find_jumps(y, 10.0)[200] == is_jump
+    assert not find_jumps(1e3 * x[:6], 1.0).any()
+    flat = np.ones((20, 3))
+    flat[9] += 1e-9
+    assert np.flatnonzero(find_jumps(flat, 10.0)).tolist() == [9]
+
+
+def test_saturation_needs_five_readings_at_the_limit_and_more_than_at_the_next_three():
+    rng = np.random.default_rng(1)
+    for count, is_found in ((4, False), (5, True)):
+        x = rng.uniform(-1, 1, (50, 3))
+        x[:count, 1] = -2.0
+        assert find_saturation(x).any() == is_found
+        assert find_saturation(x).sum() == (count if is_found else 0)
+    steps = np.concatenate([np.full(6, 3.0), np.full(3, 2.0), np.full(3, 1.5), np.arange(-5, 1, 0.1)])
+    assert not find_saturation(np.tile(steps[:, None], (1, 3))).any()

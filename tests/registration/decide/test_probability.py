@@ -46,3 +46,35 @@ def test_equal_rooms_are_equally_probable_and_no_pose_elsewhere_takes_nothing():
 
 def test_no_evidence_at_all_is_no_probability():
     assert pose_probability(-np.inf, None, np.inf, 0.0) == 0.0
+
+
+def test_chance_is_improbable_and_clear_evidence_is_not():
+    """The ends of the scale, whatever the weights between them: no margin over chance, and a wide one."""
+    assert pose_probability(0.0, None, 1.0, 1.0) < 0.1
+    assert pose_probability(60.0, 60.0, 1.0, 1.0) < 0.1
+    assert pose_probability(15.0, None, 3.0, 0.8) < 0.5 < pose_probability(40.0, None, 1.0, 0.8)
+    assert pose_probability(150.0, 20.0, 1.0, 0.95) > 0.99
+    assert walk_probability(0.0, 1.0, 0.5) < 0.5
+    assert walk_probability(-20.0, 1.0, 1.0) < 0.01
+    assert walk_probability(40.0, 1.0, 0.9) > 0.99
+
+
+def test_chance_counts_as_much_as_evidence_and_never_helps():
+    assert pose_probability(60.0, 20.0, 1.2, 0.9) == pytest.approx(pose_probability(40.0, None, 1.2, 0.9))
+    assert pose_probability(60.0, -40.0, 1.2, 0.9) == pose_probability(60.0, None, 1.2, 0.9)
+
+
+@given(log_odds=odds, misfit=st.floats(0.2, 30), low=st.floats(0, 1), high=st.floats(0, 1))
+def test_more_agreement_is_never_less_probable(log_odds, misfit, low, high):
+    low, high = sorted((low, high))
+    assert pose_probability(log_odds, None, misfit, low) <= pose_probability(log_odds, None, misfit, high)
+    assert walk_probability(log_odds, misfit, low) <= walk_probability(log_odds, misfit, high)
+    assert walk_probability(log_odds, 2 * misfit, high) <= walk_probability(log_odds, misfit, high)
+
+
+def test_a_rival_a_twelfth_of_the_odds_behind_is_a_factor_e_less_probable():
+    one, other = shares([120.0, 110.0])
+    assert one / other == pytest.approx(np.e)
+    # Odds that are next to nothing are compared as if they were fifteen nats.
+    one, other = shares([3.0, 1.75])
+    assert one / other == pytest.approx(np.e)

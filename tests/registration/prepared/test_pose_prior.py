@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
-from magmatch.geometry import random_transform, transform_error
+from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.refine.refinement import perturbation
@@ -98,19 +98,6 @@ def numbers_of(T):
     return (*map(float, T.translation), *map(float, T.rotation.as_quat()))
 
 
-@pytest.mark.parametrize("prior", [{"is_gravity_aligned": True}, {"pose": True, "sd_translation": 0.3}])
-def test_what_is_right_beforehand_is_no_hindrance(pair, prior):
-    base, target, T = pair
-    if "pose" in prior:
-        off = perturbation(np.array([0.05, -0.1, 0.08, 0.2, -0.15, 0.1]), target.survey.centroid)
-        prior = prior | {"pose": numbers_of(T * off)}
-    result = registered(base, target, **prior)
-    assert result.is_accepted, result.reason
-    distance, angle = transform_error(result.T_base_target, T, target.survey.centroid)
-    assert distance < 0.01
-    assert np.degrees(angle) < 0.3
-
-
 def test_a_wrong_prior_does_not_force_a_wrong_answer(pair):
     base, target, T = pair
     off = RigidTransform.from_components([1.2, 0.9, 0.0], Rotation.from_euler("z", 120, degrees=True))
@@ -119,3 +106,87 @@ def test_a_wrong_prior_does_not_force_a_wrong_answer(pair):
     leaning = target.transformed(tilted.inv() * T)
     assert not wrong.is_accepted
     assert not registered(base, leaning, is_gravity_aligned=True).is_accepted
+
+
+def test_information_is_the_curvature_of_half_the_squared_residual():
+    T, prior = some_prior(3)
+    A, slope, chi2 = prior.rows(T, CENTER)
+    assert chi2 == pytest.approx(0.0, abs=1e-20)
+    np.testing.assert_allclose(slope, 0, atol=1e-9)
+    step = 1e-3
+
+    def half(xi):
+        return 0.5 * prior.rows(T * perturbation(xi, CENTER), CENTER)[2]
+
+    E = step * np.eye(6)
+    bends = [[(half(a + b) - half(a - b) - half(b - a) + half(-a - b)) / (4 * step**2) for a in E] for b in E]
+    np.testing.assert_allclose(A, bends, atol=1e-4 * A.max())
+
+
+@pytest.mark.parametrize("k", range(6))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_pose_is_admitted_within_three_and_a_half_deviations_of_prior_and_search_together(k, sign):
+    T, prior = some_prior(4, is_aligned=False)
+    slack = (0.05, 0.2)
+    reach = 3.5 * np.hypot(SD[k], slack[k // 3])
+    found = []
+    for share in (0.99, 1.01):
+        turn = T * perturbation(sign * share * reach * np.eye(6)[k] * (k < 3), CENTER)
+        shift = RigidTransform.from_translation(sign * share * reach * np.eye(3)[k % 3] * (k >= 3))
+        moved = shift * turn
+        found.append(prior.admits(moved.rotation.as_matrix()[None], moved.apply(CENTER)[None], CENTER, slack)[0])
+    assert found == [True, False]
+
+
+def test_a_tilt_is_admitted_within_reach_and_a_turn_about_the_vertical_always():
+    T, prior = some_prior(5, has_pose=False)
+    reach = 3.5 * np.hypot(0.02, 0.1)
+    across = np.cross(prior.up_target, [1.0, 0, 0])
+    across /= np.linalg.norm(across)
+    R = [
+        (T.rotation * Rotation.from_rotvec(turn)).as_matrix()
+        for turn in (0.99 * reach * across, 1.01 * reach * across, 2.5 * prior.up_target)
+    ]
+    assert prior.admits(np.array(R), np.zeros((3, 3)), CENTER, (0.1, 0.1)).tolist() == [True, False, True]
+
+
+def test_drawn_poses_are_the_rough_one_and_others_that_scatter_about_it_as_stated():
+    T, prior = some_prior(6, is_aligned=False)
+    R, moved = prior.draw(4000, CENTER, np.random.default_rng(0))
+    np.testing.assert_allclose(R[0], T.rotation.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(moved[0], T.apply(CENTER), atol=1e-12)
+    turns = (T.rotation.inv() * Rotation.from_matrix(R)).as_rotvec()
+    shifts = T.inv().apply(moved) - CENTER
+    xi = np.concatenate([turns, shifts], axis=1)
+    np.testing.assert_allclose(xi.std(axis=0), SD, rtol=0.06)
+    assert some_prior(6, has_pose=False)[1].draw(9, CENTER, np.random.default_rng(0))[0].shape == (0, 3, 3)
+
+
+def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_about_their_anchors():
+    T, prior = some_prior(7, is_aligned=False)
+    rng = np.random.default_rng(0)
+    anchors = rng.normal(size=(3, 3))
+    poses = [T, T * about(rng, 2.5), T * RigidTransform.from_translation([9.0, 0, 0])]
+    R = np.array([P.rotation.as_matrix() for P in poses])
+    pb = np.array([P.apply(a) for P, a in zip(poses, anchors, strict=True)])
+    R, pb, rows = prior.narrow((R, pb, np.arange(3)), anchors, CENTER, (0.01, 0.01), rng)
+    assert len(R) == len(pb) == len(rows) == 301
+    np.testing.assert_allclose(R[0], T.rotation.as_matrix(), atol=1e-12)
+    # Where each puts the middle, carried from its anchor.
+    moved = pb + np.einsum("nij,nj->ni", R, CENTER - anchors[rows])
+    np.testing.assert_allclose(moved[1], T.apply(CENTER), atol=1e-9)
+    assert prior.admits(R, moved, CENTER, (0.01, 0.01)).mean() > 0.97
+    assert set(rows[1:].tolist()) == {0, 1, 2}
+    flat = PosePrior(1.0)
+    given_poses = R, pb, rows
+    assert flat.narrow(given_poses, anchors, CENTER, (0.1, 0.1), rng) is given_poses
+
+
+def test_densities_pay_for_all_poses_for_turns_about_the_vertical_or_for_a_rough_pose():
+    T, upright = some_prior(8, has_pose=False)
+    assert PosePrior(5.0).log_density(T, CENTER) == pytest.approx(-np.log(5.0 * 8 * np.pi**2))
+    at_best = upright.log_density(T, CENTER)
+    assert at_best == pytest.approx(-np.log(20.0 * 2 * np.pi) - np.log(2 * np.pi * 0.02**2))
+    leaning = T * RigidTransform.from_rotation(Rotation.from_rotvec([0.02, 0.0, 0.0]))
+    chi2 = np.sum((leaning.rotation.inv().apply(upright.up_base) - upright.up_target) ** 2) / 0.02**2
+    assert upright.log_density(leaning, CENTER) == pytest.approx(at_best - 0.5 * chi2)

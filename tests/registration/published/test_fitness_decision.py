@@ -1,18 +1,42 @@
 # SPDX-License-Identifier: BSD-3-Clause
+"""The published decision: both sides of each limit, and the best consensus said as it was found."""
+
+import numpy as np
 import pytest
 
-from magmatch.registration.published.fitness_decision import FitnessConfig, decide_by_fitness
-from magmatch.registration.result import Status
+from magmatch.geometry import random_transform
+from magmatch.registration.decide.fitness import Fitness
+from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness, decide_by_fitness
+from magmatch.registration.result import Links, Status
+from magmatch.registration.search.candidate import Candidate, SearchResult
+
+CONFIG = FitnessConfig()
 
 
 @pytest.mark.parametrize(
     ("fitness", "overlap", "status"),
     [
         (None, 0.0, Status.UNINFORMATIVE),
-        (0.01, 0.01, Status.NO_OVERLAP),
-        (0.9, 0.9, Status.INCONSISTENT),
-        (0.01, 0.9, Status.ACCEPTED),
+        (0.01, 0.0499, Status.NO_OVERLAP),
+        (0.1001, 0.9, Status.INCONSISTENT),
+        (0.1, 0.05, Status.ACCEPTED),
     ],
 )
-def test_published_rule_looks_at_fitness_alone(fitness, overlap, status):
-    assert decide_by_fitness(fitness, overlap, FitnessConfig()).status is status
+def test_published_rule_looks_at_fitness_and_overlap_alone(fitness, overlap, status):
+    assert decide_by_fitness(fitness, overlap, CONFIG).status is status
+
+
+def test_the_answer_is_the_best_consensus_or_a_refusal_that_shows_all():
+    rng = np.random.default_rng(0)
+    candidates = tuple(Candidate(random_transform(rng), s) for s in (0.9, 0.5))
+    links = Links(np.zeros((2, 3)), np.ones((2, 3)))
+    found = SearchResult(candidates, 30, 20, 10, links)
+    accepted = by_fitness(found, Fitness(0.05, 0.7), CONFIG)
+    assert accepted.T_base_target is candidates[0].T_base_target
+    assert (accepted.fitness, accepted.overlap, accepted.n_inliers, accepted.links) == (0.05, 0.7, 10, links)
+    assert (accepted.n_keypoints, accepted.n_correspondences, accepted.alternatives) == (30, 20, ())
+    refused = by_fitness(found, Fitness(0.5, 0.7), CONFIG)
+    assert refused.T_base_target is None
+    assert [a.T_base_target for a in refused.alternatives] == [c.T_base_target for c in candidates]
+    nothing = by_fitness(SearchResult(), None, CONFIG)
+    assert (nothing.status, nothing.overlap) == (Status.UNINFORMATIVE, 0.0)

@@ -1,26 +1,220 @@
-"""The dense refinement's likelihood against finite differences."""
+# SPDX-License-Identifier: BSD-3-Clause
+"""The dense refinement: its likelihood, its steps, and what it does where the field or the prior says nothing."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.refine.refinement import STUDENT_DOF, Lookup, _residual_block
+from hand_made import Polynomial, box, prepared_map, some_field, turn_about
+from magmatch.geometry import rotation_matrix
+from magmatch.registration.prepared.drift import Drift, field_variance
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.refine.refinement import (
+    RefinementConfig,
+    ResidualBlock,
+    compare,
+    information_of,
+    look_up,
+    overdispersion,
+    perturbation,
+    refine,
+    residual_jacobian,
+    some_rows,
+    step_between,
+    student_weights,
+)
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 
+SAME = SensorConfig(mode="none")
+CONFIG = RefinementConfig(sensor=SAME)
+FLAT = PosePrior(10.0)
+FIELD = some_field(3, slope=10e-6, bend=6e-6)
+# Of the log-likelihood ``-(nu + 3) / 2 ln(1 + r^2 / nu V)``.
+DOF = 4.0
 
-def test_curvature_is_that_of_the_student_likelihood():
-    """Against finite differences, averaged over directions; a large residual bends it less than its weight says."""
-    rng = np.random.default_rng(3)
-    residual = rng.normal(0, 0.5, (40, 3))
-    residual[:4] *= 15
-    zeros, noise_sd = np.zeros((40, 3)), 2.0  # the residuals' variance is then a quarter of the noise's: 1
-    lookup = Lookup(np.arange(40), zeros, zeros, residual, np.tile(np.eye(3), (40, 1, 1)), zeros, np.zeros(40))
-    none = Drift(0.0, 0.0, np.zeros(40, dtype=np.int64), np.zeros((1, 1)))
-    found = _residual_block(lookup, noise_sd, none, np.zeros(3), identical_sensors(SensorConfig(mode="none"), -1))
+
+def pair_of(seed=0, n=150, drifts=(0.0, 0.0)):
+    """Two surveys of one place in one frame, each inside the other's map; positions stated to be off by so much."""
+    rng = np.random.default_rng(seed)
+    maps = []
+    for drift in drifts:
+        none = Drift(drift, 0.0, np.zeros(n, dtype=np.int64), np.zeros((1, 1)))
+        maps.append(prepared_map(FIELD, box(rng, n), rng, drift=none, spacing=0.05))
+    return maps
+
+
+def refined(base, target, start, prior=FLAT, config=CONFIG, level=-1):
+    return refine(base, target, start, prior, config, np.random.default_rng(0), level)
+
+
+def both(base, target, T, noise=None):
+    sensor = identical_sensors(SAME, -1)
+    rows = np.arange(len(target.samples)), np.arange(len(base.samples))
+    center = target.samples.mean(axis=0)
+    return look_up(base, target, T, sensor, rows), compare(base, target, T, center, sensor, rows), center, sensor
+
+
+def test_residuals_of_both_sides_are_in_the_targets_axes():
+    base, target = pair_of()
+    T = turn_about(np.zeros(3), np.array([0.1, -0.2, 0.1, 0.05, -0.03, 0.04]))
+    (forward, backward), *_ = both(base, target, T)
+    R = rotation_matrix(T)
+    y, x = forward.positions, base.samples[backward.rows]
+    np.testing.assert_array_equal(y, target.samples[forward.rows])
+    np.testing.assert_allclose(T.apply(backward.positions), x, atol=1e-12)
+    expected = target.sample_field[forward.rows] - FIELD.evaluate(T.apply(y)).field @ R
+    np.testing.assert_allclose(forward.residual, expected, atol=1e-17)
+    expected = FIELD.evaluate(T.inv().apply(x)).field - base.sample_field[backward.rows] @ R
+    np.testing.assert_allclose(backward.residual, expected, atol=1e-17)
+
+
+def test_positions_that_are_off_on_either_side_widen_what_is_expected_of_both():
+    base, target = pair_of(drifts=(0.03, 0.04))
+    for side in both(base, target, RigidTransform.identity())[0]:
+        np.testing.assert_allclose(side.sd**2, field_variance(side.gradient, 0.05**2), rtol=1e-9)
+
+
+def test_a_block_holds_the_gradient_and_the_curvature_of_the_student_likelihood():
+    """Scores and curvature against finite differences in the shift; large residuals bend it less than they weigh."""
+    base, target = pair_of(n=60)
+    field = target.sample_field.copy()
+    field[:8] += 8e-6
+    target = replace(target, sample_field=field)
+    (forward, _), (block, _), center, sensor = both(base, target, RigidTransform.identity())
+    r2 = (forward.residual**2).sum(axis=1)
+    weight, _ = student_weights(r2, forward.sd, target.noise_sd)
+    # One variance for all, which the weights reveal.
+    V = ((DOF + 3) / weight - r2) / DOF
+    assert np.ptp(V) < 1e-9 * V[0]
+    J = residual_jacobian(forward, center, sensor)
+
+    def loss(shift):
+        r = forward.residual + J[:, :, 3:6] @ shift
+        return 0.5 * (DOF + 3) * np.log1p((r**2).sum(axis=1) / (DOF * V[0]))
+
+    step = 1e-6
+    slopes = np.stack([(loss(step * e) - loss(-step * e)) / (2 * step) for e in np.eye(3)], axis=1)
+    np.testing.assert_allclose(block.scores[:, 3:6], slopes, atol=1e-5 * np.abs(slopes).max())
+    np.testing.assert_allclose(block.residual2, r2 / (target.noise_sd**2 + forward.sd**2), rtol=1e-12)
+    JW = J * weight[:, None, None]
+    np.testing.assert_allclose(block.information, np.einsum("nip,niq->pq", JW, J), rtol=1e-9)
+
+
+def test_the_curvature_is_that_of_the_likelihood_averaged_over_directions():
+    residual2, noise_sd = np.random.default_rng(3).chisquare(3, 200) * 0.5, 2.0
+    weight, bend = student_weights(residual2, np.zeros(200), noise_sd)
+    # No less than a quarter of the noise's variance: 1.
+    np.testing.assert_allclose(weight, 7 / (4 + residual2), rtol=1e-12)
+    h = 1e-4
 
     def loss(r):
-        return 0.5 * (STUDENT_DOF + 3) * np.log1p((r**2).sum(axis=-1) / STUDENT_DOF)
+        return 3.5 * np.log1p((r**2).sum(axis=-1) / 4)
 
-    h = 1e-4
-    bends = sum(loss(residual + h * e) + loss(residual - h * e) - 2 * loss(residual) for e in np.eye(3)) / (3 * h**2)
-    np.testing.assert_allclose(found.curvature[3:6, 3:6], bends.sum() * np.eye(3), rtol=1e-6)
-    assert found.curvature[3, 3] < found.information[3, 3]
+    r = np.zeros((200, 3))
+    r[:, 0] = np.sqrt(residual2)
+    bends = sum(loss(r + h * e) + loss(r - h * e) - 2 * loss(r) for e in np.eye(3)) / (3 * h**2)
+    np.testing.assert_allclose(weight * bend, bends, rtol=1e-5)
+
+
+def test_a_residuals_variance_is_what_residuals_show_beyond_the_maps_spread_and_the_maps_own_there():
+    r2 = np.full(100, 5.0 * 2.366)
+    sd = np.concatenate([np.full(99, 1.0), [3.0]])
+    weight, _ = student_weights(r2, sd, 1.0)
+    V = np.where(sd > 1, 4.0 + 9.0, 4.0 + 1.0)
+    np.testing.assert_allclose(weight, 7 / (4 + r2 / V) / V, rtol=1e-12)
+    calm, _ = student_weights(r2, np.full(100, 3.0), 2.0)
+    np.testing.assert_allclose(calm, 7 / (4 + r2 / 10) / 10, rtol=1e-12)
+
+
+def test_in_a_uniform_field_refinement_ends_at_the_priors_pose():
+    """The field fixes two turns; along all else the prior has the only word."""
+    rng = np.random.default_rng(1)
+    base, target = (prepared_map(Polynomial(), box(rng, 60), noise_sd=0.3e-6) for _ in range(2))
+    center = target.samples.mean(axis=0)
+    start = turn_about(center, np.array([0.0, 0.0, 0.0, 0.06, -0.04, 0.05]))
+    prior = PosePrior(10.0, RigidTransform.identity(), np.repeat([0.05, 0.1], 3))
+    found = refined(base, target, start, prior)
+    np.testing.assert_allclose(
+        step_between(found, replace(found, T_base_target=RigidTransform.identity())), 0, atol=1e-6
+    )
+    up = np.array([0.0, 0.6, 0.8])
+    leaning = turn_about(center, np.append(0.05 * np.cross(up, [0.0, 0.0, 1.0]), np.zeros(3)))
+    upright = refined(base, target, leaning, PosePrior(10.0, None, None, up, up, 0.01))
+    np.testing.assert_allclose(upright.T_base_target.rotation.apply(up), up, atol=1e-6)
+
+
+def test_a_pose_between_field_and_prior_weighs_both_by_their_information():
+    base, target = pair_of(2)
+    free = refined(base, target, RigidTransform.identity())
+    sd = np.repeat([2e-4, 2e-4], 3)
+    away = turn_about(free.center, np.array([2e-4, -3e-4, 2e-4, 4e-4, -3e-4, 2e-4]))
+    prior = PosePrior(10.0, free.T_base_target * away, sd)
+    found = refined(base, target, free.T_base_target, prior)
+    pull = step_between(free, replace(free, T_base_target=free.T_base_target * away))
+    A = sum(b.curvature for b in free.blocks)[:6, :6] / overdispersion(free.blocks, 1.2)
+    expected = np.linalg.solve(A + np.diag(sd**-2.0), pull / sd**2)
+    np.testing.assert_allclose(step_between(free, found), expected, atol=0.05 * np.abs(expected).max())
+    np.testing.assert_allclose(np.diag(found.prior_information), sd**-2.0, rtol=1e-2)
+    assert found.known_before.shape == (9, 9)
+    np.testing.assert_allclose(np.diag(found.known_before)[6:], found.sensor_sd**-2.0)
+
+
+def test_refinement_goes_home_from_nearby_and_stays_where_maps_do_not_overlap():
+    base, target = pair_of(4)
+    home = refined(base, target, RigidTransform.identity())
+    start = turn_about(home.center, np.array([0.05, -0.08, 0.06, 0.1, -0.08, 0.05]))
+    again = refined(base, target, start)
+    assert np.abs(step_between(home, again)).max() < 1e-5
+    away = RigidTransform.from_translation([9.0, 0, 0])
+    nowhere = refined(base, target, away)
+    assert nowhere.blocks == ()
+    np.testing.assert_array_equal(nowhere.T_base_target.as_matrix(), away.as_matrix())
+
+
+def test_no_step_is_longer_than_allowed():
+    base, target = pair_of(4)
+    once = RefinementConfig(sensor=SAME, n_steps=1)
+    start = turn_about(np.zeros(3), np.array([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]))
+    found = refined(base, target, start, config=once)
+    step = step_between(replace(found, T_base_target=start), found)
+    assert max(np.abs(step[:3]).max() / 0.1, np.abs(step[3:]).max() / (0.3 * 0.6)) == pytest.approx(1.0)
+
+
+def test_sums_over_cells_scatter_as_samples_do_where_those_are_independent_and_more_where_they_are_not():
+    rng, n = np.random.default_rng(5), 20_000
+    J = rng.normal(size=(n, 6))
+    x = rng.uniform(0, 1, (n, 3))
+    cell = np.unique(np.floor(x / 0.2), axis=0, return_inverse=True)[1].ravel()
+
+    def excess(noise):
+        scores = J * noise[:, None]
+        return overdispersion((ResidualBlock(J.T @ J, J.T @ J, scores, x, noise**2, np.zeros((6, 6))),) * 2, 0.2)
+
+    assert excess(2 * rng.normal(size=n)) == pytest.approx(4, rel=0.15)
+    assert excess(0.1 * rng.normal(size=n)) == 1.0
+    J[:] = 1 + 0.1 * J
+    # One direction of six, of as many samples as a cell holds.
+    assert excess(rng.normal(size=125)[cell]) == pytest.approx(n / 125 / 6, rel=0.3)
+
+
+def test_a_perturbation_turns_about_the_centre_and_then_shifts():
+    center, xi = np.array([1.0, 2.0, -1.0]), np.array([0.3, -0.2, 0.5, 0.1, 0.2, 0.3])
+    T = perturbation(xi, center)
+    np.testing.assert_allclose(T.apply(center), center + xi[3:], atol=1e-12)
+    np.testing.assert_allclose(T.rotation.as_rotvec(), xi[:3], atol=1e-12)
+
+
+def test_information_adds_up_and_rows_are_drawn_once_each():
+    base, target = pair_of(n=50)
+    blocks = both(base, target, RigidTransform.identity())[1]
+    np.testing.assert_allclose(information_of(blocks), blocks[0].information + blocks[1].information)
+    few = RefinementConfig(n_samples=20)
+    of_target, of_base = some_rows(base, target, few, np.random.default_rng(0))
+    for rows in (of_target, of_base):
+        assert len(set(rows.tolist())) == 20
+        assert (np.diff(rows) > 0).all()
+    ranking = RefinementConfig(n_samples=300).for_ranking()
+    assert (ranking.n_samples, ranking.n_steps, ranking.tolerance) == (300, 8, 0.1)
+    assert RefinementConfig().for_ranking().n_samples == 600

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The covariance of residuals along a path: entry by entry, and against the errors it stands for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from scipy.stats import multivariate_normal
+
+from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
+
+NOISE = PathNoise(1.1e-6, 0.8, 0.3e-6, 0.5e-6, 1.4, 0.6, 0.02, 0.06, 4.0, spread=0.4, n_stretches=9)
+
+
+def some_path(n=5, seed=0):
+    rng = np.random.default_rng(seed)
+    x = np.cumsum(0.3 * rng.standard_normal((n, 3)), axis=0)
+    return (
+        x,
+        cdist(x, x),
+        3e-7 * rng.uniform(0.5, 2, n),
+        1e-5 * rng.standard_normal((n, 3, 3)),
+        4e-5 * rng.standard_normal((n, 3)),
+    )
+
+
+def test_a_components_covariance_is_the_sum_of_what_lasts_what_is_shared_the_maps_own_and_each_bins():
+    _, d, sd, _, _ = some_path()
+    found = NOISE.isotropic(d, sd)
+    for i, j in np.ndindex(*d.shape):
+        expected = 1.1e-6**2 * np.exp(-d[i, j] / 0.8) + 0.5e-6**2
+        expected += 1.4**2 * sd[i] * sd[j] * np.exp(-(d[i, j] ** 2) / (2 * 0.6**2)) + (i == j) * 0.3e-6**2
+        assert found[i, j] == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_array_equal(NOISE.isotropic(d, np.stack([sd, sd]))[1], found)
+
+
+def test_components_are_coupled_by_what_the_walkers_frame_drifts_and_turns():
+    """Errors are drawn as they come about: a shift moves the field by its gradient, a turn across itself."""
+    _, d, sd, G, b = some_path()
+    n, rng = 5, np.random.default_rng(1)
+    L = np.linalg.cholesky(np.exp(-d / 4.0))
+    shift, turn = (s * np.einsum("ij,kjc->kic", L, rng.standard_normal((40_000, n, 3))) for s in (0.06, 0.02))
+    errors = np.einsum("iab,kib->kia", G, shift) + np.cross(b, turn)
+    walker = NOISE.full(d, sd, G, b) - np.kron(NOISE.isotropic(d, sd), np.eye(3))
+    drawn = errors.reshape(len(errors), -1)
+    np.testing.assert_allclose(walker, drawn.T @ drawn / len(errors), atol=0.03 * np.diag(walker).max())
+    stack = NOISE.full(np.stack([d, d]), np.stack([sd, sd]), np.stack([G, 2 * G]), np.stack([b, 2 * b]))
+    np.testing.assert_allclose(stack[0], NOISE.full(d, sd, G, b), rtol=1e-12)
+    np.testing.assert_allclose(stack[1] - stack[0], 3 * walker, rtol=1e-9, atol=1e-24)
+
+
+@pytest.mark.parametrize("chi2", [25.0, 60.0, 150.0])
+def test_the_most_likely_factor_is_where_the_likelihood_is_largest(chi2):
+    u = np.linspace(-1.6, 1.6, 20_001)
+    log_density = -0.5 * chi2 * np.exp(-u) - 0.5 * 60 * u - 0.5 * (u / 0.4) ** 2
+    factor, value = NOISE.most_likely_factor(chi2, 60)
+    # The factors that are tried lie a twentieth of the spread apart.
+    assert np.log(factor) == pytest.approx(u[log_density.argmax()], abs=0.011)
+    assert value == pytest.approx(log_density.max(), abs=0.01)
+
+
+def test_total_spread_and_what_is_a_guess():
+    assert NOISE.total_sd == pytest.approx(np.sqrt(1.1**2 + 0.3**2 + 0.5**2) * 1e-6)
+    assert [replace(NOISE, n_stretches=n).is_learned for n in (0, 4, 5)] == [False, False, True]
+
+
+def stretches_of(noise, n_stretches, seed, n=12, factors=None):
+    rng, found = np.random.default_rng(seed), []
+    for k in range(n_stretches):
+        x, d, sd, G, b = some_path(n, seed=100 + k)
+        L = np.linalg.cholesky(noise.full(d, sd, G, b))
+        residual = (L @ rng.standard_normal(3 * n)).reshape(n, 3) * (1.0 if factors is None else factors[k])
+        found.append(Stretch(x, residual, sd, G, b))
+    return found
+
+
+def test_what_is_learned_is_the_mode_of_likelihood_and_guess():
+    """No parameter can be moved for the better: a dense normal density, and a normal one of each logarithm."""
+    stretches = stretches_of(NOISE, 6, 2)
+    guess = replace(NOISE, misfit_sd=0.6e-6, nugget_sd=0.5e-6, drift_sd=0.03, spread=0.5, n_stretches=0)
+    found = most_likely(guess, stretches)
+    names = ["misfit_sd", "misfit_length", "nugget_sd", "constant_sd", "map_factor", "map_length", "attitude_sd",
+             "drift_sd", "drift_length"]  # fmt: skip
+
+    def log_posterior(noise):
+        total = 0.0
+        for s in stretches:
+            C = noise.full(cdist(s.positions, s.positions), s.map_sd, s.gradient, s.field)
+            scale = 1e12 * C
+            total += multivariate_normal(np.zeros(len(C)), scale).logpdf(1e6 * s.residual.ravel())
+        for name in names:
+            sd = 0.7 if name.endswith("_sd") else 0.35
+            total -= 0.5 * (np.log(getattr(noise, name) / getattr(guess, name)) / sd) ** 2
+        return total
+
+    best = log_posterior(found)
+    assert best > log_posterior(guess) + 1
+    for name in names:
+        for factor in (0.9, 1.1):
+            assert log_posterior(replace(found, **{name: factor * getattr(found, name)})) < best + 1e-3, name
+    assert found.n_stretches == 6
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.6])
+def test_how_walks_differ_is_learned_beside_what_chance_makes_of_them(scatter):
+    """The scatter of chi^2, less that of chance, against a guess that counts as five stretches."""
+    factors = np.exp(scatter / 2 * np.random.default_rng(3).standard_normal(20))
+    stretches = stretches_of(NOISE, 20, 4, factors=factors)
+    found = most_likely(replace(NOISE, spread=0.5, n_stretches=0), stretches)
+    chi2 = []
+    for s in stretches:
+        C = found.full(cdist(s.positions, s.positions), s.map_sd, s.gradient, s.field)
+        chi2.append(s.residual.ravel() @ np.linalg.solve(C, s.residual.ravel()))
+    excess = max(np.mean(np.log(np.array(chi2) / 36) ** 2) - 2 / 36, 0.0)
+    assert found.spread**2 == pytest.approx((5 * 0.5**2 + 20 * excess) / 25, rel=1e-6)
+    assert (excess > 0.1) == (scatter > 0)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Trilinear look-ups against SciPy's and against finite differences, on values that follow no law."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from hand_made import box, prepared_map, some_field
+from magmatch.registration.prepared.raster import Raster, find_cell, interpolate_field
+
+ORIGIN, SPACING, SHAPE = np.array([0.3, -0.2, 0.1]), 0.25, (5, 4, 6)
+RNG = np.random.default_rng(0)
+VALUES, SD = RNG.normal(size=(*SHAPE, 3)), RNG.uniform(0.1, 1.0, SHAPE)
+
+
+def raster_of(sd=SD):
+    rows = np.flatnonzero(sd >= 0)
+    return Raster.knowing(ORIGIN, SPACING, SHAPE, rows, VALUES.reshape(-1, 3)[rows], sd.ravel()[rows])
+
+
+def points_inside(n=60, seed=1):
+    return ORIGIN + np.random.default_rng(seed).uniform(0.01, 0.99, (n, 3)) * SPACING * (np.array(SHAPE) - 1)
+
+
+def test_field_and_spread_are_the_trilinear_ones():
+    axes = [ORIGIN[a] + SPACING * np.arange(SHAPE[a]) for a in range(3)]
+    field, sd, _, is_known = raster_of().lookup(points_inside())
+    assert is_known.all()
+    np.testing.assert_allclose(field, RegularGridInterpolator(axes, VALUES)(points_inside()), atol=1e-12)
+    np.testing.assert_allclose(sd, RegularGridInterpolator(axes, SD)(points_inside()), atol=1e-12)
+
+
+def test_the_gradient_is_the_slope_of_the_field():
+    # Away from the faces of cells, where it jumps.
+    cell = np.random.default_rng(2).integers(0, np.array(SHAPE) - 1, (40, 3))
+    points = ORIGIN + SPACING * (cell + np.random.default_rng(3).uniform(0.1, 0.9, (40, 3)))
+    gradient, step = raster_of().lookup(points)[2], 1e-4
+    for axis in range(3):
+        ahead, behind = (raster_of().lookup(points + s * step * np.eye(3)[axis])[0] for s in (1, -1))
+        np.testing.assert_allclose(gradient[:, :, axis], (ahead - behind) / (2 * step), atol=1e-8)
+
+
+def test_a_cell_is_known_where_all_its_corners_are():
+    for corner in np.ndindex(2, 2, 2):
+        sd = SD.copy()
+        sd[tuple(np.array([2, 1, 3]) + corner)] = -1.0
+        inside = ORIGIN + SPACING * (np.array([2, 1, 3]) + 0.5)
+        field, spread, gradient, is_known = raster_of(sd).lookup(inside[None])
+        assert not is_known.any()
+        assert not np.concatenate([v.ravel() for v in (field, spread, gradient)]).any()
+        far = inside + SPACING * (1 - 2 * np.array(corner)) * [1, 0, 0]
+        assert raster_of(sd).lookup(far[None])[3].all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_raster_ends_at_its_outermost_points(axis):
+    middle, side = ORIGIN + SPACING * 1.5, SPACING * np.eye(3)[axis]
+    last = SHAPE[axis] - 1
+    known = [
+        raster_of().lookup((middle + side * (k - 1.5))[None])[3][0] for k in (-0.01, 0.01, last - 0.01, last + 0.01)
+    ]
+    assert known == [False, True, True, False]
+
+
+def test_volume_and_whole_share_count_points_and_cells():
+    sd = SD.copy()
+    sd[0] = -1.0
+    assert raster_of(sd).volume == pytest.approx(4 * 4 * 6 * SPACING**3)
+    # Of the four layers of cells, one touches what is known without being whole.
+    assert raster_of(sd).whole_share == pytest.approx(3 / 4)
+    assert raster_of().whole_share == 1.0
+
+
+def test_of_a_field_that_is_linear_nothing_is_lost():
+    samples = box(np.random.default_rng(4), 50)
+    base = prepared_map(some_field(1, bend=0.0), samples)
+    field, _, gradient, is_known = base.raster.lookup(samples)
+    assert is_known.all()
+    np.testing.assert_allclose(field, base.point_field, atol=1e-18)
+    np.testing.assert_allclose(gradient, base.point_gradient, atol=1e-17)
+
+
+def test_a_search_is_told_the_same_field_as_who_asks_for_the_gradient_too():
+    raster = raster_of()
+    field, sd, _, _ = raster.lookup(points_inside())
+    for k, point in enumerate(points_inside()):
+        found = interpolate_field(raster.values, *find_cell(raster.values, ORIGIN, SPACING, *point))
+        np.testing.assert_allclose(found, [*field[k], sd[k]], atol=1e-12)

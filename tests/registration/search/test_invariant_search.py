@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The steps of the global search: who votes, on what, judged by which samples, and which poses are one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from hand_made import box, prepared_map, seen_from, some_field, turn_about
+from magmatch.geometry import random_transform, rotation_matrix
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.search.invariant_search import (
+    InvariantSearchConfig,
+    align_frames,
+    choose_anchors,
+    distinct_poses,
+    invariant_search,
+    judging_samples,
+    similar_points,
+)
+
+RNG = np.random.default_rng(0)
+FIELD = some_field(3, slope=6e-6, bend=12e-6)
+FLAT = PosePrior(10.0)
+T_TRUE = random_transform(np.random.default_rng(4))
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """The target is the base, seen from elsewhere."""
+    base = prepared_map(FIELD, box(RNG, 200), spacing=0.08)
+    return base, seen_from(base, T_TRUE.inv(), spacing=0.08)
+
+
+def test_frames_of_one_point_seen_twice_are_aligned_by_the_turn_between(pair):
+    rows = np.arange(200)
+    R = align_frames(*pair, rows, rows)
+    np.testing.assert_allclose(R, np.tile(rotation_matrix(T_TRUE), (200, 1, 1)), atol=1e-6)
+
+
+def test_a_point_is_most_like_itself_seen_from_elsewhere(pair):
+    found = similar_points(*pair, np.arange(0, 200, 3), 4, 0.1)
+    assert found.shape == (67, 4)
+    assert (found[:, 0] == np.arange(0, 200, 3)).all()
+    assert similar_points(*pair, np.arange(5), 999, 0.1).shape == (5, 200)
+
+
+def test_invariants_count_by_how_well_they_are_known(pair):
+    """One invariant that is shuffled and said to be unknown disturbs nothing; said to be known, everything."""
+    base, target = pair
+    shuffled = target.invariants.copy()
+    shuffled[:, 2] = np.random.default_rng(1).permutation(shuffled[:, 2])
+    spread = np.ptp(shuffled[:, 2])
+    right = {}
+    for sd in (0.0, 100 * spread):
+        known = target.invariant_sd.copy()
+        known[:, 2] = sd
+        bad = replace(target, invariants=shuffled, invariant_sd=known)
+        for one, other, side in ((base, bad, "target"), (bad, base, "base")):
+            found = similar_points(one, other, np.arange(200), 1, 0.01)
+            right[side, sd > 0] = (found[:, 0] == np.arange(200)).mean()
+    assert min(right["target", True], right["base", True]) > 0.9
+    assert max(right["target", False], right["base", False]) < 0.5
+
+
+def test_anchors_are_drawn_once_each_by_how_well_their_gradient_is_known(pair):
+    target = replace(pair[1], gradient_sd=np.where(np.arange(200) < 100, 1e-9, 1e-3))
+    drawn = np.concatenate([choose_anchors(target, 60, np.random.default_rng(k)) for k in range(5)])
+    assert (drawn < 100).mean() > 0.97
+    once = choose_anchors(target, 60, np.random.default_rng(0))
+    assert len(set(once.tolist())) == 60
+    assert len(choose_anchors(target, 999, np.random.default_rng(0))) == 200
+    # Beyond three times the median a gradient is told no better.
+    steep = replace(
+        target,
+        gradient_sd=np.zeros(200),
+        point_gradient=target.point_gradient * np.where(np.arange(200) < 10, 1e3, 1)[:, None, None],
+    )
+    drawn = np.concatenate([choose_anchors(steep, 20, np.random.default_rng(k)) for k in range(30)])
+    assert 0.05 < (drawn < 10).mean() < 0.25
+
+
+def test_half_of_the_judges_are_near_the_anchor_and_the_others_anywhere(pair):
+    target = replace(pair[1], correlation_length=0.25)
+    anchors = target.points[:20]
+    rows = judging_samples(anchors, target, 40, np.random.default_rng(0))
+    assert rows.shape == (20, 40)
+    apart = np.linalg.norm(target.samples[rows] - anchors[:, None], axis=2)
+    n_near = (np.linalg.norm(target.samples - anchors[:, None], axis=2) < 0.5).sum(axis=1)
+    for row, distance, n in zip(rows, apart, n_near, strict=True):
+        first = min(20, n)
+        assert (distance[:first] < 0.5).all()
+        assert len(set(row[:first].tolist())) == first
+    assert (apart[:, 20:] > 0.5).mean() > 0.5
+
+
+def poses_of(turns, shifts):
+    R = Rotation.from_rotvec(np.array(turns)[:, None] * [0, 0, 1.0]).as_matrix()
+    return R, np.array(shifts)[:, None] * [1.0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift", "is_new"), [(0.099, 0.49, False), (0.101, 0.0, True), (0.0, 0.51, True), (0.0, 0.0, False)]
+)
+def test_poses_are_distinct_by_an_angle_or_a_distance(turn, shift, is_new):
+    R, centers = poses_of([0.3, 0.3 + turn], [1.0, 1.0 + shift])
+    assert distinct_poses(R, centers, np.array([1.0, 2.0]), 0.1, 0.5, 9).tolist() == ([1, 0] if is_new else [1])
+
+
+def test_distinct_poses_come_best_first_and_as_many_as_wanted():
+    R, centers = poses_of(np.zeros(6), [0.0, 1, 2, 0.1, 3, 1.1])
+    scores = np.array([1.0, 5, 3, 2, 4, 6])
+    assert distinct_poses(R, centers, scores, 0.1, 0.5, 9).tolist() == [5, 4, 2, 3]
+    assert distinct_poses(R, centers, scores, 0.1, 0.5, 2).tolist() == [5, 4]
+
+
+SMALL = InvariantSearchConfig(n_anchors=40, n_neighbours=8, n_second=100, n_coarse=40, n_fine=8, n_candidates=4)
+
+
+def test_the_search_finds_the_turn_between_and_counts_what_it_tried(pair):
+    found = invariant_search(*pair, FLAT, SMALL, np.random.default_rng(0))
+    best = found.candidates[0].T_base_target
+    np.testing.assert_allclose(best.as_matrix(), T_TRUE.as_matrix(), atol=5e-3)
+    scores = [c.score for c in found.candidates]
+    assert scores == sorted(scores, reverse=True)
+    assert (found.n_keypoints, found.n_correspondences) == (400, 40 * 8)
+    center = pair[1].samples.mean(axis=0)
+    for k, one in enumerate(found.candidates):
+        for other in found.candidates[:k]:
+            T, S = one.T_base_target, other.T_base_target
+            angle = (T.rotation.inv() * S.rotation).magnitude()
+            assert angle > 0.13 or np.linalg.norm(T.apply(center) - S.apply(center)) > 0.4
+
+
+def test_what_a_prior_rules_out_is_not_handed_on(pair):
+    center = pair[1].samples.mean(axis=0)
+    sd = np.repeat([0.05, 0.1], 3)
+    near = PosePrior(10.0, T_TRUE * turn_about(center, np.full(6, 0.05)), sd)
+    assert invariant_search(*pair, near, SMALL, np.random.default_rng(0)).candidates
+    away = PosePrior(10.0, RigidTransform.from_translation([0, 0, 50.0]) * T_TRUE, sd)
+    for c in invariant_search(*pair, away, SMALL, np.random.default_rng(0)).candidates:
+        assert np.linalg.norm(c.T_base_target.apply(center) - away.T_base_target.apply(center)) < 3.5 * 3

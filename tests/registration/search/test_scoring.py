@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a pose scores, against its formula in NumPy, and whatever frames the two surveys are in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import chi2
+
+from hand_made import EARTH, box, prepared_map, seen_from, some_field, turn_about
+from magmatch.geometry import random_transform, rotation_matrix
+from magmatch.registration.search.scoring import expected_variance, mixture_ratio, score_poses, weigh_samples
+
+RNG = np.random.default_rng(0)
+FIELD = some_field(3, bend=0.0)  # linear: what is interpolated is exact, in every frame
+SD = 0.4e-6
+AXES = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+SD_TURN, SD_SHIFT, EPS = 0.05, 0.04, 0.3
+
+
+def pair_of(T_base_target=None, sd=SD):
+    rng = np.random.default_rng(1)
+    base = prepared_map(FIELD, box(rng, 200, (2.6, 2.2, 1.4)), rng, sd=sd, noise_sd=0.2e-6)
+    target = prepared_map(FIELD, box(rng, 80, (1.2, 1.0, 0.5)), rng, noise_sd=0.3e-6)
+    return base, target
+
+
+def score(base, target, poses, anchors, rows=None):
+    """Of poses that each turn about their own anchor."""
+    R = np.stack([rotation_matrix(T) for T in poses])
+    pb = np.stack([T.apply(a) for T, a in zip(poses, anchors, strict=True)])
+    rows = np.tile(np.arange(len(target.samples)), (len(poses), 1)) if rows is None else rows
+    evidence = weigh_samples(base, target)
+    return score_poses(R, pb, np.arange(len(poses)), anchors, rows, evidence, base, SD_TURN, SD_SHIFT, EPS)
+
+
+def some_poses(n=4, seed=2):
+    rng = np.random.default_rng(seed)
+    return [turn_about(np.zeros(3), np.append(0.1 * rng.normal(size=3), 0.1 * rng.normal(size=3))) for _ in range(n)]
+
+
+def test_a_score_is_the_sum_of_the_logarithms_of_its_formula():
+    base, target = pair_of()
+    poses, anchors = some_poses(), target.samples[:4]
+    e = weigh_samples(base, target)
+    expected = []
+    for T, anchor in zip(poses, anchors, strict=True):
+        r = target.sample_field @ rotation_matrix(T).T - FIELD.evaluate(T.apply(target.samples)).field
+        d2 = ((target.samples - anchor) ** 2).sum(axis=1)
+        V = e.noise_variance + SD**2 + (e.field_rms * SD_TURN) ** 2
+        V = np.minimum(V + e.gradient_rms**2 * (SD_SHIFT**2 + SD_TURN**2 * d2), e.deviation_variance)
+        L = e.deviation2 / (2 * e.deviation_variance) - (r**2).sum(axis=1) / (2 * V)
+        L = L + 1.5 * np.log(e.deviation_variance / V)
+        expected.append(np.log(EPS + (1 - EPS) * np.exp(L)).sum())
+    np.testing.assert_allclose(score(base, target, poses, anchors), expected, rtol=1e-9)
+
+
+def test_scores_are_unchanged_when_either_frame_turns():
+    base, target = pair_of()
+    poses, anchors = some_poses(), target.samples[:4]
+    here = score(base, target, poses, anchors)
+    rng = np.random.default_rng(5)
+    # The target's field is compared with its median of each component, which turns with its axes alone.
+    A, B = random_transform(rng), RigidTransform.from_components(rng.normal(size=3), Rotation.from_matrix(AXES))
+    there = seen_from(base, A, sd=SD), seen_from(target, B)
+    moved = [A * T * B.inv() for T in poses]
+    np.testing.assert_allclose(score(*there, moved, B.apply(anchors)), here, rtol=1e-6)
+    assert np.ptp(here) > 10
+
+
+def test_a_true_pose_scores_more_than_any_beside_it():
+    base, target = pair_of()
+    beside = [turn_about(np.zeros(3), s * xi) for xi in 0.3 * np.eye(6) for s in (1, -1)]
+    found = score(base, target, [RigidTransform.identity(), *beside], target.samples[:13])
+    assert found[0] > found[1:].max() + 1
+
+
+def test_samples_outside_the_base_say_nothing():
+    base, target = pair_of()
+    away = RigidTransform.from_translation([50.0, 0.0, 0.0])
+    assert score(base, target, [away], target.samples[:1]) == pytest.approx([0.0])
+    half = RigidTransform.from_translation([base.samples[:, 0].max() + 0.3, 0.0, 0.0])
+    is_inside = base.raster.lookup(half.apply(target.samples))[3]
+    assert 0.2 < is_inside.mean() < 0.8
+    rows = np.flatnonzero(is_inside)[None]
+    some = score(base, target, [half], target.samples[:1], rows)
+    np.testing.assert_allclose(score(base, target, [half], target.samples[:1]), some, rtol=1e-12)
+
+
+def test_many_samples_overflow_no_product():
+    base, target = pair_of(sd=0.0)
+    rows = np.tile(np.arange(len(target.samples)), (2, 60))
+    poses = [RigidTransform.identity(), turn_about(np.zeros(3), np.array([0, 0, 3.0, 0, 0, 0]))]
+    whole = score(base, target, poses, target.samples[:2], rows)
+    np.testing.assert_allclose(whole, 60 * score(base, target, poses, target.samples[:2]), rtol=1e-9)
+    assert whole[0] > 1000
+
+
+def test_scores_do_not_depend_on_the_unit_of_the_field():
+    base, target = pair_of()
+    poses, anchors = some_poses(), target.samples[:4]
+    evidence = weigh_samples(base, target)
+    scaled = [2.0 * v for v in (evidence.field_rms, evidence.gradient_rms)]
+    noise, sd, d2, V0, b2, r2 = 1e-13, 2e-7, 0.3, 1e-11, 3e-11, 1e-11
+    V = expected_variance(noise, sd, d2, SD_TURN, SD_SHIFT, evidence.field_rms, evidence.gradient_rms, V0)
+    again = expected_variance(4 * noise, 2 * sd, d2, SD_TURN, SD_SHIFT, *scaled, 4 * V0)
+    assert again == pytest.approx(4 * V)
+    assert mixture_ratio(4 * r2, again, 4 * b2, 4 * V0, EPS) == pytest.approx(mixture_ratio(r2, V, b2, V0, EPS))
+    assert len(score(base, target, poses, anchors)) == 4
+
+
+def test_an_outlier_costs_no_more_than_its_share_and_a_pose_no_worse_than_an_unrelated_field():
+    assert mixture_ratio(1e9, 1.0, 0.0, 1.0, 0.3) == pytest.approx(0.3)
+    assert mixture_ratio(2.0, 1.0, 2.0, 1.0, 0.3) == pytest.approx(1.0)
+    assert expected_variance(1.0, 9.0, 1.0, 1.0, 1.0, 9.0, 9.0, 5.0) == 5.0
+
+
+def test_scales_are_those_of_the_samples():
+    """Of a target of normal vectors: V0 their variance, whatever one magnet adds, and what a turn does to them."""
+    base, target = pair_of()
+    rng = np.random.default_rng(6)
+    size = 5e-6
+    field = EARTH + size * rng.standard_normal((len(target.samples) * 50, 3))
+    calm = replace(target, samples=np.zeros_like(field), sample_field=field)
+    turned = 1e-3 * np.cross(rng.standard_normal(field.shape), field)
+    assert weigh_samples(base, calm).field_rms == pytest.approx(1e3 * np.sqrt((turned**2).mean()), rel=0.05)
+    magnet = field.copy()
+    magnet[:9] += 1e-3
+    e = weigh_samples(base, replace(calm, sample_field=magnet), cap=9.0)
+    assert e.deviation_variance == pytest.approx(size**2, rel=0.05)
+    assert e.deviation2.max() == pytest.approx(9 * e.deviation_variance)
+    assert np.median(e.deviation2) / e.deviation_variance == pytest.approx(chi2.median(3), rel=1e-3)
+    assert e.noise_variance == pytest.approx(0.2e-6**2 + 0.3e-6**2)
+    flat = replace(calm, sample_field=np.tile(EARTH, (len(field), 1)))
+    assert weigh_samples(base, flat).deviation_variance == e.noise_variance
+
+
+def test_a_shift_moves_the_field_by_its_gradient():
+    base, target = pair_of()
+    moved = 1e-3 * np.random.default_rng(7).standard_normal((len(target.samples), 3))
+    change = np.einsum("nij,nj->ni", target.point_gradient, moved)
+    # A third more than the median gradient: some samples lie where it is steeper.
+    assert weigh_samples(base, target).gradient_rms == pytest.approx(1.3e3 * np.sqrt((change**2).mean()), rel=0.2)

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What speaks for a pose, term by term, and whatever frames and units the surveys are in."""
+
+from dataclasses import replace
+from math import comb
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import chi2
+
+from hand_made import box, prepared_map, seen_from, some_field, turn_about
+from magmatch.geometry import random_transform, rotation_matrix
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
+from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
+from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
+from magmatch.registration.weigh.evidence import (
+    CellComparison,
+    Change,
+    PoseEvidence,
+    agreeing_cells,
+    compare_cells,
+    null_model_of,
+    weigh_pose,
+)
+from magmatch.registration.weigh.null_model import average_cells
+
+FIELD = some_field(3, slope=10e-6, bend=0.0)  # linear: what is interpolated is exact, in every frame
+PRIOR = PosePrior(10.0)
+HERE = RigidTransform.identity()
+SD = 0.2e-6
+
+
+def pair_of(seed=0):
+    rng = np.random.default_rng(seed)
+    base = prepared_map(FIELD, box(rng, 300, (2.6, 2.2, 1.4)), rng, sd=SD, length=0.5)
+    return base, prepared_map(FIELD, box(rng, 300), rng, length=0.5)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return pair_of()
+
+
+def pose_at(base, target, T=HERE, mode="none"):
+    config = RefinementConfig(sensor=SensorConfig(mode=mode), n_steps=1)
+    found = refine(base, target, T, PRIOR, config, np.random.default_rng(0), -1 if mode == "none" else 3)
+    return replace(found, T_base_target=T, sensor=identical_sensors(config.sensor, -1 if mode == "none" else 3))
+
+
+def test_evidence_is_odds_of_the_cells_and_the_share_of_all_poses_that_the_estimate_fills(pair):
+    base, target = pair
+    pose, null = pose_at(base, target), null_model_of(base, target)
+    found = weigh_pose(base, target, pose, null, PRIOR)
+    seen = compare_cells(base, target, HERE, target.sample_field, null)
+    log_ratio, unexplained = null.log_ratio(seen.residual[seen.rows], seen.map_variance[seen.rows], seen.rows)
+    joint = joint_covariance(pose, 1.0)
+    # Laplace's approximation: (2 pi)^(6/2) sqrt(det C) times the prior's density; of the sensor, as a share.
+    scale = np.append(np.ones(6), pose.sensor_sd)
+    log_det = np.linalg.slogdet(joint / np.outer(scale, scale))[1]
+    price = 0.5 * log_det + 3 * np.log(2 * np.pi) - np.log(10.0 * 8 * np.pi**2)
+    assert found.log_evidence == pytest.approx(log_ratio + price)
+    assert found.unexplained == unexplained
+    np.testing.assert_array_equal(found.covariance, joint[:6, :6])
+
+
+def test_evidence_falls_by_half_the_sum_of_squares_of_what_the_sensors_must_differ(pair):
+    """A target read by another sensor, corrected for it: the same cells, less the price of such a sensor."""
+    base, target = pair
+    pose, null = pose_at(base, target, mode="scale"), null_model_of(base, target)
+    step = pose.sensor_sd * [0.5, -1.0, 2.0, 1.5]
+    sensor = pose.sensor.stepped(step)
+    read = replace(target, sample_field=target.sample_field @ sensor.gain.T + sensor.bias)
+    plain = weigh_pose(base, target, pose, null, PRIOR).log_evidence
+    priced = weigh_pose(base, read, replace(pose, sensor=sensor), null, PRIOR).log_evidence
+    assert plain - priced == pytest.approx(0.5 * (0.5**2 + 1 + 2**2 + 1.5**2), rel=1e-6)
+
+
+def test_a_prior_pays_for_the_search_by_its_own_density(pair):
+    base, target = pair
+    pose, null = pose_at(base, target), null_model_of(base, target)
+    wide = weigh_pose(base, target, pose, null, PosePrior(1000.0)).log_evidence
+    assert weigh_pose(base, target, pose, null, PRIOR).log_evidence - wide == pytest.approx(np.log(100))
+
+
+def test_evidence_does_not_change_with_the_frames(pair):
+    base, target = pair
+    T = turn_about(np.zeros(3), np.array([0.01, -0.02, 0.01, 0.02, 0.0, -0.01]))
+    here = weigh_pose(base, target, pose_at(base, target, T), null_model_of(base, target), PRIOR)
+    rng = np.random.default_rng(5)
+    # Cells are cubes of the target's model frame: it may change its axes, and its origin by whole cells.
+    axes = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    A, B = random_transform(rng), RigidTransform.from_components([1.0, -2.0, 3.0], axes)
+    base, target = seen_from(base, A, sd=SD), seen_from(target, B)
+    moved = A * T * B.inv()
+    there = weigh_pose(base, target, pose_at(base, target, moved), null_model_of(base, target), PRIOR)
+    assert there.log_evidence == pytest.approx(here.log_evidence, rel=1e-6)
+    for name in ("overlap", "residual", "misfit", "n_informative", "n_good"):
+        assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-6), name
+
+
+def test_evidence_does_not_change_with_the_unit_of_the_field(pair):
+    base, target = pair
+    here = weigh_pose(base, target, pose_at(base, target), null_model_of(base, target), PRIOR)
+    unit = 100.0
+
+    def in_unit(m):
+        scale = np.append(np.full(3, unit), unit)
+        posterior = replace(m.posterior, constant=unit * m.posterior.constant, linear=unit * m.posterior.linear)
+        raster = replace(m.raster, values=m.raster.values * np.where(m.raster.values[..., 3:] < 0, 1.0, scale))
+        return replace(
+            m, posterior=posterior, raster=raster, sample_field=unit * m.sample_field, noise_sd=unit * m.noise_sd
+        )
+
+    base, target = in_unit(base), in_unit(target)
+    there = weigh_pose(base, target, pose_at(base, target), null_model_of(base, target), PRIOR)
+    assert there.log_evidence == pytest.approx(here.log_evidence, rel=1e-6)
+    assert (there.n_good, there.n_informative) == (here.n_good, here.n_informative)
+
+
+def test_a_right_pose_leaves_residuals_of_size_one_and_a_wrong_one_none_that_agree(pair):
+    base, target = pair
+    null = null_model_of(base, target)
+    right = weigh_pose(base, target, pose_at(base, target), null, PRIOR)
+    assert right.residual == pytest.approx(np.sqrt(0.3**2 / (2 * 0.3**2 + 0.2**2)), rel=0.1)
+    assert right.overlap == 1.0
+    assert right.good_share == 1.0
+    assert right.log_evidence > 50
+    turned = turn_about(np.zeros(3), np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0]))
+    wrong = weigh_pose(base, target, pose_at(base, target, turned), null, PRIOR)
+    assert wrong.log_evidence < 0
+    assert wrong.misfit > 5 * right.misfit
+
+
+def test_more_agreement_is_never_less_evidence(pair):
+    base, target = pair
+    pose, null = pose_at(base, target), null_model_of(base, target)
+    exact = FIELD.evaluate(target.samples).field
+    noise = target.sample_field - exact
+    noise = noise + 1e-6 * np.sin(4 * target.samples)
+    found = [
+        weigh_pose(base, replace(target, sample_field=exact + s * noise), pose, null, PRIOR) for s in (9, 4, 2, 1, 0)
+    ]
+    odds = [e.log_evidence for e in found]
+    assert odds == sorted(odds)
+    assert [e.n_good for e in found] == sorted(e.n_good for e in found)
+
+
+def test_a_pose_off_the_map_has_neither_cells_nor_evidence(pair):
+    base, target = pair
+    away = pose_at(base, target, RigidTransform.from_translation([30.0, 0, 0]))
+    found = weigh_pose(base, target, away, null_model_of(base, target), PRIOR)
+    assert found.log_evidence == -np.inf
+    assert (found.overlap, found.n_informative, found.good_share) == (0.0, 0, 0.0)
+
+
+def test_cells_compare_the_turned_field_with_the_bases_where_all_their_samples_are_known(pair):
+    base, target = pair
+    T = turn_about(np.zeros(3), np.array([0.1, -0.2, 0.3, 0.9, 0.2, 0.1]))
+    null = null_model_of(base, target)
+    seen = compare_cells(base, target, T, target.sample_field, null)
+    x = T.apply(target.samples)
+    np.testing.assert_array_equal(seen.is_known, base.raster.lookup(x)[3])
+    assert 0.3 < seen.is_known.mean() < 0.99
+    residual = target.sample_field @ rotation_matrix(T).T - FIELD.evaluate(x).field
+    for k in range(len(null.cells.counts)):
+        inside = null.cells.cell == k
+        assert (k in seen.rows) == seen.is_known[inside].all()
+        if k in seen.rows:
+            np.testing.assert_allclose(seen.residual[k], residual[inside].mean(axis=0), atol=1e-16)
+            np.testing.assert_allclose(seen.map_variance[k], SD**2, rtol=1e-9)
+    known = seen.is_known
+    expected = (residual[known] ** 2).sum(axis=1) / (2 * 0.3e-6**2 + SD**2)
+    np.testing.assert_allclose(seen.sample_chi2[known], expected, rtol=1e-6)
+
+
+def test_a_cells_mean_is_as_noisy_as_both_surveys_and_never_better_than_a_tenth_of_that(pair):
+    base, target = pair
+    null = null_model_of(base, replace(target, noise_sd=0.4e-6))
+    np.testing.assert_allclose(null.noise, (0.3**2 + 0.4**2) * 1e-12 * (1 / null.cells.counts + 0.1), rtol=1e-9)
+    longer = null_model_of(replace(base, correlation_length=0.4), target)
+    assert len(longer.cells.counts) == len(average_cells(target.samples, 0.4).counts)
+
+
+def test_cells_are_counted_by_what_stands_out_agrees_and_disagrees(pair):
+    """Cells whose residuals are set by hand, in units of what their field stands out by."""
+    base, target = pair
+    null = null_model_of(base, target)
+    c = null.cells
+    n2 = ((null.field - null.field.mean(axis=0)) ** 2).sum(axis=1)
+    rng = np.random.default_rng(6)
+    size = np.sqrt(n2 * rng.choice([0.05, 0.15, 0.2, 0.3, 0.5], len(n2)))
+    exact = FIELD.evaluate(target.samples).field
+    field = exact + (size / np.sqrt(3))[c.cell][:, None]
+    found = weigh_pose(base, replace(target, sample_field=field), pose_at(base, target), null, PRIOR)
+    r2 = size**2
+    V = np.maximum(null.noise + SD**2, np.median(r2) / chi2.median(3))
+    stands_out = n2 > 9 * V
+    assert found.n_informative == stands_out.sum() > 5
+    assert found.n_good == (stands_out & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()
+    assert found.misfit == pytest.approx(np.sqrt(np.mean(r2 / (3 * (null.noise + SD**2)))), rel=1e-4)
+
+
+def test_choosing_cells_costs_the_logarithm_of_how_many_choices_there_are(pair):
+    base, target = pair
+    null = null_model_of(base, target)
+    n = len(null.cells.counts)
+    residual = 1e-8 * np.random.default_rng(7).standard_normal((n, 3))
+    changed = np.random.default_rng(8).permutation(n)[: n // 3]
+    residual[changed] += 20e-6
+    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.zeros(n))
+    rows, log_ratio, price = agreeing_cells(seen, null, (1.0, 0.7, 0.5))
+    assert not set(rows) & set(changed)
+    assert len(rows) in (round(0.7 * n), round(0.5 * n))
+    assert price == pytest.approx(np.log(comb(n, len(rows))))
+    of_them = null.log_ratio(residual[rows], np.zeros(len(rows)), rows)[0]
+    assert log_ratio == pytest.approx(of_them - price)
+    worst = (residual[rows] ** 2).sum(axis=1) / null.noise[rows]
+    rest = np.setdiff1d(np.arange(n), rows)
+    assert worst.max() <= ((residual[rest] ** 2).sum(axis=1) / null.noise[rest]).min()
+    nothing = replace(seen, rows=np.zeros(0, dtype=int))
+    assert agreeing_cells(nothing, null)[1] == -np.inf
+
+
+@pytest.mark.parametrize("spread", [1e-7, 1e-6, 3e-6])
+def test_of_all_shares_the_one_is_chosen_whose_odds_pay_best_for_the_choice(pair, spread):
+    base, target = pair
+    null = null_model_of(base, target)
+    n = len(null.cells.counts)
+    residual = spread * np.random.default_rng(9).standard_normal((n, 3))
+    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.full(n, spread**2))
+    shares = (1.0, 0.9, 0.7, 0.5)
+    each = [agreeing_cells(seen, null, (share,)) for share in shares]
+    best = agreeing_cells(seen, null, shares)
+    assert best[1] == max(odds for _, odds, _ in each)
+    # Cells that agree alike are all counted: the choice would cost more than it brings.
+    assert len(best[0]) == n
+
+
+def test_beside_a_change_its_own_odds_stand_for_the_cells_and_its_field_is_taken_off(pair):
+    base, target = pair
+    pose, null = pose_at(base, target), null_model_of(base, target)
+    change = 5e-6 * np.sin(3 * target.samples)
+    rows = np.arange(0, len(null.cells.counts), 2)
+    changed = replace(target, sample_field=target.sample_field + change)
+    plain = weigh_pose(base, target, pose, null, PRIOR)
+    beside = weigh_pose(base, changed, pose, null, PRIOR, Change(change, rows, 0.5, 77.0))
+    ratio = null.log_ratio(*of_all(base, target, null))[0]
+    assert beside.log_evidence - 77.0 == pytest.approx(plain.log_evidence - ratio)
+    assert (beside.unchanged, beside.is_beside_change, plain.unchanged) == (0.5, True, 1.0)
+    assert beside.misfit == pytest.approx(plain.misfit, rel=0.3)
+    assert beside.n_informative <= len(rows)
+
+
+def of_all(base, target, null):
+    seen = compare_cells(base, target, HERE, target.sample_field, null)
+    return seen.residual[seen.rows], seen.map_variance[seen.rows], seen.rows
+
+
+def test_the_whole_covariance_holds_the_drift_of_both_surveys():
+    blocks_of = np.diag(np.arange(1.0, 10.0))
+    base, target = pair_of(1)
+    pose = pose_at(base, target)
+    blocks = tuple(replace(b, drift=blocks_of) for b in pose.blocks)
+    pose = replace(pose, blocks=blocks)
+    C = np.eye(6)
+    e = PoseEvidence(pose, C, 1.0, 4, 3, 0.0, 0.1, 1.0, 1.0)
+    np.testing.assert_allclose(e.whole_covariance, C + drift_covariance(pose))
+    assert e.good_share == 0.75
+    assert replace(e, covariance=None).whole_covariance is None
+    assert isinstance(pose, RefinedPose)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What speaks for a walk's pose, term by term, against dense normal densities."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import RigidTransform
+from scipy.stats import multivariate_normal
+
+from hand_made import prepared_map, seen_from, some_field, turn_about
+from magmatch.geometry import random_transform
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.weigh.line_evidence import LineConfig, UnrelatedWalk, weigh_walk
+
+LENGTH, SD = 0.8, 0.1e-6
+FIELD = some_field(3, slope=10e-6, bend=6e-6)
+NOISE = PathNoise(0.4e-6, 0.8, 0.2e-6, 0.2e-6, 1.0, 0.8, 0.005, 0.01, 3.0, spread=0.4, n_stretches=9)
+PRIOR = PosePrior(20.0)
+HERE = RigidTransform.identity()
+CONFIG = LineConfig()
+
+
+def some_path(n=24):
+    t = np.linspace(0, 1, n)
+    return np.stack([2.2 * t - 1.1, 0.7 * np.sin(4 * t), 0.3 * np.cos(5 * t)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def base():
+    x = some_path(200)
+    return prepared_map(FIELD, x, sd=SD, noise_sd=0.2e-6, spacing=0.05)
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """With errors as its noise draws them."""
+    x = some_path()
+    values = FIELD.evaluate(x, 1)
+    C = NOISE.full(cdist(x, x), np.full(len(x), SD), values.gradient, values.field)
+    error = np.linalg.cholesky(C) @ np.random.default_rng(0).standard_normal(3 * len(x))
+    return Walk(HERE, x, values.field + error.reshape(-1, 3), np.ones(len(x)))
+
+
+def weighed(base, walk, T=HERE, noise=NOISE, prior=PRIOR, config=CONFIG):
+    return weigh_walk(base, walk, [T], noise, LENGTH, prior, config)[0]
+
+
+def outside(walk, n):
+    """The walk with its last bins far from the map; its field there is that of the map's end."""
+    x = walk.positions.copy()
+    x[-n:] += np.array([0.0, 0.0, 5.0]) + np.linspace(0, 1, n)[:, None] * [0.5, 0, 0]
+    return replace(walk, positions=x)
+
+
+def test_evidence_is_that_of_dense_normal_densities_and_laplaces_approximation(base, walk):
+    found = weighed(base, walk)
+    T, x, n = found.T_base_walk, walk.positions, len(walk)
+    seen = FIELD.evaluate(T.apply(x), 1).rotated(T.inv())
+    d = cdist(x, x)
+    C = NOISE.full(d, np.full(n, SD), seen.gradient, seen.field)
+    r = (walk.field - seen.field).ravel()
+    chi2 = r @ np.linalg.solve(C, r)
+    factor, log_likelihood = NOISE.most_likely_factor(chi2, 3 * n - 6)
+    null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
+    price = 0.5 * np.linalg.slogdet(2 * np.pi * found.covariance)[1] - np.log(20.0 * 8 * np.pi**2)
+    expected = log_likelihood - 0.5 * np.linalg.slogdet(C)[1] - null + price
+    # The last steps see the map's gradient through its raster's cells no more; its field they see exactly.
+    assert found.log_evidence == pytest.approx(expected, abs=0.3)
+    assert found.residual == pytest.approx(np.sqrt(chi2 / (3 * n - 6)), rel=0.02)
+    assert found.coverage == 1.0
+    assert found.log_density == pytest.approx(found.log_evidence + null)
+    assert factor == pytest.approx(1.0, abs=0.5)
+
+
+def test_the_estimate_is_that_of_generalised_least_squares_and_its_covariance_too(base, walk):
+    """Gauss-Newton by numerical derivatives, with the data's own factor and the search's own spread."""
+    found = weighed(base, walk)
+    x, n, c = walk.positions, len(walk), found.center
+
+    def residual(xi):
+        T = found.T_base_walk * turn_about(c, xi)
+        return (walk.field - FIELD.evaluate(T.apply(x)).field @ T.rotation.as_matrix()).ravel()
+
+    steps = 1e-5 * np.eye(6)
+    J = np.stack([(residual(e) - residual(-e)) / 2e-5 for e in steps], axis=1)
+    T = found.T_base_walk
+    seen = FIELD.evaluate(T.apply(x), 1).rotated(T.inv())
+    C = NOISE.full(cdist(x, x), np.full(n, SD), seen.gradient, seen.field)
+    free = np.diag(np.repeat([0.5, 1.5 * LENGTH], 3) ** -2.0)
+    A = J.T @ np.linalg.solve(C, J) + free
+    r = residual(np.zeros(6))
+    xi = -np.linalg.solve(A, J.T @ np.linalg.solve(C, r))
+    sd = np.sqrt(np.diag(np.linalg.inv(A)))
+    assert np.abs(xi / sd).max() < 0.1
+    factor, _ = NOISE.most_likely_factor(r @ np.linalg.solve(C, r), 3 * n - 6)
+    np.testing.assert_allclose(found.covariance, factor * np.linalg.inv(A), atol=0.03 * np.outer(sd, sd).max())
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), np.sqrt(factor) * sd, rtol=0.03)
+    assert np.abs(np.concatenate([(T.apply(c) - c) / sd[3:], T.rotation.as_rotvec() / sd[:3]])).max() < 4
+
+
+@pytest.mark.parametrize("n", [0, 6])
+def test_path_outside_the_map_costs_its_length_and_nothing_else_is_known_of_it(base, walk, n):
+    walk = outside(walk, n) if n else walk
+    free, priced = (weighed(base, walk, config=LineConfig(price_outside=p)) for p in (0.0, 3.0))
+    assert free.is_covered.sum() == len(walk) - n
+    assert free.coverage == pytest.approx(1 - n / len(walk))
+    assert free.log_evidence - priced.log_evidence == pytest.approx(3.0 * n * walk.bin_length / LENGTH, rel=1e-9)
+
+
+def test_bins_outside_the_map_change_neither_pose_nor_residual(base, walk):
+    rng = np.random.default_rng(1)
+    far = outside(walk, 6)
+    field = far.field.copy()
+    field[-6:] += 3e-6 * rng.standard_normal((6, 3))
+    one, other = (weighed(base, w) for w in (far, replace(far, field=field)))
+    np.testing.assert_allclose(one.T_base_walk.as_matrix(), other.T_base_walk.as_matrix(), atol=1e-6)
+    assert one.residual == pytest.approx(other.residual, rel=1e-3)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=0.05, atol=1e-9)
+
+
+def test_evidence_does_not_change_with_the_frames(base, walk):
+    rng = np.random.default_rng(2)
+    A, B = random_transform(rng), random_transform(rng)
+    moved = replace(walk, positions=B.apply(walk.positions), field=B.rotation.apply(walk.field))
+    here, there = weighed(base, walk), weighed(seen_from(base, A, spacing=0.05, sd=SD), moved, A * B.inv())
+    assert there.log_evidence == pytest.approx(here.log_evidence, abs=0.01)
+    back = A.inv() * there.T_base_walk * B
+    np.testing.assert_allclose(back.as_matrix(), here.T_base_walk.as_matrix(), atol=1e-5)
+    Q = np.kron(np.eye(2), B.rotation.as_matrix())
+    np.testing.assert_allclose(there.covariance, Q @ here.covariance @ Q.T, atol=1e-3 * np.abs(here.covariance).max())
+
+
+def test_more_noise_than_expected_widens_the_covariance_and_less_narrows_it_only_where_it_was_learned(base, walk):
+    exact = FIELD.evaluate(walk.positions).field
+    calm = replace(walk, field=exact + 0.2 * (walk.field - exact))
+    wild = replace(walk, field=exact + 2.0 * (walk.field - exact))
+    guess = replace(NOISE, n_stretches=0)
+    spread = {
+        (name, noise.is_learned): np.trace(weighed(base, w, noise=noise).covariance[3:, 3:])
+        for name, w in (("calm", calm), ("as expected", walk), ("wild", wild))
+        for noise in (NOISE, guess)
+    }
+    assert spread["calm", True] < 0.7 * spread["as expected", True] < 0.7 * spread["wild", True]
+    assert spread["calm", False] > 1.4 * spread["calm", True]
+    assert spread["wild", False] == pytest.approx(spread["wild", True])
+
+
+def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk):
+    field = walk.field.copy()
+    field[8:11] += [4e-6, -3e-6, 3e-6]
+    disturbed = replace(walk, field=field)
+    plain = LineConfig(max_strained_share=0.0)
+    kept, strained = weighed(base, disturbed, config=plain), weighed(base, disturbed)
+    assert strained.log_evidence > kept.log_evidence + 10
+    assert strained.residual < 0.7 * kept.residual
+    free = weighed(base, disturbed, config=LineConfig(price_piece=0.0))
+    n_strained = (free.log_evidence - strained.log_evidence) / (3.0 / 5)
+    assert n_strained == pytest.approx(round(n_strained), abs=1e-6)
+    assert 3 <= round(n_strained) <= 0.3 * len(walk) + 0.5
+    assert weighed(base, walk).log_evidence == pytest.approx(weighed(base, walk, config=plain).log_evidence)
+
+
+def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):
+    found = weighed(base, walk)
+    assert weighed(base, walk, prior=PosePrior(2.0)).log_evidence - found.log_evidence == pytest.approx(np.log(10))
+    tight = PosePrior(20.0, found.T_base_walk * turn_about(found.center, np.full(6, 0.01)), np.full(6, 1e-5))
+    held = weighed(base, walk, prior=tight)
+    step = held.T_base_walk.inv() * tight.T_base_target
+    assert np.abs(step.apply(found.center) - found.center).max() < 1e-4
+
+
+def test_best_comes_first_and_poses_with_too_little_inside_are_left_out(base, walk):
+    beside = turn_about(np.zeros(3), np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+    away = RigidTransform.from_translation([9.0, 0.0, 0.0])
+    found = weigh_walk(base, walk, [beside, away, HERE], NOISE, LENGTH, PRIOR, CONFIG)
+    assert [e.log_evidence for e in found] == sorted((e.log_evidence for e in found), reverse=True)
+    assert len(found) <= 2
+    assert found[0].T_base_walk.rotation.magnitude() < 0.05
+    assert weigh_walk(base, walk, [], NOISE, LENGTH, PRIOR, CONFIG) == []
+    short = replace(walk, positions=walk.positions[:7], field=walk.field[:7], counts=walk.counts[:7])
+    assert weigh_walk(base, short, [HERE], NOISE, LENGTH, PRIOR, CONFIG) == []
+    assert weigh_walk(base, outside(walk, 17), [HERE], NOISE, LENGTH, PRIOR, CONFIG) == []
+
+
+def test_an_unrelated_walk_is_the_most_likely_of_smooth_fields_about_nothing(walk):
+    d = cdist(walk.positions, walk.positions)
+    null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH)
+    spread2 = walk.field.var(axis=0).mean() + NOISE.nugget_sd**2
+    constant = (walk.field**2).mean()
+    tried = []
+    for factor in (0.55, 0.8, 1.2, 1.7, 2.6):
+        for strength in (0.5, 1.0, 2.0, 4.0):
+            K = strength**2 * spread2 / (1 + d**2 / (2 * (factor * LENGTH) ** 2)) + constant
+            K = 1e12 * (K + NOISE.nugget_sd**2 * np.eye(len(d)))
+            tried.append(multivariate_normal(np.zeros(len(d)), K).logpdf(1e6 * walk.field.T).sum())
+    # In microtesla, and with the factor of 2 pi.
+    constant = 3 * len(d) * (0.5 * np.log(2 * np.pi) + np.log(1e6))
+    assert null.log_likelihood(np.ones(len(d), dtype=bool)) == pytest.approx(max(tried) + constant, rel=1e-9)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What unrelated fields look like: dense normal densities, and odds that are no better than even under the null."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from magmatch.registration.weigh.null_model import (
+    LENGTHSCALES,
+    ROUGHNESS,
+    STRENGTHS,
+    CellMeans,
+    NullModel,
+    average_cells,
+    fit_null_model,
+)
+
+RNG = np.random.default_rng(0)
+
+
+def cells_of(n, seed=0):
+    centers = np.random.default_rng(seed).uniform(0, 3, (n, 3))
+    return CellMeans(np.arange(n), np.ones(n), centers)
+
+
+def rational_quadratic(centers, length, variance):
+    d2 = ((centers[:, None] - centers) ** 2).sum(axis=2)
+    return variance / (1 + d2 / (2 * length**2))
+
+
+def model_of(n=12, noise=1e-14, variance=2.5e-11, length=0.5, roughness=0.0, seed=0):
+    cells = cells_of(n, seed)
+    K = rational_quadratic(cells.centers, length, variance)
+    field = np.linalg.cholesky(K + noise * np.eye(n)) @ np.random.default_rng(seed).standard_normal((n, 3))
+    return NullModel(cells, 3e-5 + field, K, np.full(n, noise), roughness)
+
+
+def test_cells_are_means_of_their_samples():
+    x = RNG.uniform(-2, 2, (200, 3))
+    cells = average_cells(x, 1.0)
+    keys = [tuple(c) for c in np.floor(x).astype(int)]
+    values = RNG.normal(size=(200, 2))
+    assert len(cells.counts) == len(set(keys))
+    for k in range(len(cells.counts)):
+        rows = np.flatnonzero(cells.cell == k)
+        assert len({keys[r] for r in rows}) == 1
+        assert cells.counts[k] == len(rows)
+        np.testing.assert_allclose(cells.centers[k], x[rows].mean(axis=0))
+        np.testing.assert_allclose(cells.mean(values)[k], values[rows].mean(axis=0))
+        np.testing.assert_array_equal(cells.holds(np.array([k])), cells.cell == k)
+    assert not cells.holds(np.zeros(0, dtype=int)).any()
+
+
+def test_of_too_many_cells_an_even_choice_is_kept_and_samples_of_the_others_belong_to_none():
+    x = np.stack([np.arange(400) + 0.5, np.zeros(400), np.zeros(400)], axis=1)
+    cells = average_cells(x, 1.0)
+    kept = cells.centers[:, 0]
+    assert len(kept) == 150
+    assert np.ptp(np.diff(kept)) <= 1
+    assert {kept.min(), kept.max()} == {0.5, 399.5}
+    assert (cells.cell < 0).sum() == 250
+    assert cells.holds(np.arange(150)).sum() == 150
+
+
+def test_the_most_likely_field_is_chosen_by_its_density_about_its_most_likely_constant():
+    rng = np.random.default_rng(1)
+    cells, noise = cells_of(14, 2), np.full(14, 2e-14) * np.random.default_rng(3).uniform(0.5, 2, 14)
+    K = rational_quadratic(cells.centers, 0.9, 3e-11)
+    field = 4e-5 + np.linalg.cholesky(K) @ rng.standard_normal((14, 3))
+    variance, tried = field.var(axis=0).mean(), {}
+    for factor, strength, rough in product(LENGTHSCALES, STRENGTHS, ROUGHNESS):
+        C = rational_quadratic(cells.centers, factor * 0.6, strength**2 * variance)
+        total = C + np.diag(noise + rough**2 * variance)
+        weights = np.linalg.solve(total, np.ones(14))
+        left = field - weights @ field / weights.sum()
+        density = multivariate_normal(np.zeros(14), 1e12 * total).logpdf(1e6 * left.T).sum()
+        tried[density] = C, rough**2 * variance
+    found = fit_null_model(cells, field, noise, 0.6)
+    np.testing.assert_allclose(found.covariance, tried[max(tried)][0], rtol=1e-9)
+    assert found.roughness == pytest.approx(tried[max(tried)][1])
+
+
+def test_a_constant_field_more_changes_nothing():
+    cells, noise = cells_of(10), np.full(10, 1e-14)
+    field = 5e-6 * RNG.standard_normal((10, 3))
+    one, other = (fit_null_model(cells, field + c, noise, 0.6) for c in (0.0, 7e-5))
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-6)
+    model = replace(model_of(), roughness=1e-13)
+    residual, extra, rows = 1e-7 * RNG.standard_normal((12, 3)), np.full(12, 1e-15), np.arange(12)
+    shifted = replace(model, field=model.field + 7e-5)
+    assert shifted.log_ratio(residual, extra, rows)[0] == pytest.approx(model.log_ratio(residual, extra, rows)[0])
+
+
+def test_odds_do_not_depend_on_the_unit_of_the_field():
+    model = replace(model_of(), roughness=2e-13)
+    unit = 1e6
+    same = NullModel(
+        model.cells, unit * model.field, unit**2 * model.covariance, unit**2 * model.noise, unit**2 * 2e-13
+    )
+    residual, extra, rows = 3e-7 * RNG.standard_normal((12, 3)), np.full(12, 1e-15), np.arange(3, 12)
+    expected = model.log_ratio(residual[rows], extra[rows], rows)
+    found = same.log_ratio(unit * residual[rows], unit**2 * extra[rows], rows)
+    assert found == pytest.approx(expected)
+
+
+def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers():
+    """Two cells: their difference is the one mode that the constant leaves."""
+    noise, strong = 1e-14, 4e-11
+    cells = CellMeans(np.arange(2), np.ones(2), np.array([[0, 0, 0], [50.0, 0, 0]]))
+    field = np.array([[6e-6, -2e-6, 1e-6], [-6e-6, 2e-6, -1e-6]])
+    model = NullModel(cells, field, strong * np.eye(2), np.full(2, noise), 0.0)
+    residual = np.array([[1e-7, 0, 0], [0, -1e-7, 0]])
+    found, share = model.log_ratio(residual, np.zeros(2), np.arange(2))
+    strengths, unexplained = np.geomspace(1e-3, 10, 17), np.geomspace(1e-4, 1, 17)
+    # Modes of equal cells: any two that are orthogonal; their sum of squares is what counts.
+    b2, r2 = (((v / np.sqrt(noise)) ** 2).sum(axis=1) for v in (field, residual))
+    k_all = strong / noise * strengths[:, None] + 1
+    k = strong / noise * strengths[np.argmax(-(b2 / (2 * k_all) + 1.5 * np.log(k_all)).sum(axis=1))] + 1
+    totals = []
+    for s in unexplained:
+        v = min(k, 1 + s * field.var(axis=0).mean() / noise)
+        L = np.minimum(b2, 9 * k) / (2 * k) - r2 / (2 * v) + 1.5 * np.log(k / v)
+        totals.append(np.log(0.1 + 0.9 * np.exp(L)).sum() if v < 0.8 * k else 0.0)
+    assert found == pytest.approx(max(totals), rel=1e-9)
+    assert share == pytest.approx(unexplained[int(np.argmax(totals))])
+
+
+def test_less_residual_is_never_less_odds_and_an_uncertain_base_counts_less():
+    model, rows = model_of(20, seed=4), np.arange(20)
+    residual = 2e-7 * np.random.default_rng(5).standard_normal((20, 3))
+    odds = [model.log_ratio(s * residual, np.zeros(20), rows)[0] for s in (10.0, 3.0, 1.0, 0.3, 0.0)]
+    assert odds == sorted(odds)
+    assert odds[-1] > odds[0] + 100
+    unsure = [model.log_ratio(0 * residual, np.full(20, v), rows)[0] for v in (0.0, 1e-12, 1e-9)]
+    assert unsure == sorted(unsure, reverse=True)
+    assert abs(unsure[-1]) < 1
