@@ -13,7 +13,6 @@ import numpy as np
 from magmatch.data.recordings import load_recordings
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.region_model import fit_splines
 from magmatch.threads import single_threaded
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import UT, arguments, rmse_ut
@@ -105,7 +104,7 @@ def timed(x, b, q):
     h = prior.choose_hyperparameters(x, b)
     t.append(clock())
     model = prior.build(x, b, h)
-    posterior = fit_splines(model, x, b)
+    posterior = model.fit(x, b, {}, map)
     t.append(clock())
     posterior.evaluate(q, 1)
     t.append(clock())

@@ -16,8 +16,9 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.field.comparison import choose_prior
 from magmatch.field.config import FieldConfig
+from magmatch.field.prior_choice.choose_prior import choose_prior
+from magmatch.field.prior_choice.numbers import choose_numbers
 from magmatch.field.priors import PRIORS
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import INSIDE_CLEARANCE, build_scene
@@ -117,7 +118,7 @@ def fitted(samples: Survey, name: str, T: RigidTransform):
         name, prior = f"auto: {config.prior}", PRIORS[config.prior]
     else:
         prior = PRIORS[name]
-        h = prior.choose_hyperparameters(samples.positions, samples.field)
+        h = choose_numbers(prior, samples, FieldConfig())
     model = prior.build(samples.positions, samples.field, h)
     return name, h, model.infer(model.observe(samples.positions, samples.field))
 

@@ -14,6 +14,7 @@ from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid
 from magmatch.field.inducing.inducing_model import InducingModel
@@ -227,7 +228,7 @@ def test_draws_scatter_as_the_posterior_says(posterior):
 
 def test_spread_fits_the_errors(dipoles_at, room):
     points, field = room(seed=2, n=600)
-    h = PRIOR.choose_hyperparameters(points, field)
+    h = calibrated(PRIOR, points, field, PRIOR.choose_hyperparameters(points, field))
     model = PRIOR.build(points, field, h)
     posterior = model.infer(model.observe(points, field))
     x = np.random.default_rng(5).uniform(0.1, [1.9, 1.4, 0.7], size=(300, 3))

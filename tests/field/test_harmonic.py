@@ -12,6 +12,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.equivalent_sources.charges import charge_design, charge_field
 from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
 
 EARTH = np.array([18e-6, 2e-6, -44e-6])
@@ -75,7 +76,7 @@ def test_the_number_of_charges_is_bounded_whatever_is_asked():
 def test_a_declared_box_is_kept_free_of_charges():
     T = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_rotvec([0.0, 0.0, 0.6]))
     box = Box(np.array([-0.5, -0.5, -0.5]), np.array([3.0, 2.0, 1.5]), T)
-    model = HarmonicPrior().build(*room(), H, box)
+    model = HarmonicPrior(box=box).build(*room(), H)
     p_box = T.apply(model.basis.sources)
     beyond = np.linalg.norm(np.maximum(np.maximum(box.low - p_box, p_box - box.high), 0), axis=1)
     assert beyond.min() > 0.25
@@ -86,7 +87,7 @@ def test_a_declared_box_is_kept_free_of_charges():
 
 def test_a_huge_box_takes_a_coarser_layer_not_the_machine():
     box = Box(np.full(3, -1e4), np.full(3, 1e4), RigidTransform.identity())
-    model = HarmonicPrior(HarmonicConfig(max_sources=500)).build(*room(), H, box)
+    model = HarmonicPrior(HarmonicConfig(max_sources=500), box).build(*room(), H)
     assert model.basis.n_weights <= 500
     assert model.basis.distance > 100
 
@@ -106,9 +107,10 @@ def test_the_field_above_a_plane_is_found():
 def test_numbers_are_deterministic_and_follow_the_units():
     points, field = room(300)
     prior = HarmonicPrior()
-    h = prior.choose_hyperparameters(points, field)
-    assert h == prior.choose_hyperparameters(points, field)
-    scaled = prior.choose_hyperparameters(points * 10, field * 1e3)
+    h, again = (calibrated(prior, points, field, prior.choose_hyperparameters(points, field)) for _ in range(2))
+    assert h == again
+    points, field = points * 10, field * 1e3
+    scaled = calibrated(prior, points, field, prior.choose_hyperparameters(points, field))
     np.testing.assert_allclose(
         [scaled.lengthscale, scaled.signal_sd, scaled.noise_sd, scaled.inflation],
         [10 * h.lengthscale, 1e3 * h.signal_sd, 1e3 * h.noise_sd, h.inflation],

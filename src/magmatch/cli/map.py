@@ -20,9 +20,9 @@ from magmatch.data.units import field_text
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
+    from magmatch.field.linear_model import Runner
     from magmatch.field.map import FieldMap
     from magmatch.field.tiles.tile_fit import TileTask
-    from magmatch.field.tiles.tiled_model import Runner
     from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from magmatch.field.tiles.tiled_model import Runner
+    from magmatch.field.linear_model import Runner
 
 
 @contextmanager

@@ -2,12 +2,13 @@
 """The box that a map is declared for, as a prior sees it."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_points
-from magmatch.typing import Points
+from magmatch.typing import Mask, Points
 
 # Most points that stand for a box.
 _N_LATTICE = 50_000
@@ -28,6 +29,19 @@ class Box:
     low: np.ndarray
     high: np.ndarray
     T_box_model: RigidTransform
+
+    @classmethod
+    def declared(cls, domain: tuple[float, ...] | None, T_domain_model: RigidTransform | None) -> Self | None:
+        """Box of a configuration's ``domain``, whose axes are the model's unless stated."""
+        if domain is None:
+            return None
+        T = RigidTransform.identity() if T_domain_model is None else T_domain_model
+        return cls(np.array(domain[:3]), np.array(domain[3:]), T)
+
+    def contains(self, points: Points) -> Mask:
+        """Whether points (model frame) lie in the box."""
+        p = transform_points(points, self.T_box_model)
+        return np.asarray(np.all((p >= self.low) & (p <= self.high), axis=1), dtype=np.bool_)
 
     def lattice_step(self, wished: float) -> float:
         """Distance of the lattice's points that can be afforded, m."""

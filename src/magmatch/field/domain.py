@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map that is declared for a box: inside it is what its model says, outside it falls back to the prior."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
+from magmatch.field.box import Box
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, Posterior
+from magmatch.field.linear_model import Axes, Index, Posterior
 from magmatch.field.values import FieldValues
-from magmatch.geometry import transform_points
 from magmatch.typing import Mask, Points, Scalars
 
 # So far from any sample that every prior is back to itself, m.
@@ -20,22 +19,10 @@ NOWHERE = 1e7
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoundedPosterior:
-    """A posterior within a box; fills `magmatch.field.linear_model.Posterior`.
-
-    Attributes
-    ----------
-    inner : Posterior
-        What holds inside.
-    low, high : (3,) array, m
-        Corners of the box.
-    T_domain_model : RigidTransform
-        Takes model coordinates to those of the box.
-    """
+    """A posterior within a box; fills `magmatch.field.linear_model.Posterior`."""
 
     inner: Posterior
-    low: np.ndarray
-    high: np.ndarray
-    T_domain_model: RigidTransform
+    box: Box
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -47,10 +34,10 @@ class BoundedPosterior:
         """Of the inner model."""
         return self.inner.weights
 
-    def contains(self, points: Points) -> Mask:
-        """Whether points (model frame) lie in the box."""
-        p = transform_points(points, self.T_domain_model)
-        return np.asarray(np.all((p >= self.low) & (p <= self.high), axis=1), dtype=np.bool_)
+    @property
+    def weights_by_tile(self) -> Mapping[Index, Scalars]:
+        """Of the inner model."""
+        return self.inner.weights_by_tile
 
     def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
         """See `Posterior.evaluate`."""
@@ -59,7 +46,7 @@ class BoundedPosterior:
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
         """See `Posterior.evaluate_on_grid`; point by point where the grid leaves the box."""
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        if self.contains(points).all():
+        if self.box.contains(points).all():
             return self.inner.evaluate_on_grid(axes, order)
         return self.evaluate(points, order)
 
@@ -70,7 +57,7 @@ class BoundedPosterior:
     def joint_covariance(self, points: Points) -> np.ndarray:
         """See `Posterior.joint_covariance`; points outside the box share nothing but the constant."""
         moved = self._or_nowhere(points)
-        outside = np.flatnonzero(~self.contains(points))
+        outside = np.flatnonzero(~self.box.contains(points))
         # Each to a nowhere of its own, so that they do not count as one place.
         moved[outside] *= 1 + np.arange(len(outside))[:, None]
         return self.inner.joint_covariance(moved)
@@ -85,11 +72,11 @@ class BoundedPosterior:
 
     def knows(self, points: Points) -> Mask:
         """See `Posterior.knows`."""
-        known: Mask = self.inner.knows(points) & self.contains(points)
+        known: Mask = self.inner.knows(points) & self.box.contains(points)
         return known
 
     def _or_nowhere(self, points: Points) -> Points:
         moved: Points = np.full_like(points, NOWHERE)
-        is_inside = self.contains(points)
+        is_inside = self.box.contains(points)
         moved[is_inside] = points[is_inside]
         return moved

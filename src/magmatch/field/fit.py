@@ -12,12 +12,8 @@ from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Posterior
-from magmatch.field.priors import PRIORS
-from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.region_model import StoredTile, fit_splines
-from magmatch.field.tiles.tiled_model import Runner, TiledModel
-from magmatch.field.tiles.tiles import Index
+from magmatch.field.linear_model import Index, Posterior, Prior, Runner, StoredTile
+from magmatch.field.priors import prior_over
 from magmatch.threads import single_threaded
 
 
@@ -52,22 +48,21 @@ def fit_posterior(
     Posterior
         In the model's frame; the same arguments give the same bits.
     """
-    box = declared_box(config, T_domain_model)
-    model = PRIORS[config.prior].build(samples.positions, samples.field, hyperparameters, box)
-    posterior: Posterior
-    if isinstance(model, SplineModel | TiledModel):
-        posterior = fit_splines(model, samples.positions, samples.field, stored, run)
-    else:
-        posterior = model.infer(model.observe(samples.positions, samples.field))
-    return posterior if box is None else BoundedPosterior(posterior, box.low, box.high, box.T_box_model)
+    box = Box.declared(config.domain, T_domain_model)
+    return within(box, fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), stored or {}, run))
 
 
-def declared_box(config: FieldConfig, T_domain_model: RigidTransform | None = None) -> Box | None:
-    """Box that a configuration declares, as the model sees it."""
-    if config.domain is None:
-        return None
-    low, high = np.array(config.domain[:3]), np.array(config.domain[3:])
-    return Box(low, high, RigidTransform.identity() if T_domain_model is None else T_domain_model)
+def fit_unbounded(
+    samples: Survey, hyperparameters: Hyperparameters, prior: Prior, stored: Mapping[Index, StoredTile], run: Runner
+) -> Posterior:
+    """Posterior of the field wherever the basis reaches."""
+    points, field = samples.positions, samples.field
+    return prior.build(points, field, hyperparameters).fit(points, field, stored, run)
+
+
+def within(box: Box | None, posterior: Posterior) -> Posterior:
+    """The posterior inside a box, its prior outside; unchanged without a box."""
+    return posterior if box is None else BoundedPosterior(posterior, box)
 
 
 def check_finite(survey: Survey) -> None:

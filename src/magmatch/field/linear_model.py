@@ -6,17 +6,30 @@ batch, recursive and merged inference agree whatever the order. Everything here 
 (the survey's principal axes); `FieldMap` does the turning.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
-from magmatch.field.box import Box
+from magmatch.errors import SurveyError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Points, Scalars, Vectors
 
 Axes = tuple[Scalars, Scalars, Scalars]
+# Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
+Index = tuple[int, int, int]
+# Applies a function to every task of a fit, results in the order of the tasks.
+Runner = Callable[[Callable[[Any], Scalars], Iterable[Any]], Iterable[Scalars]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredTile:
+    """Fitted weights of a tile, and the fingerprint of all that they follow from."""
+
+    weights: Scalars
+    fingerprint: str
 
 
 class Information(Protocol):
@@ -50,6 +63,10 @@ class LinearModel(Protocol[Data]):
         """Posterior of the weights given information (one factorisation)."""
         ...
 
+    def fit(self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Runner, /) -> "Posterior":
+        """Posterior of samples; stored tiles whose fingerprint matches are recalled, ``run`` fits the others."""
+        ...
+
 
 class Posterior(Protocol):
     """A fitted field, in the model's frame."""
@@ -62,6 +79,11 @@ class Posterior(Protocol):
     @property
     def weights(self) -> Scalars:
         """Posterior mean of the weights, (n_weights,): what a saved map is checked against when it is loaded."""
+        ...
+
+    @property
+    def weights_by_tile(self) -> Mapping[Index, Scalars]:
+        """Weights that a saved map recalls, tile by tile; empty where loading fits the samples again."""
         ...
 
     def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
@@ -102,43 +124,41 @@ class Posterior(Protocol):
         ...
 
 
+def check_samples(points: Points, field: Vectors, fewest: int) -> None:
+    """Refuse too few samples, NaN and infinity."""
+    if len(points) < fewest:
+        msg = f"expected at least {fewest} samples to fit a field, got {len(points)}"
+        raise SurveyError(msg)
+    if not (np.isfinite(points).all() and np.isfinite(field).all()):
+        msg = "expected finite positions and field, got NaN or infinity"
+        raise SurveyError(msg)
+
+
 class Prior(Protocol):
     """A family of models; one file in ``field/priors`` each."""
 
     @property
     def name(self) -> str:
-        """What configuration calls it."""
+        """Name in the configuration."""
         ...
 
-    def choose_hyperparameters(
-        self, points: Points, field: Vectors, box: Box | None = None, calibrate: bool = True
-    ) -> Hyperparameters:
-        """Numbers that fit the data; deterministic. ``box``: where else the field will be asked for.
-
-        The mean does without `calibrated`, which takes its time.
-        """
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the chosen noise and spread hold for left-out samples; else `inducing.calibration` widens them."""
         ...
 
-    def calibrated(
-        self,
-        points: Points,
-        field: Vectors,
-        hyperparameters: Hyperparameters,
-        box: Box | None = None,
-        model: LinearModel[Any] | None = None,
-    ) -> Hyperparameters:
-        """Chosen numbers with the noise and the spread that held-out samples ask for.
-
-        ``model``: what `build` makes of the same arguments, where it is at hand.
-        """
+    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
+        """Numbers that fit the data; deterministic."""
         ...
+
+    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> LinearModel[Any]:
+        """Lay the basis over the region of the points."""
+        ...
+
+
+class DensePrior(Prior, Protocol):
+    """A prior whose cost grows with the cube of its weights: not every survey can afford it."""
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether such a survey can be fitted in tens of seconds without smoothing it for want of weights."""
-        ...
-
-    def build(
-        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
-    ) -> LinearModel[Any]:
-        """Lay the basis over the region of the points; the same arguments as for `choose_hyperparameters`."""
         ...

@@ -9,16 +9,11 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey, subsets
 from magmatch.field.config import FieldConfig
-from magmatch.field.domain import BoundedPosterior
 from magmatch.field.fit import check_finite, fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Posterior
-from magmatch.field.spline.spline_model import SplinePosterior
+from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
 from magmatch.field.storage.store import MapRecord
-from magmatch.field.tiles.region_model import StoredTile, tiles_of
-from magmatch.field.tiles.tiled_model import Runner
-from magmatch.field.tiles.tiled_posterior import TiledPosterior
-from magmatch.field.tiles.tiles import Index
+from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
@@ -342,12 +337,9 @@ class FieldMap:
         )
 
     def _tiles(self) -> dict[Index, StoredTile]:
-        """What to store of a spline model; nothing of others."""
-        posterior = self.posterior.inner if isinstance(self.posterior, BoundedPosterior) else self.posterior
-        if not isinstance(posterior, SplinePosterior | TiledPosterior):
-            return {}
+        """What to store of the fit, so that it need not be done again."""
         fitted = self._fitted()
-        return tiles_of(posterior, fitted.positions, fitted.field)
+        return tiles_to_store(self.posterior, fitted.positions, fitted.field)
 
     def _fitted(self) -> Survey:
         """Samples in the model's frame, to the bit as they were fitted."""

@@ -5,7 +5,7 @@ import numpy as np
 
 from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import factorise
-from magmatch.field.held_out import path_segments
+from magmatch.field.folds import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 from magmatch.typing import Points, Scalars, Tensors, Vectors

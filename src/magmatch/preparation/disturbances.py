@@ -5,7 +5,7 @@ import numpy as np
 from scipy.ndimage import label, median_filter
 from scipy.stats import chi2
 
-from magmatch.field.held_out import has_path_order, path_segments
+from magmatch.field.folds import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
 from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.field.held_out import choose_part, has_path_order
+from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import correlated_samples
+from magmatch.field.subset import choose_part
 from magmatch.field.tiles.region_model import fit_operations
 from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.consistency import MapConsistency

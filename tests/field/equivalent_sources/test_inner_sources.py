@@ -115,7 +115,7 @@ def test_magnets_under_a_lane_are_found_where_they_are():
 
 def test_a_declared_box_is_kept_free_of_charges_whatever_the_data_show():
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
-    assert PRIOR.build(*room(0.5), H, box).basis.inner is None
+    assert HarmonicPrior(PRIOR.config, box).build(*room(0.5), H).basis.inner is None
     assert PRIOR.build(*room(0.5), H).basis.inner is not None
 
 

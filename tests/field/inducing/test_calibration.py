@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.box import Box
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.calibration import misfit_inflation
+from magmatch.field.inducing.calibration import calibrated, misfit_inflation
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
 
@@ -42,8 +42,9 @@ def test_intervals_hold_where_magnets_among_the_samples_break_the_promise_of_the
     points, field = survey(3.0)
     # A box that is declared free of sources allows no charges at the magnets.
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
-    h = PRIOR.choose_hyperparameters(points, field, box)
-    model = PRIOR.build(points, field, h, box)
+    prior = HarmonicPrior(PRIOR.config, box)
+    h = calibrated(prior, points, field, prior.choose_hyperparameters(points, field))
+    model = prior.build(points, field, h)
     posterior = model.infer(model.observe(points, field))
     at = samples(700, 5)
     size = np.abs(posterior.evaluate(at).field - field_at(at, 3.0))

@@ -278,7 +278,7 @@ def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, mon
     model, posterior, x, b = fitted
     few_bytes = 4.5 * max(posterior.factored(k).factor.n_bytes for k in range(len(model.tiles)))
     monkeypatch.setattr("magmatch.field.tiles.tiled_model.FACTORED_BYTES", few_bytes)
-    elsewhere = model.infer(model.observe(x, b), run=lambda fit, tasks: [fit(task) for task in tasks])
+    elsewhere = model.fit(x, b, {}, lambda fit, tasks: [fit(task) for task in tasks])
     frugal, q = model.infer(model.observe(x, b)), inside(40)
     for other in (elsewhere, frugal):
         assert np.array_equal(other.covariance(q), posterior.covariance(q))

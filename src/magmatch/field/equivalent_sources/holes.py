@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from magmatch.field.equivalent_sources.shell import SourceShell
-from magmatch.field.held_out import has_path_order
+from magmatch.field.folds import cube_numbers, has_path_order
 from magmatch.typing import Indices, Mask, Points
 
 # Least distance of charges from samples: in median distances of neighbours, beyond which chance leaves few holes, and
@@ -42,7 +42,7 @@ def hole_charges(shell: SourceShell, points: Points) -> tuple[Points, Indices]:
     nodes = nodes[cKDTree(shell.sources).query(nodes)[0] > _APART * shell.distance]
     if not 0 < len(nodes) <= _MOST_CHARGES:
         return none
-    return np.ascontiguousarray(nodes), _cubes(nodes, _GROUP * distance)
+    return np.ascontiguousarray(nodes), cube_numbers(nodes, _GROUP * distance)
 
 
 def _lattice(points: Points, step: float) -> Points:
@@ -62,9 +62,3 @@ def _in_hull(nodes: Points, points: Points) -> Mask:
     except QhullError:
         return np.zeros(len(nodes), dtype=np.bool_)
     return np.asarray(np.all(nodes @ planes[:, :3].T + planes[:, 3] <= 0, axis=1))
-
-
-def _cubes(charges: Points, size: float) -> Indices:
-    """Number the cubes that hold charges."""
-    cube = np.floor((charges - charges.min(axis=0)) / size).astype(np.int64)
-    return np.asarray(np.unique(cube, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)

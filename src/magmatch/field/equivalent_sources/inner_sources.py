@@ -15,7 +15,7 @@ from magmatch.field.equivalent_sources.charges import charge_design
 from magmatch.field.equivalent_sources.holes import hole_charges
 from magmatch.field.equivalent_sources.magnets import magnet_charges
 from magmatch.field.equivalent_sources.shell import SourceShell
-from magmatch.field.held_out import has_path_order
+from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from magmatch.field.equivalent_sources.shell import SourceShell
-from magmatch.field.inducing.calibration import Parts
+from magmatch.field.folds import Folds
 from magmatch.field.inducing.marginal_likelihood import tridiagonal, tridiagonal_score
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
@@ -69,14 +69,14 @@ def search_distance(fit_at: Callable[[float], ShellFit], start: float, low: floa
     return max(fits.values(), key=lambda f: f.score)
 
 
-def fit_shell(shell: SourceShell, points: Points, field: Vectors, parts: Parts) -> ShellFit:
+def fit_shell(shell: SourceShell, points: Points, field: Vectors, folds: Folds) -> ShellFit:
     """Signal and noise that suit one layer of sources best."""
     unit = float(np.abs(field - field.mean(axis=0)).max())
     y = ((field - field.mean(axis=0)) / unit).T.ravel()
     A = _design(shell, points)
     gram, r = A.T @ A, A.T @ y
-    if parts.is_path and parts.folds:
-        ratio, score = _by_stretches(A, y, gram, r, parts)
+    if folds.is_path and folds.left_out:
+        ratio, score = _by_stretches(A, y, gram, r, folds)
     else:
         ratio, score = _by_evidence(gram, r, y)
     w = _solve(gram, r, ratio)
@@ -104,10 +104,10 @@ def _by_evidence(gram: Matrix, r: Scalars, y: Scalars) -> tuple[float, float]:
     return best[1], best[0]
 
 
-def _by_stretches(A: Matrix, y: Scalars, gram: Matrix, r: Scalars, parts: Parts) -> tuple[float, float]:
+def _by_stretches(A: Matrix, y: Scalars, gram: Matrix, r: Scalars, folds: Folds) -> tuple[float, float]:
     """Noise ratio of the smallest held-out error, with minus its logarithm."""
     errors = np.zeros(len(_FEW_NOISE_RATIOS))
-    for fold in parts.folds:
+    for fold in folds.left_out:
         rows = np.tile(fold, 3)
         out = A[rows]
         kept_gram, kept_r = gram - out.T @ out, r - out.T @ y[rows]

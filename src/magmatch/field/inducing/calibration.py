@@ -1,28 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What to leave out of a survey to judge a model, and how much wider its spread must be for it to be honest.
-
-The folds are made of stretches of a path, or of cubes and of a slice off one end where samples come in no order. The
-slice is what lies beyond a survey: there a model extrapolates, and is over-confident first.
-"""
+"""How much wider a model's spread must be for it to be honest, by samples that were left out of it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.box import Box
-from magmatch.field.held_out import folds_of, has_path_order, path_stretches, space_blocks
+from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.marginal_likelihood import choose_samples
 from magmatch.field.linear_model import LinearModel, Posterior, Prior
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
-# Fewer samples are not divided.
-FEWEST_SAMPLES = 40
-# Size of what is left out, in lengthscales; a slice off the end holds at most this share of the samples.
-_CUBE, _SLICE, _SLICE_SHARE = 0.5, 0.5, 0.15
+# A field that varies less is taken as constant: well below the rounding of any recording, T.
+SMALLEST_SD = 1e-12
 # Samples that are used, all folds together.
 _N_USED = 2000
 # Samples of one fold at which the covariance is computed.
@@ -37,70 +30,29 @@ _LEAST_T = 2.0
 FitWithout = Callable[[Mask], Posterior]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Parts:
-    """A survey's samples in parts, some of which are left out at a time.
-
-    Attributes
-    ----------
-    number : (n,) int array
-        Which part each sample is in.
-    folds : tuple of (n,) bool arrays
-        What is left out, one set at a time.
-    is_path : bool
-        Whether the parts are stretches of a path.
-    """
-
-    number: Indices
-    folds: tuple[Mask, ...]
-    is_path: bool
-
-    @property
-    def rest(self) -> tuple[Mask, ...]:
-        """Sets of parts that are in none of the folds but, perhaps, in the slice."""
-        return tuple(folds_of(self.number, others=True)) if self.folds else ()
-
-
-def divide(points: Points, lengthscale: float) -> Parts:
-    """Parts of a survey to leave out: stretches of a path or cubes, and a slice off one end."""
-    extent = np.ptp(points, axis=0)
-    is_path = has_path_order(points)
-    if len(points) < FEWEST_SAMPLES or not extent.max() > 0:
-        return Parts(np.zeros(len(points), dtype=np.int64), (), is_path)
-    if is_path:
-        number = path_stretches(points, lengthscale)
-        return Parts(number, tuple(folds_of(number)), is_path)
-    size = max(_CUBE * lengthscale, float(extent.max()) / 200)
-    number = space_blocks(points, size, np.random.default_rng(0))
-    along = points[:, int(np.argmax(extent))]
-    limit = max(float(along.max()) - _SLICE * lengthscale, float(np.quantile(along, 1 - _SLICE_SHARE)))
-    end = along > limit
-    return Parts(number, (*folds_of(number), *([end] if end.any() and not end.all() else [])), is_path)
-
-
 def calibrated(
-    prior: Prior,
-    points: Points,
-    field: Vectors,
-    h: Hyperparameters,
-    box: Box | None = None,
-    model: LinearModel[Any] | None = None,
+    prior: Prior, points: Points, field: Vectors, h: Hyperparameters, model: LinearModel[Any] | None = None
 ) -> Hyperparameters:
-    """The same numbers with the noise and the spread that held-out samples ask for, never smaller."""
+    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+
+    ``model``: what the prior builds of the same arguments, where it is at hand.
+    """
+    if prior.is_calibrated or float(field.std(axis=0).max()) < SMALLEST_SD:
+        return h
     some = np.sort(choose_samples(points, field, _N_USED))
     few, values = points[some], field[some]
-    parts = divide(few, h.lengthscale)
-    if not parts.folds:
+    folds = divide(few, h.lengthscale)
+    if not folds.left_out:
         return h
-    model = prior.build(points, field, h, box) if model is None else model
+    model = prior.build(points, field, h) if model is None else model
     everything = model.observe(few, values)
 
     def without(fold: Mask) -> Posterior:
         return model.infer(everything - model.observe(few[fold], values[fold]))
 
-    honest = widened(h, few, values, parts, without)
+    honest = widened(h, few, values, folds, without)
     # Along a path neighbours share errors of their poses too.
-    least = 1.0 if parts.is_path else misfit_inflation(few, values, model.infer(everything))
+    least = 1.0 if folds.is_path else misfit_inflation(few, values, model.infer(everything))
     return replace(honest, inflation=max(honest.inflation, least))
 
 
@@ -123,16 +75,14 @@ def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> fl
     return float(np.sqrt(1.0 + shared.mean() / variance))
 
 
-def widened(h: Hyperparameters, points: Points, field: Vectors, parts: Parts, fit: FitWithout) -> Hyperparameters:
+def widened(h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit: FitWithout) -> Hyperparameters:
     """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
 
     The mean stays what it is: noise and prior grow alike. Of a few spreads the sharpest, in mean log width, that
     covers 95 % of all held-out components together is taken.
     """
-    if not parts.folds:
-        return h
     sizes, variances = [], []
-    for fold in parts.folds:
+    for fold in folds.left_out:
         posterior, rows = fit(fold), _some(fold)
         sizes.append(np.abs(posterior.evaluate(points[rows]).field - field[rows]))
         covariance = posterior.covariance(points[rows])

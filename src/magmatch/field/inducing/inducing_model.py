@@ -7,7 +7,7 @@ prior is N(0, I), so that neither the unit of the field nor the condition of ``K
 posterior.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,7 +20,7 @@ from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.information import DenseInformation
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
 from magmatch.field.inducing.whitening import gram_factor
-from magmatch.field.linear_model import Axes
+from magmatch.field.linear_model import Axes, Index, Runner, StoredTile
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
 
@@ -158,6 +158,12 @@ class InducingModel:
         white = solve_triangular(factor, half, lower=True, trans=1)
         return InducingPosterior(self, factor, white, self.weights_of(white))
 
+    def fit(
+        self, points: Points, field: Vectors, _stored: Mapping[Index, StoredTile], _run: Runner, /
+    ) -> "InducingPosterior":
+        """Posterior of samples: one piece, which loading fits again."""
+        return self.infer(self.observe(points, field))
+
     def features(self, points: Points, order: int) -> Matrix:
         """Field and derivatives per unit of each whitened weight, in units of the noise: (m, rows n), by columns."""
         n, m = len(points), self.basis.n_weights
@@ -200,6 +206,11 @@ class InducingPosterior:
     def hyperparameters(self) -> Hyperparameters:
         """Numbers that shape the prior."""
         return self.model.hyperparameters
+
+    @property
+    def weights_by_tile(self) -> Mapping[Index, Scalars]:
+        """None: loading fits the samples again."""
+        return {}
 
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points, by default of the posterior mean."""

@@ -3,28 +3,23 @@
 
 import logging
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from magmatch.errors import SurveyError
-from magmatch.field.box import Box
-from magmatch.field.held_out import typical_length
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.calibration import calibrated
+from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
 from magmatch.field.inducing.inducing_model import InducingModel
 from magmatch.field.inducing.kernels import GaussianKernel, Term
 from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
-from magmatch.field.linear_model import LinearModel
+from magmatch.field.linear_model import check_samples
+from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
-# A field that varies less than this is taken as constant: well below the rounding of any recording, T.
-SMALLEST_SD = 1e-12
 MIN_SAMPLES = 4
 # More samples take minutes with thousands of dense weights.
 MOST_SAMPLES = 30_000
@@ -59,20 +54,16 @@ class InducingConfig(BaseModel):
 class InducingPrior:
     """Lays inducing points over a survey; cost grows with samples times weights squared."""
 
+    is_calibrated = False
+
     def __init__(
         self, name: str, kernel: type[GaussianKernel], terms: tuple[Term, ...], config: InducingConfig
     ) -> None:
         self.name, self.kernel, self.terms, self.config = name, kernel, terms, config
 
-    def choose_hyperparameters(
-        self,
-        points: Points,
-        field: Vectors,
-        box: Box | None = None,  # noqa: ARG002
-        calibrate: bool = True,
-    ) -> Hyperparameters:
+    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
         """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows."""
-        check_samples(points, field)
+        check_samples(points, field, MIN_SAMPLES)
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         if float(field.std(axis=0).max()) < SMALLEST_SD or extent == 0:
             # Nothing varies, or nothing can be told from noise: any numbers do, these give flat answers.
@@ -90,19 +81,7 @@ class InducingPrior:
             )  # fmt: skip
             rows = choose_samples(points, field, n)
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
-        h = self._resolved(points, fit)
-        return self.calibrated(points, field, h) if calibrate else h
-
-    def calibrated(
-        self,
-        points: Points,
-        field: Vectors,
-        hyperparameters: Hyperparameters,
-        box: Box | None = None,
-        model: LinearModel[Any] | None = None,
-    ) -> Hyperparameters:
-        """Chosen numbers with the noise and the spread that held-out samples ask for."""
-        return calibrated(self, points, field, hyperparameters, box, model)
+        return self._resolved(points, fit)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether the inducing points allowed follow the field's typical length."""
@@ -112,15 +91,9 @@ class InducingPrior:
         wished = self.config.spacing_ratio * length
         return self._grid(points, wished, None).spacing <= _AFFORDABLE_WIDENING * wished
 
-    def build(
-        self,
-        points: Points,
-        field: Vectors,
-        hyperparameters: Hyperparameters,
-        box: Box | None = None,  # noqa: ARG002
-    ) -> InducingModel:
+    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> InducingModel:
         """Lay inducing points over the surroundings of the points."""
-        check_samples(points, field)
+        check_samples(points, field, MIN_SAMPLES)
         h, config = hyperparameters, self.config
         grid = self._grid(points, max(h.spacing, config.min_spacing_ratio * h.lengthscale), h.lengthscale)
         if grid.spacing > 1.5 * h.lengthscale:
@@ -159,13 +132,3 @@ class InducingPrior:
 def _bounds(extent: float) -> tuple[float, float]:
     """Lengthscales to search, m: beyond half the extent a field cannot be told from a gradient or two."""
     return extent / 100, extent / 2
-
-
-def check_samples(points: Points, field: Vectors) -> None:
-    """Refuse too few samples, NaN and infinity."""
-    if len(points) < MIN_SAMPLES:
-        msg = f"expected at least {MIN_SAMPLES} samples to fit a field, got {len(points)}"
-        raise SurveyError(msg)
-    if not (np.isfinite(points).all() and np.isfinite(field).all()):
-        msg = "expected finite positions and field, got NaN or infinity"
-        raise SurveyError(msg)

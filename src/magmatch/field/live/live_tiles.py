@@ -15,10 +15,11 @@ import numpy as np
 from magmatch.field.cholesky.cells import lattice_coordinate, lay_cells
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Index
 from magmatch.field.live.live_cells import Block, add_sums
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior, outside_covariance
 from magmatch.field.tiles.blending import blended_covariance, blended_values, tile_shares
-from magmatch.field.tiles.tiles import Index, TileKeys, Tiling
+from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Points, Vector3
 

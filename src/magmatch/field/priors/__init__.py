@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Families of field models, one file each; this table is what configuration names refer to."""
 
-from magmatch.field.linear_model import Prior
+from magmatch.field.box import Box
+from magmatch.field.linear_model import DensePrior, Prior
 from magmatch.field.priors.curl_free import CurlFreePrior
 from magmatch.field.priors.divergence_free import DivergenceFreePrior
 from magmatch.field.priors.harmonic import HarmonicPrior
 from magmatch.field.priors.spline import SplinePrior
 
-PRIORS: dict[str, Prior] = {
-    "spline": SplinePrior(),
+DENSE_PRIORS: dict[str, DensePrior] = {
     "divergence_free": DivergenceFreePrior(),
     "curl_free": CurlFreePrior(),
     "harmonic": HarmonicPrior(),
 }
+PRIORS: dict[str, Prior] = {"spline": SplinePrior(), **DENSE_PRIORS}
+
+
+def prior_over(name: str, box: Box | None) -> Prior:
+    """Prior of a name; one that rules sources out rules them out of a declared box, too."""
+    return HarmonicPrior(box=box) if name == HarmonicPrior.name and box is not None else PRIORS[name]

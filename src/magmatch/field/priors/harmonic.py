@@ -3,7 +3,6 @@
 
 import logging
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,13 +11,14 @@ from magmatch.field.box import Box
 from magmatch.field.equivalent_sources.inner_sources import InnerSources, find_inner_sources
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
 from magmatch.field.equivalent_sources.shell_search import ShellFit, fit_shell, search_distance
-from magmatch.field.held_out import typical_length
+from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.calibration import calibrated, divide
+from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.inducing_model import InducingModel
-from magmatch.field.inducing.inducing_prior import MOST_SAMPLES, SMALLEST_SD, check_samples
+from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
 from magmatch.field.inducing.kernels import CurlFreeKernel
-from magmatch.field.linear_model import LinearModel
+from magmatch.field.linear_model import check_samples
+from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
@@ -51,16 +51,15 @@ class HarmonicConfig(BaseModel):
 class HarmonicPrior:
     """Curl-free and divergence-free exactly; right only where no source stands in the region that is asked for."""
 
-    name = "harmonic"
+    name, is_calibrated = "harmonic", False
 
-    def __init__(self, config: HarmonicConfig | None = None) -> None:
-        self.config = config or HarmonicConfig()
+    def __init__(self, config: HarmonicConfig | None = None, box: Box | None = None) -> None:
+        # A box that is declared holds no sources, wherever the samples are.
+        self.config, self.box = config or HarmonicConfig(), box
 
-    def choose_hyperparameters(
-        self, points: Points, field: Vectors, box: Box | None = None, calibrate: bool = True
-    ) -> Hyperparameters:
-        """Distance of the layer, signal and noise from the data, and the spread that held-out samples ask for."""
-        check_samples(points, field)
+    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
+        """Distance of the layer, signal and noise from the data."""
+        check_samples(points, field, MIN_SAMPLES)
         ratio = self.config.spacing_ratio
         length = typical_length(points, field)
         sd = float(field.std(axis=0).max())
@@ -69,22 +68,9 @@ class HarmonicPrior:
             sd = max(sd, SMALLEST_SD)
             return Hyperparameters(distance, sd, sd, ratio * distance)
         some = self._some(points)
-        fit = self._search(points, field, some, length, box)
+        fit = self._search(points, field, some, length)
         h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
-        # A box that is declared holds no sources.
-        h = h if box is not None else self._with_sources(points, field, h)
-        return self.calibrated(points, field, h, box) if calibrate else h
-
-    def calibrated(
-        self,
-        points: Points,
-        field: Vectors,
-        hyperparameters: Hyperparameters,
-        box: Box | None = None,
-        model: LinearModel[Any] | None = None,
-    ) -> Hyperparameters:
-        """Chosen numbers with the noise and the spread that held-out samples ask for."""
-        return calibrated(self, points, field, hyperparameters, box, model)
+        return h if self.box is not None else self._with_sources(points, field, h)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
         """Whether the charges allowed can stand as near as the field's typical length asks for."""
@@ -92,19 +78,17 @@ class HarmonicPrior:
         if len(points) > MOST_SAMPLES or length == 0:
             return False
         ratio = self.config.spacing_ratio
-        shell = self._shell(points, length / 2, ratio * length / 2, None, self.config.max_sources)
+        shell = lay_shell(points, length / 2, ratio * length / 2, self.config.max_sources)
         return shell.distance <= length
 
-    def build(
-        self, points: Points, field: Vectors, hyperparameters: Hyperparameters, box: Box | None = None
-    ) -> InducingModel:
+    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> InducingModel:
         """Lay charges around the points and the box."""
-        check_samples(points, field)
+        check_samples(points, field, MIN_SAMPLES)
         h = hyperparameters
-        if box is None:
+        if self.box is None:
             shell = self._sources(points, field, h).filled(h, self.config.constant_sd)
         else:
-            shell = self._shell(points, h.lengthscale, h.spacing, box, self.config.max_sources)
+            shell = self._shell(points, h.lengthscale, h.spacing, self.config.max_sources)
         if shell.distance > 1.01 * h.lengthscale:
             log.warning(
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
@@ -115,19 +99,20 @@ class HarmonicPrior:
             known_reach=self.config.known_ratio * shell.distance, sources=shell.inner,
         )  # fmt: skip
 
-    def _shell(self, points: Points, distance: float, spacing: float, box: Box | None, most: int) -> SourceShell:
-        if box is None:
+    def _shell(self, points: Points, distance: float, spacing: float, most: int) -> SourceShell:
+        """Layer around the points and the box."""
+        if self.box is None:
             return lay_shell(points, distance, spacing, most)
         # The lattice stands for the box: charges must not fit between its points.
-        step = box.lattice_step(distance / 2)
+        step = self.box.lattice_step(distance / 2)
         farther = max(2 * step, distance)
-        region = np.concatenate([points, box.lattice(step)])
+        region = np.concatenate([points, self.box.lattice(step)])
         return lay_shell(region, farther, spacing * farther / distance, most)
 
     def _sources(self, points: Points, field: Vectors, h: Hyperparameters) -> InnerSources:
         """Where the data may show sources nearer than the layer."""
         some = self._some(points)
-        shell = self._shell(points, h.lengthscale, h.spacing, None, self.config.max_sources)
+        shell = lay_shell(points, h.lengthscale, h.spacing, self.config.max_sources)
         return find_inner_sources(shell, points[some], field[some])
 
     def _with_sources(self, points: Points, field: Vectors, h: Hyperparameters) -> Hyperparameters:
@@ -145,18 +130,18 @@ class HarmonicPrior:
         """Samples that numbers are chosen on."""
         return slice(None, None, -(-len(points) // self.config.n_search_samples))
 
-    def _search(self, points: Points, field: Vectors, some: slice, length: float, box: Box | None) -> ShellFit:
+    def _search(self, points: Points, field: Vectors, some: slice, length: float) -> ShellFit:
         """Best distance; where one takes too many charges, the nearest that can be afforded stands for it."""
         ratio, most = self.config.spacing_ratio, self.config.max_search_sources
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-        parts = divide(points[some], length)
+        folds = divide(points[some], length)
         nearest: list[ShellFit] = []
 
         def fit_at(distance: float) -> ShellFit:
             if nearest and distance < _SAME_DISTANCE * nearest[0].distance:
                 return nearest[0]
-            shell = self._shell(points, distance, ratio * distance, box, most)
-            fit = fit_shell(shell, points[some], field[some], parts)
+            shell = self._shell(points, distance, ratio * distance, most)
+            fit = fit_shell(shell, points[some], field[some], folds)
             if shell.distance > _SAME_DISTANCE * distance:
                 nearest.append(fit)
             return fit

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The default prior: a potential of cubic splines on cells near the data, smooth, with a soft law div B = 0."""
 
-from typing import Any
-
-from magmatch.field.box import Box
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import LinearModel
+from magmatch.field.linear_model import check_samples
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.tiles.region_model import lay_splines
 from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.whole_model import WholeModel
 from magmatch.typing import Points, Vectors
 
 
@@ -17,38 +14,13 @@ class SplinePrior:
     """Curl-free exactly (but where tiles blend), divergence-free softly, sparse: the cost follows the volume."""
 
     name = "spline"
+    is_calibrated = True
 
-    def choose_hyperparameters(
-        self,
-        points: Points,
-        field: Vectors,
-        box: Box | None = None,  # noqa: ARG002
-        calibrate: bool = True,  # noqa: ARG002
-    ) -> Hyperparameters:
+    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
         """Numbers under which the survey is most likely; deterministic."""
         return choose_spline_hyperparameters(points, field)
 
-    def calibrated(
-        self,
-        points: Points,  # noqa: ARG002
-        field: Vectors,  # noqa: ARG002
-        hyperparameters: Hyperparameters,
-        box: Box | None = None,  # noqa: ARG002
-        model: LinearModel[Any] | None = None,  # noqa: ARG002
-    ) -> Hyperparameters:
-        """As they are: the choice holds their calibration."""
-        return hyperparameters
-
-    def is_affordable(self, points: Points, field: Vectors) -> bool:  # noqa: ARG002
-        """Any survey is."""
-        return True
-
-    def build(
-        self,
-        points: Points,
-        field: Vectors,  # noqa: ARG002
-        hyperparameters: Hyperparameters,
-        box: Box | None = None,  # noqa: ARG002
-    ) -> SplineModel | TiledModel:
+    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> WholeModel | TiledModel:
         """Lay splines over the surroundings of the points, in tiles where one factor would grow too large."""
+        check_samples(points, field, 1)
         return lay_splines(points, hyperparameters)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.held_out import folds_of, path_stretches
+from magmatch.field.folds import folds_of, path_stretches
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import EvidenceSearch
 from magmatch.threads import side_by_side

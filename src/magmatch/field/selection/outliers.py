@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
-from magmatch.field.held_out import has_path_order
+from magmatch.field.folds import has_path_order
 from magmatch.field.linear_model import Posterior
 from magmatch.field.values import gradient_norm, gradient_of
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
@@ -44,6 +44,8 @@ LEAST_SHIFT = 0.2
 FEWEST_SAMPLES = 100
 # A map of which more is in doubt does not fit its survey: then nothing is left out.
 LARGEST_SHARE = 0.05
+# Share of the squared residuals below which samples did not shape the fit.
+LITTLE_POWER = 0.2
 # Nor does one of which so much stands out at first, before those that pulled the map to them count less.
 LARGEST_SHARE_AT_FIRST = 0.3
 
@@ -73,6 +75,12 @@ def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
         )  # fmt: skip
         return np.zeros_like(is_out)
     return is_out
+
+
+def hardly_moved(samples: Survey, posterior: Posterior, rows: Mask) -> bool:
+    """Whether some samples have so little of the squared residuals that they hardly moved the fit."""
+    power = ((samples.field - posterior.evaluate(samples.positions).field) ** 2).sum(axis=1)
+    return bool(power[rows].sum() / max(power.sum(), np.finfo(float).tiny) < LITTLE_POWER)
 
 
 def robust_residuals(posterior: Posterior, points: Points, residual: Vectors, noise: float) -> Vectors:

@@ -20,7 +20,7 @@ from magmatch.field.cholesky.multifrontal import CholeskyFactor, factorise
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
 from magmatch.field.cholesky.reserve import RESERVE
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
-from magmatch.field.held_out import has_path_order
+from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.noise_slopes import NoiseSlopes, noise_slopes
 from magmatch.field.spline.spline_model import (

@@ -7,12 +7,14 @@ from functools import partial
 
 import numpy as np
 
-from magmatch.field.held_out import choose_part, has_path_order, sample_distance, typical_length
+from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.affordability import affordable_spacing, is_affordable
 from magmatch.field.selection.evidence_climb import climb, is_allowed, rounded, settle
 from magmatch.field.selection.other_passes import OtherPasses
 from magmatch.field.selection.spline_evidence import EvidenceSearch
+from magmatch.field.subset import choose_part, sample_distance
+from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The spline potential as a linear model: cells, information of samples, posterior."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -15,7 +16,7 @@ from magmatch.field.cholesky.refined_solve import refined_solve
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_elements
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes
+from magmatch.field.linear_model import Axes, Index
 from magmatch.field.spline.element_matrices import cell_weights, lone_cell_covariance, prior_element
 from magmatch.field.spline.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
 from magmatch.field.spline.spline_grid import evaluate_on_grid
@@ -23,6 +24,8 @@ from magmatch.field.spline.spline_kernels import add_gram, evaluate_points, line
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
+# Tile of a region that one factor can hold.
+WHOLE: Index = (0, 0, 0)
 # Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
 CONSTANT_SD = 1e-4
 # Finer spacings than this share of the lengthscale change nothing but rounding errors.
@@ -173,6 +176,11 @@ class SplinePosterior:
     factors: Factors
     weights: np.ndarray
     _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def weights_by_tile(self) -> Mapping[Index, Scalars]:
+        """The region as one tile."""
+        return {WHOLE: self.weights}
 
     @property
     def factor(self) -> CholeskyFactor:

@@ -19,10 +19,8 @@ from magmatch.errors import DataFormatError, MagmatchError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Posterior
+from magmatch.field.linear_model import Index, Posterior, StoredTile
 from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
-from magmatch.field.tiles.region_model import StoredTile
-from magmatch.field.tiles.tiles import Index
 from magmatch.geometry import transform_from_matrix
 from magmatch.typing import Scalars
 

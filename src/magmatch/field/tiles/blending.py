@@ -5,8 +5,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from magmatch.field.linear_model import Index
 from magmatch.field.spline.spline_model import SplinePosterior
-from magmatch.field.tiles.tiles import Index, TileKeys, Tiling
+from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
 from magmatch.typing import Indices, Points, Vector3
 

@@ -13,8 +13,9 @@ from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import CholeskyFactor
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Index
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
-from magmatch.field.tiles.tiles import Index, Tiling
+from magmatch.field.tiles.tiles import Tiling
 from magmatch.threads import single_threaded
 from magmatch.typing import Points, Scalars, Vectors
 

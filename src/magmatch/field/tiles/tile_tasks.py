@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Index
 from magmatch.field.tiles.tile_fit import Samples, TileTask
-from magmatch.field.tiles.tiles import Index, Tiling
+from magmatch.field.tiles.tiles import Tiling
 from magmatch.typing import Indices, Points
 
 

@@ -6,23 +6,24 @@ summed tile by tile when the posterior is asked for. Only the weights of a tile 
 its samples where a covariance is asked for.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import Index, Runner, StoredTile
 from magmatch.field.tiles.recent import Recent
-from magmatch.field.tiles.tile_fit import Samples, TileTask, fit_weights
+from magmatch.field.tiles.tile_fit import Samples, fit_weights
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.field.tiles.tiled_posterior import FACTORED_BYTES, TiledPosterior
-from magmatch.field.tiles.tiles import Index, Tiling
+from magmatch.field.tiles.tiles import Tiling
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
-# Applies a function to every task, results in the order of the tasks.
-Runner = Callable[[Callable[[TileTask], Scalars], Iterable[TileTask]], Iterable[Scalars]]
+# Tiles that stand for all when the cost of a fit is estimated.
+N_WEIGHED_TILES = 9
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,14 +74,27 @@ class TiledModel:
         weight = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
         return TiledInformation((Samples(points, np.asarray(field, dtype=np.float64), weight),))
 
-    def infer(
-        self, information: TiledInformation, known: Mapping[Index, Scalars] | None = None, run: Runner = map
-    ) -> TiledPosterior:
-        """Posterior given information."""
-        return self.infer_tasks(self.tasks(information), known or {}, run)
+    @property
+    def n_operations(self) -> float:
+        """Floating-point operations of a fit, estimated from some of the tiles."""
+        some = np.unique(np.linspace(0, len(self.tiles) - 1, N_WEIGHED_TILES).astype(np.int64))
+        tasks = self.tasks_of(self.points, self.points)
+        return len(self.tiles) * float(np.mean([tasks.task(k).model().elimination.n_operations for k in some]))
 
-    def infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner = map) -> TiledPosterior:
-        """Fit those tiles that are not known yet; see `infer`."""
+    def infer(self, information: TiledInformation) -> TiledPosterior:
+        """Posterior given information."""
+        return self._infer_tasks(self.tasks(information), {}, map)
+
+    def fit(
+        self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Runner, /
+    ) -> TiledPosterior:
+        """Fit samples, but for tiles whose very fit is stored."""
+        tasks = self.tasks_of(points, field)
+        known = {i: tile.weights for i, tile in stored.items() if tile.fingerprint == tasks.fingerprint(i)}
+        return self._infer_tasks(tasks, known, run)
+
+    def _infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner) -> TiledPosterior:
+        """Fit those tiles that are not known yet."""
         found, factored = dict(known), Recent(FACTORED_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
         if run is map:
@@ -91,6 +105,10 @@ class TiledModel:
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
         return TiledPosterior(tasks, [found[index] for index in self.tiles], factored)
+
+    def tasks_of(self, points: Points, field: Vectors) -> TileTasks:
+        """What the weights of each tile follow from."""
+        return self.tasks(self.observe(points, field))
 
     def tasks(self, information: TiledInformation) -> TileTasks:
         """What the fit of each tile depends on."""

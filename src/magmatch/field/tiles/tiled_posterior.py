@@ -13,19 +13,19 @@ a weighted mean is at most the weighted mean of the errors (squares are convex),
 ``cov B <= sum w_k cov B_k``. That bound is what `covariance` gives.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes
+from magmatch.field.linear_model import Axes, Index
 from magmatch.field.spline.spline_model import SplinePosterior, outside_covariance
 from magmatch.field.tiles.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
 from magmatch.field.tiles.recent import Recent
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
-from magmatch.field.tiles.tiles import Index, TileKeys, Tiling
+from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
 from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Points, Scalars, Vector3
@@ -74,6 +74,11 @@ class TiledPosterior:
     def weights(self) -> Scalars:
         """Weights of all tiles, one after the other."""
         return np.concatenate(self.tile_weights)
+
+    @property
+    def weights_by_tile(self) -> Mapping[Index, Scalars]:
+        """Weights of each tile."""
+        return dict(zip(self.tiles, self.tile_weights, strict=True))
 
     @property
     def constant(self) -> Vector3:

@@ -14,9 +14,8 @@ import numpy as np
 
 from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky.cells import lattice_coordinate
+from magmatch.field.linear_model import Index
 from magmatch.typing import Indices, Points, Scalars
-
-Index = tuple[int, int, int]
 
 # Side of a core, cells: the cost per core is least at about four margins, and a factor stays below 0.2 GB.
 CORE = 24

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
-from magmatch.field.held_out import has_path_order
+from magmatch.field.folds import has_path_order
 from magmatch.field.values import FieldFunction, gradient_norm, gradient_of
 from magmatch.geometry import path_walked
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors

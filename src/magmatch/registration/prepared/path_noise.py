@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
-from magmatch.field.held_out import folds_of
+from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
 from magmatch.registration.prepared.walk import bin_along_path

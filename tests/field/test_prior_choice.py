@@ -8,15 +8,17 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
-from magmatch.field import comparison
 from magmatch.field.build import build_map
-from magmatch.field.comparison import Rival, _best
 from magmatch.field.config import FieldConfig
-from magmatch.field.held_out import typical_length
+from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.calibration import divide, widened
+from magmatch.field.inducing.calibration import widened
 from magmatch.field.map import FieldMap
-from magmatch.field.priors import PRIORS
+from magmatch.field.prior_choice import choose_prior as choice
+from magmatch.field.prior_choice import verdict
+from magmatch.field.prior_choice.cross_validation import Candidate, compare
+from magmatch.field.priors import DENSE_PRIORS, PRIORS
+from magmatch.field.variogram import typical_length
 
 BOX = np.array([1.6, 1.2, 0.6])
 H = Hyperparameters(0.5, 10e-6, 0.5e-6, 0.35)
@@ -46,7 +48,7 @@ def room(*, inside, n=600, noise_sd=1e-6):
 
 def test_without_a_source_in_the_region_the_harmonic_prior_is_better_and_remembered(tmp_path, monkeypatch):
     # Few samples are no proof, so the proof asked for is waived here.
-    monkeypatch.setattr(comparison, "_LEAST_T", 0.0)
+    monkeypatch.setattr(verdict, "LEAST_T", 0.0)
     built = build_map(Survey(*room(inside=False, n=300, noise_sd=0.3e-6)), FieldConfig(prior="auto"))
     assert built.config.prior == "harmonic"
     errors = built.config.comparison
@@ -60,7 +62,7 @@ def test_without_a_source_in_the_region_the_harmonic_prior_is_better_and_remembe
 
 
 def test_with_magnets_among_the_samples_the_harmonic_prior_loses(monkeypatch):
-    monkeypatch.setattr(comparison, "PRIORS", {name: PRIORS[name] for name in ("spline", "harmonic")})
+    monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
     # The box is declared: else the charges may stand in the holes that the magnets leave among the samples.
     box = (0.0, 0.0, 0.0, *BOX)
     built = build_map(Survey(*room(inside=True, n=400)), FieldConfig(prior="auto", domain=box))
@@ -78,46 +80,36 @@ def test_too_few_samples_to_compare_take_the_spline():
 
 def test_only_a_clear_margin_leaves_the_spline():
     rng = np.random.default_rng(0)
-    spline = Rival("spline", H, rng.normal(size=40))
-    better = Rival("harmonic", H, spline.log_errors - 0.2 + 0.1 * rng.normal(size=40))
-    by_chance = Rival("curl_free", H, spline.log_errors - 0.3 + 1.0 * rng.normal(size=40))
-    hardly = Rival("divergence_free", H, spline.log_errors - 0.001)
-    assert _best([spline, hardly, by_chance]).name == "spline"
-    assert _best([spline, better, hardly]).name == "harmonic"
-    few = [Rival(name, H, spline.log_errors[:3] - k) for k, name in enumerate(("spline", "harmonic"))]
-    assert _best(few).name == "spline"
+    spline = Candidate("spline", H, rng.normal(size=40))
+    better = Candidate("harmonic", H, spline.log_errors - 0.2 + 0.1 * rng.normal(size=40))
+    by_chance = Candidate("curl_free", H, spline.log_errors - 0.3 + 1.0 * rng.normal(size=40))
+    hardly = Candidate("divergence_free", H, spline.log_errors - 0.001)
+    assert verdict.best([spline, hardly, by_chance]).name == "spline"
+    assert verdict.best([spline, better, hardly]).name == "harmonic"
+    few = [Candidate(name, H, spline.log_errors[:3] - k) for k, name in enumerate(("spline", "harmonic"))]
+    assert verdict.best(few).name == "spline"
 
 
 def test_further_parts_are_asked_only_where_they_may_change_what_is_taken():
     scatter = np.tile([-1.0, 1.0], 20)
-    spline = Rival("spline", H, np.zeros(40))
-    clear = Rival("harmonic", H, 0.01 * scatter - 0.3)
-    behind, ahead = (Rival("curl_free", H, 3.0 * scatter - gain) for gain in (0.2, 0.4))
-    assert not comparison._is_undecided([spline])
-    assert not comparison._is_undecided([spline, clear])
-    assert not comparison._is_undecided([spline, behind, clear])
-    assert comparison._is_undecided([spline, behind])
-    assert comparison._is_undecided([spline, ahead, clear])
-
-
-def test_parts_cover_a_survey_and_its_end():
-    points, _ = room(inside=False)
-    parts = divide(points, 0.5)
-    assert not parts.is_path
-    assert len(parts.folds) == 3
-    end = parts.folds[2]
-    assert points[end, 0].min() >= points[~end, 0].max() - 1e-12
-    assert divide(points[:20], 0.5).folds == ()
+    spline = Candidate("spline", H, np.zeros(40))
+    clear = Candidate("harmonic", H, 0.01 * scatter - 0.3)
+    behind, ahead = (Candidate("curl_free", H, 3.0 * scatter - gain) for gain in (0.2, 0.4))
+    assert not verdict.is_undecided([spline])
+    assert not verdict.is_undecided([spline, clear])
+    assert not verdict.is_undecided([spline, behind, clear])
+    assert verdict.is_undecided([spline, behind])
+    assert verdict.is_undecided([spline, ahead, clear])
 
 
 @pytest.mark.parametrize("name", ["divergence_free", "curl_free", "harmonic"])
 def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(name):
     points, field = room(inside=False, n=300, noise_sd=2e-6)
-    parts, prior = divide(points, 0.5), PRIORS[name]
+    folds, prior = divide(points, 0.5), PRIORS[name]
 
     def coverage(h):
         said = []
-        for fold in parts.folds:
+        for fold in folds.left_out:
             model = prior.build(points, field, h)
             posterior = model.infer(model.observe(points[~fold], field[~fold]))
             variance = np.diagonal(posterior.covariance(points[fold]), axis1=1, axis2=2) + h.noise_sd**2
@@ -130,7 +122,7 @@ def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(n
         return model.infer(model.observe(points[~fold], field[~fold]))
 
     sure = replace(H, noise_sd=0.2e-6)
-    honest = widened(sure, points, field, parts, without)
+    honest = widened(sure, points, field, folds, without)
     assert coverage(sure) < 0.8
     assert 0.93 < coverage(honest) < 0.97
     # The mean stays: noise and prior grew alike.
@@ -139,25 +131,14 @@ def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(n
 
 def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
     points, field = room(inside=False, n=900)
-    survey, parts = Survey(points, field), divide(points, typical_length(points, field))
-    covered = np.sum([*parts.folds[:2], *parts.rest], axis=0)
-    assert np.all(covered == 1)
+    survey, folds = Survey(points, field), divide(points, typical_length(points, field))
     config = FieldConfig(prior="auto")
-    nowhere = RigidTransform.identity()
-    spline, harmonic = comparison._compared(["spline", "harmonic"], survey, parts, config, nowhere)
+    spline, harmonic = compare(["spline", "harmonic"], survey, folds, config, None)
     assert harmonic.error < spline.error
-    asked = []
-    further = comparison._compared_further
-
-    def counting(rivals, *others):
-        asked.append([rival.name for rival in rivals])
-        return further(rivals, *others)
-
-    monkeypatch.setattr(comparison, "_compared_further", counting)
-    monkeypatch.setattr(comparison, "PRIORS", {name: PRIORS[name] for name in ("spline", "harmonic")})
+    monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
     # More proof than some parts can give, less than all of them do.
     gain = spline.log_errors - harmonic.log_errors
-    monkeypatch.setattr(comparison, "_LEAST_T", 1.05 * gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
-    chosen, _ = comparison.choose_prior(survey, config, nowhere)
-    assert asked == [["spline", "harmonic"]]
+    monkeypatch.setattr(verdict, "LEAST_T", 1.05 * gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
+    assert verdict.best([spline, harmonic]) is spline
+    chosen, _ = choice.choose_prior(survey, config, RigidTransform.identity())
     assert chosen.prior == "harmonic"

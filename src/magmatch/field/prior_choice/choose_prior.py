@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Take the prior that predicts left-out parts of a survey best: what ``prior="auto"`` does.
+
+The spline is preferred unless another is better by a clear margin: held-out errors are noisy, it follows what others
+do not (magnets among the samples, walks of any length), and it costs least.
+"""
+
+import logging
+from dataclasses import replace
+
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.field.box import Box
+from magmatch.field.config import FieldConfig
+from magmatch.field.folds import Folds, divide
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import calibrated
+from magmatch.field.prior_choice.cross_validation import N_COMPARED, Candidate, compare, compare_on_the_rest
+from magmatch.field.prior_choice.numbers import given_numbers, likely_numbers
+from magmatch.field.prior_choice.verdict import best, is_undecided, may_be_better
+from magmatch.field.priors import DENSE_PRIORS, PRIORS, prior_over
+from magmatch.field.subset import choose_part
+from magmatch.field.variogram import typical_length
+
+log = logging.getLogger(__name__)
+
+PREFERRED = "spline"
+# Samples of a first round: on a part of a large survey most that would lose have lost already.
+_N_QUALIFYING = 800
+
+
+def choose_prior(
+    samples: Survey, config: FieldConfig, T_domain_model: RigidTransform
+) -> tuple[FieldConfig, Hyperparameters]:
+    """Take the prior that predicts left-out parts best, and say by how much.
+
+    Returns
+    -------
+    config : FieldConfig
+        With the prior that was taken, and the held-out error of each in ``comparison``.
+    hyperparameters : Hyperparameters
+        Of that prior.
+    """
+    box = Box.declared(config.domain, T_domain_model)
+    length = typical_length(samples.positions, samples.field)
+    folds = divide(samples.positions, length)
+    names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds))]
+    compared: list[Candidate] = []
+    if len(samples) > 2 * _N_QUALIFYING and len(names) > 1:
+        part = samples.subset(choose_part(samples.positions, _N_QUALIFYING, 3))
+        compared = compare(names, part, divide(part.positions, length), config, box)
+        names = [PREFERRED, *(other.name for other in compared[1:] if may_be_better(other, compared[0]))]
+    if len(names) > 1 or not compared:
+        compared = compare(names, samples, folds, config, box)
+        if is_undecided(compared):
+            close = [other for other in compared[1:] if may_be_better(other, compared[0])]
+            compared = compare_on_the_rest([compared[0], *close], samples, folds)
+        taken = best(compared)
+    else:
+        taken = replace(compared[0], hyperparameters=likely_numbers(PRIORS[PREFERRED], samples, config), fitted=None)
+    errors = {candidate.name: candidate.error for candidate in compared if len(candidate.log_errors)}
+    told = ", ".join(f"{name} {error:.3g} T" for name, error in errors.items())
+    log.info("prior %s taken; typical error of left-out parts: %s", taken.name, told or "not compared")
+    model = taken.fitted[0] if taken.fitted is not None and len(samples) <= N_COMPARED else None
+    h = calibrated(prior_over(taken.name, box), samples.positions, samples.field, taken.hyperparameters, model)
+    return config.model_copy(update={"prior": taken.name, "comparison": errors}), replace(h, **given_numbers(config))
+
+
+def _is_possible(name: str, samples: Survey, folds: Folds) -> bool:
+    """Whether a prior can be compared and afforded."""
+    if folds.left_out and DENSE_PRIORS[name].is_affordable(samples.positions, samples.field):
+        return True
+    log.info("prior %s is not compared: too few samples to leave any out, or too wide a survey", name)
+    return False

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers of a prior: from the configuration where given, from the data otherwise."""
+
+import logging
+from dataclasses import replace
+
+from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.calibration import calibrated
+from magmatch.field.linear_model import Prior
+
+log = logging.getLogger(__name__)
+
+
+def choose_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
+    """Numbers whose noise and spread hold for left-out samples."""
+    h = likely_numbers(prior, samples, FieldConfig())
+    return replace(calibrated(prior, samples.positions, samples.field, h), **given_numbers(config))
+
+
+def likely_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
+    """Numbers that fit the data: all that the mean needs."""
+    log.info("choosing hyperparameters of prior %s", prior.name)
+    return replace(prior.choose_hyperparameters(samples.positions, samples.field), **given_numbers(config))
+
+
+def given_numbers(config: FieldConfig) -> dict[str, float]:
+    """Numbers that are not left to the data."""
+    names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
+    return {name: getattr(config, name) for name in names if getattr(config, name) is not None}

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which of several priors to take, by their errors on the same left-out parts; the preferred one stands first."""
+
+import numpy as np
+
+from magmatch.field.prior_choice.cross_validation import Candidate
+
+# Another prior must miss by this share less (noise included, which no prior predicts, and which often is most of it),
+# and by this many standard errors of the parts' mean.
+LEAST_GAIN, LEAST_T = 0.005, 2.0
+# Fewer parts are no sample of anything.
+FEWEST_PARTS = 6
+
+
+def best(candidates: list[Candidate]) -> Candidate:
+    """The preferred prior, unless others are clearly better: then the best of those."""
+    preferred = candidates[0]
+    better = [other for other in candidates[1:] if _is_clearly_better(other, preferred)]
+    return min(better, key=lambda candidate: candidate.error, default=preferred)
+
+
+def is_undecided(candidates: list[Candidate]) -> bool:
+    """Whether one is ahead of all that would be taken, but not clearly ahead of the preferred one."""
+    taken = best(candidates)
+    ahead = (other for other in candidates if len(other.log_errors) > 0 and other.error < taken.error)
+    return any(not _is_clearly_better(other, candidates[0]) for other in ahead)
+
+
+def may_be_better(other: Candidate, preferred: Candidate) -> bool:
+    """Whether a prior does not lose by more than chance on few samples."""
+    gain = preferred.log_errors - other.log_errors
+    return len(gain) < FEWEST_PARTS or bool(gain.mean() + _standard_error(gain) > 0)
+
+
+def _is_clearly_better(other: Candidate, preferred: Candidate) -> bool:
+    gain = preferred.log_errors - other.log_errors
+    return len(gain) >= FEWEST_PARTS and bool(gain.mean() > max(LEAST_GAIN, LEAST_T * _standard_error(gain)))
+
+
+def _standard_error(gain: np.ndarray) -> float:
+    return float(gain.std(ddof=1)) / float(np.sqrt(len(gain)))

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A part of a large survey that stands for the whole, and how densely samples lie."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from magmatch.typing import Mask, Points
+
+# Samples of a large survey that are asked how far they are from the places chosen so far.
+MOST_CANDIDATES = 20_000
+# Neighbours that tell how densely samples lie, the factor from their distance to the side of a cube that holds one
+# sample (of samples anywhere in a volume), and how many samples are asked.
+N_DENSITY, SIDE_OF_A_CUBE, MOST_ASKED = 8, 0.8, 1000
+
+
+def sample_distance(points: Points) -> float:
+    """Side of the cube that holds one sample, where most samples are."""
+    asked = points[:: -(-len(points) // MOST_ASKED)]
+    distance, _ = cKDTree(points).query(asked, k=[min(N_DENSITY + 1, len(points))])
+    return SIDE_OF_A_CUBE * float(np.median(distance))
+
+
+def choose_part(points: Points, n_samples: int, n_places: int) -> Mask:
+    """Samples around a few places far from one another.
+
+    Parameters
+    ----------
+    points : (n, 3) array, m
+    n_samples : int
+        About how many to take.
+    n_places : int
+        Over how many places.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    is_chosen = np.zeros(len(points), dtype=bool)
+    first = int(np.argmin(((points - np.median(points, axis=0)) ** 2).sum(axis=1)))
+    distance = ((points - points[first]) ** 2).sum(axis=1)
+    for _ in range(n_places):
+        nearest = np.argpartition(distance, min(n_samples // n_places, len(points) - 1))
+        is_chosen[nearest[: max(1, n_samples // n_places)]] = True
+        chosen = points[is_chosen]
+        # Next: a place further from what was chosen than most, so that corners do not stand for the whole.
+        candidates = points[:: max(1, len(points) // MOST_CANDIDATES)]
+        away = cKDTree(chosen).query(candidates)[0]
+        centre = int(np.argsort(away, kind="stable")[int(0.75 * len(candidates))])
+        distance = ((points - candidates[centre]) ** 2).sum(axis=1)
+    return is_chosen

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is left out of a survey."""
+
+import numpy as np
+
+from magmatch.field.folds import cube_numbers, divide, has_path_order, path_segments
+
+rng = np.random.default_rng(0)
+CLOUD = rng.uniform(0, 3, (2000, 3))
+WALK = np.c_[np.linspace(0, 20, 2000), np.sin(np.linspace(0, 9, 2000)), np.zeros(2000)]
+
+
+def test_walks_have_path_order_and_clouds_do_not():
+    assert has_path_order(WALK)
+    assert not has_path_order(CLOUD)
+    assert not has_path_order(WALK[rng.permutation(len(WALK))])
+
+
+def test_segments_are_contiguous_and_of_the_length_asked_for():
+    segment = path_segments(WALK, 1.0)
+    assert np.all(np.isin(np.diff(segment), [0, 1]))
+    along = np.linalg.norm(np.diff(WALK, axis=0), axis=1)
+    lengths = np.bincount(segment[1:], weights=along)
+    assert np.all(np.abs(lengths - 1.0) < 0.15)
+
+
+def test_points_of_one_cube_lie_within_it():
+    cube = cube_numbers(CLOUD, 0.5)
+    for k in range(10):
+        assert np.ptp(CLOUD[cube == k], axis=0).max() <= 0.5
+
+
+def test_parts_cover_a_survey_and_its_end():
+    points = CLOUD
+    folds = divide(points, 0.5)
+    assert not folds.is_path
+    assert len(folds.left_out) == 3
+    end = folds.left_out[2]
+    assert points[end, 0].min() >= points[~end, 0].max() - 1e-12
+    assert divide(points[:20], 0.5).left_out == ()
+
+
+def test_every_part_is_left_out_once_or_in_the_rest():
+    folds = divide(CLOUD, 0.5)
+    np.testing.assert_array_equal(np.sum([*folds.left_out[:2], *folds.rest], axis=0), 1)
+    for fold in folds.left_out[:2]:
+        assert not set(folds.part[fold]) & set(folds.part[~fold])
