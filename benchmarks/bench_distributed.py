@@ -29,7 +29,7 @@ def tasks_of_a_floor(extent=(40.0, 30.0), n=60_000):
     """Tiles of a floor."""
     survey, _ = walk(extent, n, 1.0)
     samples = survey.transformed(survey.principal_frame().inv())
-    model = TiledModel.over(samples.positions, Hyperparameters(**FIXED, stiffness=300.0))
+    model = TiledModel.over(samples.positions, Hyperparameters(**FIXED, divergence_weight=300.0))
     tasks = model.tasks(model.observe(samples.positions, samples.field))
     return [tasks.task(k) for k in range(len(model.tiles))]
 

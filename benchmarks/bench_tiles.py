@@ -121,7 +121,7 @@ def agreement(_):
     samples, rng = survey.transformed(T), np.random.default_rng(1)
     q = np.c_[rng.uniform(0.3, [19.7, 15.7], (6000, 2)), rng.uniform(0.97, 1.03, 6000)]
     truth, q = T.rotation.apply(field_at(q, sources)), T.apply(q)
-    h = Hyperparameters(1.16, 1.6 * UT, 0.35 * UT, 0.33, 3000.0, looseness=22.0, inflation=1.7)
+    h = Hyperparameters(1.16, 1.6 * UT, 0.35 * UT, 0.33, 3000.0, prior_scale=22.0, inflation=1.7)
     model = SplineModel.over(samples.positions, h)
     whole = model.infer(model.observe(samples.positions, samples.field))
     expected, sd = whole.evaluate(q, 1), np.sqrt(np.trace(whole.covariance(q), axis1=1, axis2=2))

@@ -168,8 +168,9 @@ CRAFTED = {
     "number a word": (edit_json("zarr.json", "attributes", "hyperparameters", "spacing", "x"), "expected numbers"),
     "noise zero": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", 0), "expected positive"),
     "noise NaN": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", np.nan), "finite noise_sd"),
-    "stiffness negative": (
-        edit_json("zarr.json", "attributes", "hyperparameters", "stiffness", -1), "stiffness that is not negative",
+    "divergence weight negative": (
+        edit_json("zarr.json", "attributes", "hyperparameters", "stiffness", -1),
+        "divergence weight that is not negative",
     ),
     "reach without end": (edit_json("zarr.json", "attributes", "hyperparameters", "reach", 2000), "at most 32"),
     "nodes beyond counting": (
@@ -209,7 +210,7 @@ def test_number_that_older_maps_lack_takes_its_default(saved):
         del root["attributes"]["hyperparameters"]["stiffness"]
         entries["zarr.json"] = json.dumps(root).encode()
 
-    assert MapRecord.read(repack(saved, drop)).hyperparameters.stiffness == 0.0
+    assert MapRecord.read(repack(saved, drop)).hyperparameters.divergence_weight == 0.0
 
 
 def edit_manifest(path, change):

@@ -126,7 +126,7 @@ def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(n
     assert coverage(sure) < 0.8
     assert 0.93 < coverage(honest) < 0.97
     # The mean stays: noise and prior grew alike.
-    assert honest.noise_sd / honest.looseness == pytest.approx(sure.noise_sd / sure.looseness)
+    assert honest.noise_sd / honest.prior_scale == pytest.approx(sure.noise_sd / sure.prior_scale)
 
 
 def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):

@@ -141,11 +141,11 @@ def test_harmonic_potential_has_no_divergence_energy():
     assert w.ravel() @ divergence_matrix() @ w.ravel() == pytest.approx(0.0, abs=1e-10)
 
 
-@given(a=st.floats(0.2, 12.0), stiffness=st.floats(0.0, 1e4))
+@given(a=st.floats(0.2, 12.0), divergence_weight=st.floats(0.0, 1e4))
 @few
-def test_prior_is_positive_definite_at_extremes(a, stiffness):
-    assert np.linalg.eigvalsh(prior_element(a, stiffness)).min() > 0
-    covariance = lone_cell_covariance(a, stiffness, 1.5)
+def test_prior_is_positive_definite_at_extremes(a, divergence_weight):
+    assert np.linalg.eigvalsh(prior_element(a, divergence_weight)).min() > 0
+    covariance = lone_cell_covariance(a, divergence_weight, 1.5)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9 * covariance.max()
 
 

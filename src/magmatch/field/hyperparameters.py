@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The few numbers a prior needs, and how they are stated."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import MISSING, asdict, dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 
+# Names in files, where they are not those of the attributes.
+STORED_NAMES = {"divergence_weight": "stiffness", "prior_scale": "looseness"}
 # Spacings; each one more costs a layer of cells around all samples.
 MAX_REACH = 32.0
 
@@ -25,9 +27,9 @@ class Hyperparameters:
         Standard deviation of one measured component: sensor noise and what the model cannot follow.
     spacing : float, m
         Distance of the basis nodes (inducing points, spline knots).
-    stiffness : float
-        Weight of the soft law ``div B = 0`` relative to the prior's own scale; 0 where the prior has none.
-    looseness : float
+    divergence_weight : float
+        Weight of the penalty on ``div B``, relative to the prior's other terms; 0 where the prior has none.
+    prior_scale : float
         Prior standard deviation of the basis relative to ``signal_sd``, where held-out data chose it.
     inflation : float
         Factor on posterior standard deviations that held-out data ask for.
@@ -40,21 +42,37 @@ class Hyperparameters:
     signal_sd: float
     noise_sd: float
     spacing: float
-    stiffness: float = 0.0
-    looseness: float = 1.0
+    divergence_weight: float = 0.0
+    prior_scale: float = 1.0
     inflation: float = 1.0
     reach: float = 2.0
 
     def check(self) -> None:
         """Raise ValueError where no field has such numbers: those of a file are anyone's."""
-        positive = (self.lengthscale, self.signal_sd, self.noise_sd, self.spacing, self.looseness, self.inflation)
+        positive = (self.lengthscale, self.signal_sd, self.noise_sd, self.spacing, self.prior_scale, self.inflation)
         if not all(0 < value < np.inf for value in positive):
             msg = f"expected positive lengthscale, signal_sd, noise_sd and spacing, got {self}"
             raise ValueError(msg)
-        if not (0 <= self.stiffness < np.inf and 0 <= self.reach <= MAX_REACH):
-            msg = f"expected a stiffness that is not negative and a reach of at most {MAX_REACH}, got {self}"
+        if not (0 <= self.divergence_weight < np.inf and 0 <= self.reach <= MAX_REACH):
+            msg = f"expected a divergence weight that is not negative and a reach of at most {MAX_REACH}, got {self}"
             raise ValueError(msg)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, for saving."""
-        return asdict(self)
+        """Plain numbers by their names in files."""
+        return {STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, about: Any) -> Self:
+        """Numbers by their names in files, none unknown; those that came later take their default in older files."""
+        names = {STORED_NAMES.get(f.name, f.name): f for f in fields(cls)}
+        required = {name for name, f in names.items() if f.default is MISSING}
+        found = about if isinstance(about, dict) else {}
+        if not required <= found.keys() <= names.keys() or not all(map(is_number, found.values())):
+            msg = f"entry 'zarr.json', hyperparameters: expected numbers for {', '.join(sorted(names))}"
+            raise ValueError(msg)
+        return cls(**{names[name].name: float(value) for name, value in found.items()})
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a JSON file is a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -8,7 +8,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.spline_evidence import correlated_samples
+from magmatch.field.selection.spline_evidence import integrated_autocorrelation_time
 from magmatch.field.subset import choose_part
 from magmatch.field.tiles.region_model import fit_operations
 from magmatch.preparation.config import CalibrationConfig
@@ -59,7 +59,7 @@ def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     residual = right[-1]
     # Thinned samples are neighbours along the path all the same.
     places = rows // int(np.diff(rows).min(initial=len(survey)))
-    together = correlated_samples(residual, places) if has_path_order(part.positions) else 1.0
+    together = integrated_autocorrelation_time(residual, places) if has_path_order(part.positions) else 1.0
     noise = together * max(h.noise_sd**2, float((residual**2).mean()))
     products = np.einsum("inc,jnc->ij", left[:3], right) / noise
     values, vectors = np.linalg.eigh((products[:, :3] + products[:, :3].T) / 2)

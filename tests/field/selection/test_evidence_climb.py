@@ -12,7 +12,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.evidence_climb import climb, is_allowed, settle
 from magmatch.field.selection.noise_slopes import NoiseSlopes
 
-START = Hyperparameters(0.5, 3e-6, 0.1e-6, 0.2, stiffness=300.0)
+START = Hyperparameters(0.5, 3e-6, 0.1e-6, 0.2, divergence_weight=300.0)
 
 
 class Hill:
@@ -25,7 +25,7 @@ class Hill:
 
     def log_evidence(self, h):
         self.asked.add(h)
-        names = ("noise_sd", "stiffness", "lengthscale")
+        names = ("noise_sd", "divergence_weight", "lengthscale")
         return -100 * sum(np.log(getattr(h, name) / getattr(self.top, name)) ** 2 for name in names)
 
     log_evidence_of_noise = log_evidence
@@ -53,19 +53,19 @@ class Cliff(Hill):
         return NoiseSlopes((-100 * np.tanh(x), -100 / np.cosh(x) ** 2), (0.1, 0.0))
 
 
-@given(noise=st.floats(-4, 3), stiffness=st.floats(-2, 1), lengthscale=st.floats(-0.2, 1.4))
+@given(noise=st.floats(-4, 3), divergence_weight=st.floats(-2, 1), lengthscale=st.floats(-0.2, 1.4))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_the_top_of_a_hill_is_found_to_a_step_and_its_noise_nearly(noise, stiffness, lengthscale):
+def test_the_top_of_a_hill_is_found_to_a_step_and_its_noise_nearly(noise, divergence_weight, lengthscale):
     top = replace(
         START,
         noise_sd=START.noise_sd * np.exp(noise),
-        stiffness=START.stiffness * 10**stiffness,
+        divergence_weight=START.divergence_weight * 10**divergence_weight,
         lengthscale=START.lengthscale * np.exp(lengthscale),
     )
     hill = Hill(top)
     best = climb(hill, START).hyperparameters
     # A step that gains less than two nats is not taken.
-    assert abs(np.log10(best.stiffness / top.stiffness)) < 0.51
+    assert abs(np.log10(best.divergence_weight / top.divergence_weight)) < 0.51
     assert abs(np.log(best.lengthscale / top.lengthscale)) < 0.34
     assert best.noise_sd == pytest.approx(top.noise_sd, rel=1e-6)
     assert len(hill.asked) <= 12

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.other_passes import OtherPasses
-from magmatch.field.selection.spline_evidence import EvidenceSearch, correlated_samples
+from magmatch.field.selection.path_cross_validation import cross_validate_path
+from magmatch.field.selection.spline_evidence import EvidenceSearch, integrated_autocorrelation_time
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
 
-H = Hyperparameters(0.5, 3e-6, 0.5e-6, 0.3, reach=1.0, stiffness=30.0)
+H = Hyperparameters(0.5, 3e-6, 0.5e-6, 0.3, reach=1.0, divergence_weight=30.0)
 
 
 def draw(n=60, seed=0):
@@ -59,18 +59,18 @@ def test_evidence_differences_equal_those_of_the_dense_gaussian_at_the_best_nois
 def test_single_precision_tells_the_same_evidence(signal_to_noise):
     """To a quarter of a nat, where a move has to gain two."""
     x, b = draw(400, seed=5)
-    h = replace(H, noise_sd=H.signal_sd / signal_to_noise, stiffness=3000.0)
+    h = replace(H, noise_sd=H.signal_sd / signal_to_noise, divergence_weight=3000.0)
     double, single = (EvidenceSearch(x, b, np.arange(len(x)), precision) for precision in (np.float64, np.float32))
     assert single.log_evidence(h) == pytest.approx(double.log_evidence(h), rel=0, abs=0.25)
     assert single.noise_sd(h) == pytest.approx(double.noise_sd(h), rel=1e-4)
 
 
-@pytest.mark.parametrize("samples_as_one", [1.0, 4.0])
+@pytest.mark.parametrize("autocorrelation_time", [1.0, 4.0])
 @pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
-def test_slopes_are_those_of_the_evidence_as_far_as_few_random_vectors_tell(factor, samples_as_one):
+def test_slopes_are_those_of_the_evidence_as_far_as_few_random_vectors_tell(factor, autocorrelation_time):
     x, b = draw(300, seed=4)
     search, h = EvidenceSearch(x, b, np.arange(len(x))), replace(H, noise_sd=factor * H.noise_sd)
-    search.samples_as_one = samples_as_one
+    search.autocorrelation_time = autocorrelation_time
     step = 0.05
 
     def derivatives(f):
@@ -96,8 +96,8 @@ def test_evidence_finds_the_noise_level_the_field_was_drawn_with():
 
 def test_white_residuals_count_one_by_one():
     r = np.random.default_rng(0).standard_normal((5000, 3))
-    assert correlated_samples(r, np.arange(5000)) == 1.0
-    assert correlated_samples(np.zeros((50, 3)), np.arange(50)) == 1.0
+    assert integrated_autocorrelation_time(r, np.arange(5000)) == 1.0
+    assert integrated_autocorrelation_time(np.zeros((50, 3)), np.arange(50)) == 1.0
 
 
 @given(share=st.floats(0.2, 0.75), scale=st.floats(1e-9, 1e3))
@@ -107,15 +107,17 @@ def test_an_autoregression_counts_as_its_correlation_time(share, scale):
     r = rng.standard_normal((20_000, 3))
     for n in range(1, len(r)):
         r[n] += share * r[n - 1]
-    assert correlated_samples(scale * r, np.arange(len(r))) == pytest.approx((1 + share) / (1 - share), rel=0.2)
+    assert integrated_autocorrelation_time(scale * r, np.arange(len(r))) == pytest.approx(
+        (1 + share) / (1 - share), rel=0.2
+    )
 
 
 def test_samples_beyond_a_gap_of_the_path_are_no_neighbours():
     r = np.repeat(np.random.default_rng(2).standard_normal((500, 3)), 2, axis=0)
     together = np.arange(1000)
     apart = 2 * together
-    assert correlated_samples(r, together) > 1.5
-    assert correlated_samples(r, apart) == 1.0
+    assert integrated_autocorrelation_time(r, together) > 1.5
+    assert integrated_autocorrelation_time(r, apart) == 1.0
 
 
 def test_errors_between_passes_hold_the_offset_of_a_lap():
@@ -124,13 +126,11 @@ def test_errors_between_passes_hold_the_offset_of_a_lap():
     b = 1e-6 * np.stack([np.cos(2 * turn), np.sin(turn), 0 * turn], axis=1)
     lap = (turn // (2 * np.pi)).astype(int) % 2
     b += 2e-6 * lap[:, None]
-    h = Hyperparameters(1.0, 1e-6, 0.3e-6, 0.5, stiffness=30.0)
-    passes = OtherPasses(EvidenceSearch(x, b, np.arange(len(x)), np.float32), 1.0)
-    assert passes.tell_something
-    misses = passes.misses(h)
+    h = Hyperparameters(1.0, 1e-6, 0.3e-6, 0.5, divergence_weight=30.0)
+    missed = cross_validate_path(EvidenceSearch(x, b, np.arange(len(x)), np.float32), h, 1.0)
     # Laps differ by 2 uT a component; a stretch left out is predicted from laps of both kinds.
-    assert 0.7e-6 < misses.size < 2.1e-6
-    assert misses.inflation(1e-9) > misses.inflation(2e-6)
+    assert 0.7e-6 < missed.size < 2.1e-6
+    assert missed.inflation(1e-9) > missed.inflation(2e-6)
 
 
 def test_what_is_left_out_in_single_precision_is_predicted_as_by_a_fit_of_the_rest():

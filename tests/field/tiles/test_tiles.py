@@ -12,7 +12,7 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.recent import Recent
+from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_fit import FitError
 from magmatch.field.tiles.tiled_draws import normals
 from magmatch.field.tiles.tiled_model import TiledModel
@@ -294,7 +294,7 @@ def test_no_more_factors_stay_than_there_is_room_for():
     one = 3 * tile.factors.light.n_bytes
     assert tile.factor.n_bytes == 2 * tile.factors.light.n_bytes
     assert tile.n_bytes == one
-    kept, made = Recent(5 * one), []
+    kept, made = TileCache(5 * one), []
     for k in range(4):
         kept.offer(k, posterior.factored(0))
     for k in (0, 1, 2, 3, 4, 2, 3, 4, 4, 0, 1):
@@ -325,6 +325,6 @@ def test_a_factor_in_single_precision_gives_the_same_mean_and_nearly_the_same_sp
 def test_where_single_precision_does_not_do_a_factor_is_double():
     x, b = walk()
     model = SplineModel.over(x[:400], replace(H, noise_sd=1e-12))
-    light, exact = (f(model.observe(x[:400], b[:400])) for f in (model.infer_lightly, model.infer))
+    light, exact = (f(model.observe(x[:400], b[:400])) for f in (model.infer_in_single_precision, model.infer))
     assert light.factors.light.precision == np.float64
     assert np.array_equal(light.weights, exact.weights)

@@ -24,7 +24,7 @@ from magmatch.field.cholesky.blas import (
 )
 from magmatch.field.cholesky.cells import HALF_STENCIL
 from magmatch.field.cholesky.nested_dissection import Elimination
-from magmatch.field.cholesky.reserve import RESERVE
+from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
 
@@ -133,7 +133,7 @@ def _blocks(
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
     """Where a factor's pivots and what is below them are to lie, and both of a front as one: one piece of memory."""
     sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
-    memory = RESERVE.take(sum(n * (n + k) for n, k in sizes), 1, precision).ravel(order="K")
+    memory = BUFFER_POOL.take(sum(n * (n + k) for n, k in sizes), 1, precision).ravel(order="K")
     pivots, below, blocks, start = [], [], [], 0
     for n, k in sizes:
         block = memory[start : start + n * (n + k)]
@@ -155,7 +155,7 @@ def _eliminate(
         front.unknowns, n, e.flat_nodes, e.shifts, row_at, matrix.stencil, matrix.border, matrix.corner,
         *in_precision(block),
     )  # fmt: skip
-    update = flat(RESERVE.take(n_below, n_below, block.dtype))
+    update = flat(BUFFER_POOL.take(n_below, n_below, block.dtype))
     for child, rows in zip(front.children, front.child_rows, strict=True):
         _extend_add(
             *in_precision(updates[child]), rows, n, n_below, *in_precision(block), *in_precision(update), is_leaf,

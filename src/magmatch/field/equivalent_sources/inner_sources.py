@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 # A group must add so many nats; those that add this share of what the best does are taken with it. Along a path so
 # many samples may share an error, and count as one.
-_LEAST_GAIN, _TOGETHER, _SAMPLES_AS_ONE = 10.0, 0.5, 16.0
+_LEAST_GAIN, _TOGETHER, _AUTOCORRELATION_TIME = 10.0, 0.5, 16.0
 _MOST_ROUNDS = 12
 
 
@@ -59,14 +59,14 @@ class InnerSources:
         """Layer with those charges that the evidence asks for."""
         if len(self.charges) == 0:
             return self.shell
-        unit = h.looseness * h.signal_sd
+        unit = h.prior_scale * h.signal_sd
         holes = np.full(len(self.charges) - len(self.strength), self.shell.scale[0])
         scale = np.concatenate([self.strength / unit, holes])
         size = np.concatenate([unit * self.shell.scale, unit * scale, np.full(3, constant_sd)]) / h.noise_sd
         is_extra = np.zeros(len(size), dtype=np.bool_)
         is_extra[self.shell.n_weights : -3] = True
         gram, y = self.gram * size * size[:, None], self.product * size / h.noise_sd
-        least = _LEAST_GAIN * (_SAMPLES_AS_ONE if has_path_order(self.points) else 1.0)
+        least = _LEAST_GAIN * (_AUTOCORRELATION_TIME if has_path_order(self.points) else 1.0)
         taken = _taken(gram, y, is_extra, self.group, least)
         if not taken.any():
             return self.shell

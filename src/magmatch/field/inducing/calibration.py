@@ -88,7 +88,7 @@ def widened(h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fi
         covariance = posterior.covariance(points[rows])
         variances.append(np.diagonal(covariance, axis1=1, axis2=2) / (h.inflation * h.noise_sd) ** 2)
     growth, inflation = _sharpest(np.concatenate(sizes) / h.noise_sd, np.concatenate(variances))
-    return replace(h, noise_sd=growth * h.noise_sd, looseness=growth * h.looseness, inflation=inflation)
+    return replace(h, noise_sd=growth * h.noise_sd, prior_scale=growth * h.prior_scale, inflation=inflation)
 
 
 def _sharpest(size: Scalars, variance: Scalars) -> tuple[float, float]:

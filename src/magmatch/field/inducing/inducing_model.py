@@ -103,7 +103,7 @@ class InducingModel:
         factor = np.zeros((n + 3, n + 3), order="F")
         factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
         h = hyperparameters
-        factor[:n, :n] *= h.noise_sd / (h.looseness * h.signal_sd)
+        factor[:n, :n] *= h.noise_sd / (h.prior_scale * h.signal_sd)
         factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
         return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
 
@@ -121,7 +121,7 @@ class InducingModel:
     ) -> "InducingModel":
         """Take a basis whose weights are independent; arguments as in `over`."""
         h = hyperparameters
-        factor = np.full(basis.n_weights + 3, h.noise_sd / (h.looseness * h.signal_sd))
+        factor = np.full(basis.n_weights + 3, h.noise_sd / (h.prior_scale * h.signal_sd))
         factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
         return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach, sources)
 
@@ -229,7 +229,7 @@ class InducingPosterior:
         points = np.asarray(points, dtype=np.float64)
         k = N_ROWS[order]
         h = self.hyperparameters
-        prior = (h.looseness * h.signal_sd) ** 2 * self.model.kernel.at_one_point(order)
+        prior = (h.prior_scale * h.signal_sd) ** 2 * self.model.kernel.at_one_point(order)
         prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
         out = np.empty((len(points), k, k))
         is_whole = self.model.basis.is_whole(points)
@@ -247,7 +247,7 @@ class InducingPosterior:
         """Posterior covariance of the field at all points together (DTC): (3 n, 3 n), row ``3 i + a``."""
         points = np.asarray(points, dtype=np.float64)
         n, h = len(points), self.hyperparameters
-        beside = (h.looseness * h.signal_sd) ** 2 * self.model.kernel.covariance(points, points)
+        beside = (h.prior_scale * h.signal_sd) ** 2 * self.model.kernel.covariance(points, points)
         beside += self.model.constant_sd**2 * np.kron(np.eye(3), np.ones((n, n)))
         A = self.model.features(points, 0)
         beside -= h.noise_sd**2 * (A.T @ A)

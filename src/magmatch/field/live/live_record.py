@@ -14,7 +14,6 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.live_cells import COUNT, KEPT_PER_CELL, N_SUMS
 from magmatch.field.live.live_tiles import LiveTiles
 from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
-from magmatch.field.storage.store import hyperparameters_from
 
 SCHEMA = "magmatch.live/1"
 # Where the sums of the field (1 row) and of its products (3 rows) stand in 'moments'.
@@ -107,7 +106,7 @@ class LiveRecord:
             about = attributes["hyperparameters"]
             record = cls(
                 EstimatorConfig.model_validate(attributes["config"]),
-                None if about is None else hyperparameters_from(about),
+                None if about is None else Hyperparameters.from_dict(about),
                 _count(attributes, "n_chosen"),
                 _count(attributes, "n_samples"),
                 arrays,

@@ -13,18 +13,18 @@ from magmatch.field.selection.spline_evidence import EvidenceSearch
 # One to finer splines costs twice as much.
 LEAST_GAIN, GAIN, GAIN_OF_FINER, MOST_STEPS = 2.0, 0.005, 0.01, 6
 # Factors tried of each number, the second where the first does not help.
-STIFFNESS, LENGTHSCALE = (10.0, 0.1), (1.8, 1 / 1.8)
+DIVERGENCE_WEIGHT_STEPS, LENGTHSCALE_STEPS = (10.0, 0.1), (1.8, 1 / 1.8)
 # Of the noise's logarithm: so far at once, and how far a parabola is as good as the evidence.
 LONGEST_STEP, NEAR = 1.6, 0.5
-# Bounds of lengthscale over spacing, stiffness, signal over noise.
-RELATIVE_LENGTHSCALES, STIFFNESSES, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
+# Bounds of lengthscale over spacing, divergence weight, signal over noise.
+RELATIVE_LENGTHSCALES, DIVERGENCE_WEIGHTS, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
 
 # Gives the next point, or None where there is none.
 Step = Callable[[Hyperparameters], Hyperparameters | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Top:
+class NoiseOptimum:
     """Numbers that were tried, and the noise at which the evidence of such numbers is greatest.
 
     Attributes
@@ -48,31 +48,31 @@ class Top:
         return bool(abs(np.log(self.hyperparameters.noise_sd / self.tried.noise_sd)) < NEAR)
 
 
-def climb(search: EvidenceSearch, start: Hyperparameters) -> Top:
-    """Noise, stiffness and lengthscale of the greatest evidence."""
+def climb(search: EvidenceSearch, start: Hyperparameters) -> NoiseOptimum:
+    """Noise, divergence weight and lengthscale of the greatest evidence."""
     best = _settled(search, start)
-    best = _along(search, best, _steps("stiffness", STIFFNESS))
-    return _along(search, best, _steps("lengthscale", LENGTHSCALE))
+    best = _along(search, best, _steps("divergence_weight", DIVERGENCE_WEIGHT_STEPS))
+    return _along(search, best, _steps("lengthscale", LENGTHSCALE_STEPS))
 
 
-def settle(search: EvidenceSearch, start: Hyperparameters | Top, finer: Step) -> Top:
-    """Spacing and noise of the greatest evidence, lengthscale and stiffness as they are."""
+def settle(search: EvidenceSearch, start: Hyperparameters | NoiseOptimum, finer: Step) -> NoiseOptimum:
+    """Spacing and noise of the greatest evidence, lengthscale and divergence weight as they are."""
     # First: finer splines make up for a noise that is too large.
-    best = start if isinstance(start, Top) else _settled(search, start)
+    best = start if isinstance(start, NoiseOptimum) else _settled(search, start)
     return _along(search, best, [finer], GAIN_OF_FINER)
 
 
-def _settled(search: EvidenceSearch, start: Hyperparameters) -> Top:
+def _settled(search: EvidenceSearch, start: Hyperparameters) -> NoiseOptimum:
     """The best noise for the rest of some numbers; raises `numpy.linalg.LinAlgError` where they cannot be used."""
-    first = _top(search, start)
+    first = _noise_optimum(search, start)
     return _as_tried(search, start) if first is None else _followed(search, first)
 
 
-def _followed(search: EvidenceSearch, first: Top) -> Top:
+def _followed(search: EvidenceSearch, first: NoiseOptimum) -> NoiseOptimum:
     """By Newton's steps, until one is so short that nothing need be computed where it leads."""
     tops = [first]
     while not tops[-1].is_near and len(tops) < MOST_STEPS:
-        further = _top(search, tops[-1].hyperparameters)
+        further = _noise_optimum(search, tops[-1].hyperparameters)
         if further is None:
             break
         tops.append(further)
@@ -81,7 +81,7 @@ def _followed(search: EvidenceSearch, first: Top) -> Top:
     return max(borne_out, key=lambda top: search.log_evidence_of_noise(top.tried) + top.gain)
 
 
-def _top(search: EvidenceSearch, h: Hyperparameters) -> Top | None:
+def _noise_optimum(search: EvidenceSearch, h: Hyperparameters) -> NoiseOptimum | None:
     """Where the parabola in the logarithm of the noise is highest, or as far towards it as is sensible.
 
     None where the numbers cannot be used.
@@ -92,12 +92,12 @@ def _top(search: EvidenceSearch, h: Hyperparameters) -> Top | None:
     noise_sd = _allowed_noise(h, h.noise_sd * np.exp(_newton_step(*slopes.evidence)))
     step = float(np.log(noise_sd / h.noise_sd))
     gain, level = (first * step + second * step**2 / 2 for first, second in (slopes.evidence, slopes.level))
-    return Top(h, replace(h, noise_sd=noise_sd), gain, search.noise_sd(h) * float(np.exp(level)))
+    return NoiseOptimum(h, replace(h, noise_sd=noise_sd), gain, search.noise_sd(h) * float(np.exp(level)))
 
 
-def _as_tried(search: EvidenceSearch, h: Hyperparameters) -> Top:
+def _as_tried(search: EvidenceSearch, h: Hyperparameters) -> NoiseOptimum:
     """Numbers as they were tried; raises `numpy.linalg.LinAlgError` where they cannot be used."""
-    return Top(h, h, 0.0, search.noise_sd(h))
+    return NoiseOptimum(h, h, 0.0, search.noise_sd(h))
 
 
 def _newton_step(slope: float, bend: float) -> float:
@@ -113,7 +113,7 @@ def _allowed_noise(h: Hyperparameters, noise_sd: float) -> float:
     return float(np.clip(noise_sd, h.signal_sd / high * (1 + 1e-9), h.signal_sd / low * (1 - 1e-9)))
 
 
-def _along(search: EvidenceSearch, start: Top, steps: Sequence[Step], gain: float = GAIN) -> Top:
+def _along(search: EvidenceSearch, start: NoiseOptimum, steps: Sequence[Step], gain: float = GAIN) -> NoiseOptimum:
     """Repeat the first of some steps that helps, as long as it does; each is judged at its own best noise."""
     best, least_gain = start, max(LEAST_GAIN, gain * search.n_independent)
     for step in steps:
@@ -128,10 +128,10 @@ def _along(search: EvidenceSearch, start: Top, steps: Sequence[Step], gain: floa
     return best
 
 
-def _better(search: EvidenceSearch, h: Hyperparameters, best: Top, least_gain: float) -> Top | None:
+def _better(search: EvidenceSearch, h: Hyperparameters, best: NoiseOptimum, least_gain: float) -> NoiseOptimum | None:
     """Where numbers lead to if that is higher than the best so far."""
     needed = search.log_evidence(best.tried) + best.gain + least_gain
-    found = _top(search, h)
+    found = _noise_optimum(search, h)
     if found is None:
         return None
     # What a parabola promises from afar is looked at, what it does not is not.
@@ -162,6 +162,6 @@ def is_allowed(h: Hyperparameters) -> bool:
     """Whether numbers are within bounds."""
     return (
         RELATIVE_LENGTHSCALES[0] <= h.lengthscale / h.spacing <= RELATIVE_LENGTHSCALES[1]
-        and STIFFNESSES[0] <= h.stiffness <= STIFFNESSES[1]
+        and DIVERGENCE_WEIGHTS[0] <= h.divergence_weight <= DIVERGENCE_WEIGHTS[1]
         and SIGNALS_TO_NOISE[0] <= h.signal_sd / h.noise_sd <= SIGNALS_TO_NOISE[1]
     )

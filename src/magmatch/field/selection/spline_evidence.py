@@ -7,18 +7,18 @@ With everything in units of the noise, ``A = sum Phi^T Phi + P0``, the likelihoo
     log p = -1/2 [ n / kappa ln(S / n) + ln det A - ln det P0 ].
 
 Along a path errors are correlated (poses drift, steel moves the field at small scale); taken as independent they make
-the evidence follow them. kappa is how many samples count as one: the integral of the residuals' autocorrelation.
+the evidence follow them. kappa is the integrated autocorrelation time of the residuals, in samples.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.cells import HALF_STENCIL, CellGrid, lay_cells
 from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import CholeskyFactor, factorise
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
-from magmatch.field.cholesky.reserve import RESERVE
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
@@ -28,25 +28,25 @@ from magmatch.field.spline.spline_model import (
     SplineModel,
     SplinePosterior,
     constant_precision,
-    prior_scale,
+    relative_prior_precision,
 )
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # Correlations below this end the sum: what follows is scatter of the estimate.
 SMALLEST_CORRELATION = 0.1
-# More than so many samples never count as one: what is correlated over longer stretches lives in few directions, and
+# Longest autocorrelation time, samples: what is correlated over longer stretches lives in few directions, and
 # the rest of what those samples say stands.
-MOST_SAMPLES_AS_ONE = 16.0
-# `SplineModel.contrast` beyond which rounding in single precision would be seen in the evidence.
-HIGHEST_CONTRAST = 1e6
+LONGEST_AUTOCORRELATION = 16.0
+# `SplineModel.information_ratio` beyond which rounding in single precision would be seen in the evidence.
+HIGHEST_INFORMATION_RATIO = 1e6
 
 
-# Spacing, reach, lengthscale and stiffness: signal and noise only scale the prior.
+# Spacing, reach, lengthscale and divergence_weight: signal and noise only scale the prior.
 Shape = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class TrialFit:
     """What one factorisation tells about trial numbers.
 
     Attributes
@@ -71,11 +71,11 @@ class EvidenceSearch:
         self, points: Points, field: Vectors, order: Indices, precision: type[np.floating] = np.float64
     ) -> None:
         self.points, self.field, self.order, self.precision = points, field, order, precision
-        self.samples_as_one = 1.0
+        self.autocorrelation_time = 1.0
         # By spacing and reach.
         self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
         self._data: dict[tuple[float, float], SplineInformation] = {}
-        self._fits: dict[Hyperparameters, Fit] = {}
+        self._fits: dict[Hyperparameters, TrialFit] = {}
         # The last fit's: slopes are asked for at once or not at all.
         self._last: tuple[Hyperparameters, CholeskyFactor] | None = None
         self._shapes: dict[Shape, StencilMatrix] = {}
@@ -83,8 +83,8 @@ class EvidenceSearch:
 
     @property
     def n_independent(self) -> float:
-        """Measured values, fewer where several samples count as one."""
-        return self.field.size / self.samples_as_one
+        """Measured values, fewer where neighbouring samples are correlated."""
+        return self.field.size / self.autocorrelation_time
 
     def operations(self, h: Hyperparameters) -> float:
         """Floating-point operations of one factorisation."""
@@ -101,13 +101,15 @@ class EvidenceSearch:
             return -np.inf
 
     def log_evidence_of_noise(self, h: Hyperparameters) -> float:
-        """The same up to a number that only depends on spacing, reach, lengthscale and stiffness."""
+        """The same up to a number that only depends on spacing, reach, lengthscale and divergence_weight."""
         try:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
             return -np.inf
         n = float(self.field.size)
-        log_prior = self._model(h).cells.n_nodes * np.log(prior_scale(h)) + 3 * np.log(constant_precision(h))
+        log_prior = self._model(h).cells.n_nodes * np.log(relative_prior_precision(h)) + 3 * np.log(
+            constant_precision(h)
+        )
         likelihood = self.n_independent * np.log(fit.square / n)
         return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
 
@@ -122,30 +124,28 @@ class EvidenceSearch:
             self._last = h, self._factor(h, self._observed(h))[1]
 
         def times_prior(x: Scalars) -> Scalars:
-            product = prior_scale(h) * shape.times(x, cells)
+            product = relative_prior_precision(h) * shape.times(x, cells)
             product[-3:] = constant_precision(h) * x[-3:]
             return product
 
         fit = self._fit(h)
         return noise_slopes(times_prior, self._last[1], fit.weights, fit.square, self.n_independent)
 
-    def residuals(self, h: Hyperparameters) -> Vectors:
-        """What the fitted mean leaves of the samples, (n, 3), T."""
-        factors = Factors(lambda _: self._factor(h, self._observed(h))[1])
-        posterior = SplinePosterior(h, self._model(h).cells, factors, self._fit(h).weights)
-        left: Vectors = self.field - posterior.evaluate(self.points).field
-        return left
-
-    def correlated_samples(self, h: Hyperparameters) -> float:
-        """How many samples count as one by what a fit leaves of them."""
-        return correlated_samples(self.residuals(h), self.order)
-
-    def crowded_samples(self, h: Hyperparameters) -> float:
-        """How many samples of a path lie in a quarter of a cell, and so share what the model cannot follow there."""
+    def temper(self, h: Hyperparameters) -> None:
+        """Let as many neighbouring samples of a path count as one as share their errors, by what a fit leaves."""
+        in_a_quarter_cell = 1.0
         step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)[np.diff(self.order) == 1]
-        if len(step) == 0 or not has_path_order(self.points):
-            return 1.0
-        return float(np.clip(h.spacing / 4 / max(float(np.median(step)), 1e-300), 1.0, MOST_SAMPLES_AS_ONE))
+        if len(step) and has_path_order(self.points):
+            # These share what the model cannot follow there.
+            in_a_quarter_cell = h.spacing / 4 / max(float(np.median(step)), 1e-300)
+        residual = self.field - self._posterior(h).evaluate(self.points).field
+        correlated = integrated_autocorrelation_time(residual, self.order)
+        self.autocorrelation_time = max(correlated, float(np.clip(in_a_quarter_cell, 1.0, LONGEST_AUTOCORRELATION)))
+
+    def _posterior(self, h: Hyperparameters) -> SplinePosterior:
+        """Posterior of all samples, whose factor is made if it is asked for."""
+        factors = Factors(lambda _: self._factor(h, self._observed(h))[1])
+        return SplinePosterior(h, self._model(h).cells, factors, self._fit(h).weights)
 
     def fit_without(self, rows: Mask, h: Hyperparameters) -> SplinePosterior:
         """Posterior of all samples but some."""
@@ -170,7 +170,7 @@ class EvidenceSearch:
             self._data[key] = self._model(h).observe(self.points, self.field)
         return self._data[key]
 
-    def _fit(self, h: Hyperparameters) -> Fit:
+    def _fit(self, h: Hyperparameters) -> TrialFit:
         if h not in self._fits:
             data = self._observed(h)
             A, factor = self._factor(h, data)
@@ -180,25 +180,25 @@ class EvidenceSearch:
             square = data.square - float((data.eta + left) @ w) - float(left @ change)
             # Rounding errors may not pass for a perfect fit.
             square = max(square, 1e-12 * data.square, 1e-300)
-            self._fits[h] = Fit(square, factor.log_determinant, w + change)
+            self._fits[h] = TrialFit(square, factor.log_determinant, w + change)
         return self._fits[h]
 
     def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
         model = self._model(h)
-        stencil = RESERVE.take(HALF_STENCIL, model.cells.n_nodes).T
-        np.multiply(self._shape(h).stencil, prior_scale(h), out=stencil)
+        stencil = BUFFER_POOL.take(HALF_STENCIL, model.cells.n_nodes).T
+        np.multiply(self._shape(h).stencil, relative_prior_precision(h), out=stencil)
         np.add(stencil, data.gram.stencil, out=stencil)
         corner = data.gram.corner + np.eye(3) * constant_precision(h)
         A = StencilMatrix(stencil, data.gram.border, corner)
-        is_risky = self.precision == np.float32 and model.contrast(data) > HIGHEST_CONTRAST
+        is_risky = self.precision == np.float32 and model.information_ratio(data) > HIGHEST_INFORMATION_RATIO
         return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
 
     def _shape(self, h: Hyperparameters) -> StencilMatrix:
         """Prior precision where signal and noise are the same, of which theirs is a multiple."""
         key = _shape_of(h)
         if key not in self._shapes:
-            unit = replace(h, signal_sd=1.0, noise_sd=1.0, looseness=1.0)
+            unit = replace(h, signal_sd=1.0, noise_sd=1.0, prior_scale=1.0)
             self._shapes[key] = replace(self._model(h), hyperparameters=unit).prior_precision()
             self._shapes[key].corner[:] = np.eye(3)
         return self._shapes[key]
@@ -213,7 +213,7 @@ class EvidenceSearch:
 
 
 def _shape_of(h: Hyperparameters) -> Shape:
-    return (h.spacing, h.reach, h.lengthscale, h.stiffness)
+    return (h.spacing, h.reach, h.lengthscale, h.divergence_weight)
 
 
 def _solve(
@@ -225,8 +225,8 @@ def _solve(
     return w, left, factor.solve(left)
 
 
-def correlated_samples(residuals: Vectors, order: Indices) -> float:
-    """How many neighbouring samples of a path count as one independent measurement.
+def integrated_autocorrelation_time(residuals: Vectors, order: Indices) -> float:
+    """How many neighbouring samples of a path count as one independent measurement (Sokal 1997).
 
     Parameters
     ----------
@@ -253,6 +253,6 @@ def correlated_samples(residuals: Vectors, order: Indices) -> float:
         if correlation < SMALLEST_CORRELATION:
             break
         total += 2 * correlation
-        if total > MOST_SAMPLES_AS_ONE:
+        if total > LONGEST_AUTOCORRELATION:
             break
-    return min(total, MOST_SAMPLES_AS_ONE)
+    return min(total, LONGEST_AUTOCORRELATION)

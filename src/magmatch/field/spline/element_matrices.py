@@ -3,7 +3,7 @@
 
 With ``phi = h psi(u)`` and ``a = lengthscale / h`` the energy of one cell is ``w^T E w`` with
 
-    E = sum_{k=0..3} (a^2 / 2)^k / k!  J_k  +  stiffness (a^4 / 8) L,
+    E = sum_{k=0..3} (a^2 / 2)^k / k!  J_k  +  divergence_weight (a^4 / 8) L,
 
 J_k the integral of ``|grad^k psi|^2`` and L that of ``(lap psi)^2`` over the unit cell. The sum is the series of
 ``exp(a^2 k^2 / 2)``, the inverse spectral density of the squared-exponential kernel, cut after the third term
@@ -78,15 +78,15 @@ def divergence_matrix() -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def prior_element(relative_lengthscale: float, stiffness: float) -> np.ndarray:
+def prior_element(relative_lengthscale: float, divergence_weight: float) -> np.ndarray:
     """Prior precision of one cell, up to its scale."""
     half = relative_lengthscale**2 / 2
     E = sum(half**k / factorial(k) * smoothness_matrix(k) for k in range(HIGHEST_TERM + 1))
-    return np.asarray(E + stiffness * half**2 / 2 * divergence_matrix())
+    return np.asarray(E + divergence_weight * half**2 / 2 * divergence_matrix())
 
 
 @lru_cache(maxsize=64)
-def lone_cell_covariance(relative_lengthscale: float, stiffness: float, reach: float) -> np.ndarray:
+def lone_cell_covariance(relative_lengthscale: float, divergence_weight: float, reach: float) -> np.ndarray:
     """Prior covariance of field and gradient in a cell with nothing but its reach around it.
 
     This is what the prior says where a single sample was taken, and so the scale by which `signal_sd` is defined:
@@ -101,7 +101,7 @@ def lone_cell_covariance(relative_lengthscale: float, stiffness: float, reach: f
     )
     flat = flat.reshape(-1, SPLINES_PER_CELL)
     Q = np.zeros((len(nodes), len(nodes)))
-    E = prior_element(relative_lengthscale, stiffness)
+    E = prior_element(relative_lengthscale, divergence_weight)
     distance = np.sqrt((offsets**2).sum(axis=1))
     for n, weight in zip(flat, cell_weights(distance), strict=True):
         Q[np.ix_(n, n)] += weight * E

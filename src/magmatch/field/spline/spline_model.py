@@ -32,9 +32,9 @@ CONSTANT_SD = 1e-4
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
 LARGEST_SHARE_FOR_SOLVES = 0.1
-# `SplineModel.contrast` up to which two corrections of a factor in single precision will do: with more, a double one,
-# which covariances ask for as well, is as soon made.
-HIGHEST_CONTRAST = 3e3
+# `SplineModel.information_ratio` up to which two corrections of a factor in single precision will do. Beyond, a factor
+# in double precision, which covariances need as well, takes no longer.
+HIGHEST_INFORMATION_RATIO = 3e3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,9 +113,9 @@ class SplineModel:
         factor = factorise(self.elimination, self.precision(information))
         return SplinePosterior(self.hyperparameters, self.cells, Factors.of(factor), factor.solve(information.eta))
 
-    def infer_lightly(self, information: SplineInformation) -> "SplinePosterior":
+    def infer_in_single_precision(self, information: SplineInformation) -> "SplinePosterior":
         """The same mean by a factor in single precision, in two thirds of the time; in double where that must be."""
-        if self.contrast(information) > HIGHEST_CONTRAST:
+        if self.information_ratio(information) > HIGHEST_INFORMATION_RATIO:
             return self.infer(information)
         A = self.precision(information)
         try:
@@ -128,9 +128,9 @@ class SplineModel:
         factors = Factors(partial(factorise, self.elimination, A), factor)
         return SplinePosterior(self.hyperparameters, self.cells, factors, weights)
 
-    def contrast(self, information: SplineInformation) -> float:
+    def information_ratio(self, information: SplineInformation) -> float:
         """Measured values per cell over the prior's share: where it is large, single precision shows its rounding."""
-        return information.n_values / self.cells.n_cells / prior_scale(self.hyperparameters)
+        return information.n_values / self.cells.n_cells / relative_prior_precision(self.hyperparameters)
 
     def precision(self, information: SplineInformation) -> StencilMatrix:
         """Posterior precision times the noise variance."""
@@ -140,12 +140,12 @@ class SplineModel:
 def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
     relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
-    return prior_element(relative, h.stiffness), lone_cell_covariance(relative, h.stiffness, h.reach)
+    return prior_element(relative, h.divergence_weight), lone_cell_covariance(relative, h.divergence_weight, h.reach)
 
 
-def prior_scale(h: Hyperparameters) -> float:
+def relative_prior_precision(h: Hyperparameters) -> float:
     """Factor from the prior's shape to the prior, in units of the noise."""
-    return (h.noise_sd / (h.looseness * h.signal_sd)) ** 2
+    return (h.noise_sd / (h.prior_scale * h.signal_sd)) ** 2
 
 
 def constant_precision(h: Hyperparameters) -> float:
@@ -156,7 +156,7 @@ def constant_precision(h: Hyperparameters) -> float:
 def cell_precision(h: Hyperparameters) -> np.ndarray:
     """Prior precision of one cell of weight 1 in units of the noise's: (64, 64)."""
     element, covariance = prior_terms(h)
-    return np.asarray(element * (prior_scale(h) * covariance[0, 0]))
+    return np.asarray(element * (relative_prior_precision(h) * covariance[0, 0]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -7,7 +7,7 @@ samples, and so checks its weights. Models of other priors are fitted again on l
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,7 +18,7 @@ from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError, MagmatchError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
-from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.hyperparameters import Hyperparameters, is_number
 from magmatch.field.linear_model import Index, Posterior, StoredTile
 from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
 from magmatch.geometry import transform_from_matrix
@@ -159,7 +159,7 @@ class MapRecord:
                 surveys=_surveys(attributes["surveys"], arrays),
                 T_map_model=_transform(attributes, "T_map_model"),
                 config=FieldConfig.model_validate(attributes["config"]),
-                hyperparameters=hyperparameters_from(attributes["hyperparameters"]),
+                hyperparameters=Hyperparameters.from_dict(attributes["hyperparameters"]),
                 weights=np.zeros(0) if attributes["tiles"] else _shaped(arrays, "weights", 1),
                 fitted_samples=_fitted_samples(len(attributes["surveys"]), arrays),
                 T_domain_model=_transform(attributes, "T_domain_model"),
@@ -228,7 +228,7 @@ def _survey(k: int, about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
         # Unit already; to normalise once more would change their last bits.
         orientations = Rotation(quaternions, normalize=False)
     frame, name, pose_sd = (_at(about, key) for key in ("frame", "name", "pose_sd"))
-    if not (isinstance(frame, str) and isinstance(name, str) and _is_number(pose_sd) and pose_sd >= 0):
+    if not (isinstance(frame, str) and isinstance(name, str) and is_number(pose_sd) and pose_sd >= 0):
         msg = "entry 'zarr.json', surveys: expected frame and name in words and pose_sd in metres"
         raise ValueError(msg)
     return Survey(
@@ -254,17 +254,6 @@ def _fitted_samples(n_surveys: int, arrays: Mapping[str, np.ndarray]) -> Survey:
     return parts[0].merged(*parts[1:])
 
 
-def hyperparameters_from(about: Any) -> Hyperparameters:
-    """Numbers by name, none unknown; those that came later take their default in older files."""
-    known = {f.name for f in fields(Hyperparameters)}
-    required = {f.name for f in fields(Hyperparameters) if f.default is MISSING}
-    found = about if isinstance(about, dict) else {}
-    if not required <= found.keys() <= known or not all(map(_is_number, found.values())):
-        msg = f"entry 'zarr.json', hyperparameters: expected numbers for {', '.join(sorted(known))}"
-        raise ValueError(msg)
-    return Hyperparameters(**{name: float(value) for name, value in found.items()})
-
-
 def _shaped(arrays: Mapping[str, np.ndarray], name: str, n_axes: int, n_columns: int | None = None) -> np.ndarray:
     """Array of a saved map with the expected number of axes and columns, and at least one row."""
     array = arrays[name]
@@ -280,7 +269,7 @@ def _transform(attributes: Mapping[str, Any], name: str) -> RigidTransform:
     value = attributes[name]
     is_matrix = isinstance(value, list) and all(isinstance(row, list) and len(row) == 4 for row in value)
     try:
-        if is_matrix and all(_is_number(number) for row in value for number in row):
+        if is_matrix and all(is_number(number) for row in value for number in row):
             return transform_from_matrix(np.array(value, dtype=np.float64))
         found = "expected a 4x4 matrix of numbers"
     except ValueError as error:
@@ -291,7 +280,3 @@ def _transform(attributes: Mapping[str, Any], name: str) -> RigidTransform:
 
 def _at(value: Any, key: str) -> Any:
     return value.get(key) if isinstance(value, dict) else None
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -116,7 +116,7 @@ class TileTask:
     def infer(self) -> SplinePosterior:
         """Fit the tile."""
         model = self.model()
-        return model.infer_lightly(self.observe(model))
+        return model.infer_in_single_precision(self.observe(model))
 
     def recall(self, weights: Scalars) -> SplinePosterior:
         """The posterior that has these weights, which an earlier fit gave; factorised only once that is needed.
@@ -135,7 +135,7 @@ class TileTask:
     def _factorise_again(self, cells: CellGrid, weights: Scalars, precision: type[np.floating]) -> CholeskyFactor:
         """Factor of the fit, once it is seen to give the field that was stored."""
         model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
-        fit = model.infer if precision == np.float64 else model.infer_lightly
+        fit = model.infer if precision == np.float64 else model.infer_in_single_precision
         fitted = fit(self.observe(model))
         if not np.array_equal(fitted.weights, weights):
             points = self.around[:: -(-len(self.around) // N_CHECKED)]

@@ -14,7 +14,7 @@ import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Runner, StoredTile
-from magmatch.field.tiles.recent import Recent
+from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_fit import Samples, fit_weights
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.field.tiles.tiled_posterior import FACTORED_BYTES, TiledPosterior
@@ -95,7 +95,7 @@ class TiledModel:
 
     def _infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner) -> TiledPosterior:
         """Fit those tiles that are not known yet."""
-        found, factored = dict(known), Recent(FACTORED_BYTES)
+        found, factored = dict(known), TileCache(FACTORED_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
         if run is map:
             # Outliers and draws ask for the factors next: made here, some of them stay.
@@ -122,7 +122,7 @@ class TiledModel:
 
 
 @single_threaded
-def _fit_here(tasks: TileTasks, factored: Recent, number: int) -> Scalars:
+def _fit_here(tasks: TileTasks, factored: TileCache, number: int) -> Scalars:
     """What `fit_weights` gives of a tile, whose factor is offered to those who want it later."""
     posterior = tasks.task(number).infer()
     factored.offer(number, posterior)

@@ -22,7 +22,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes, Index
 from magmatch.field.spline.spline_model import SplinePosterior, outside_covariance
 from magmatch.field.tiles.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
-from magmatch.field.tiles.recent import Recent
+from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
@@ -44,15 +44,15 @@ class TiledPosterior:
         What each tile was fitted from.
     tile_weights : list of (m + 3,) arrays, T
         Posterior mean of each tile's weights.
-    factored_tiles : Recent
+    factored_tiles : TileCache
         Tiles with their factors, as the fit left them or made again when they are needed.
     """
 
     tasks: TileTasks
     tile_weights: list[Scalars]
-    factored_tiles: Recent = field(default_factory=lambda: Recent(FACTORED_BYTES), repr=False)
+    factored_tiles: TileCache = field(default_factory=lambda: TileCache(FACTORED_BYTES), repr=False)
     _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
-    _ready: Recent = field(default_factory=Recent, init=False, repr=False)
+    _ready: TileCache = field(default_factory=TileCache, init=False, repr=False)
 
     @property
     def hyperparameters(self) -> Hyperparameters:

@@ -27,7 +27,7 @@ class WholeModel(SplineModel):
     ) -> SplinePosterior:
         """Fit samples, or recall the very fit of them that is stored."""
         if not stored:
-            return self.infer_lightly(self.observe(points, field))
+            return self.infer_in_single_precision(self.observe(points, field))
         task = self.tasks_of(points, field).task(0)
         is_same = WHOLE in stored and stored[WHOLE].fingerprint == task.fingerprint()
         return task.recall(stored[WHOLE].weights if is_same else next(iter(run(fit_weights, [task]))))

@@ -6,9 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.spline_hyperparameters import Layout
+from magmatch.field.selection.spline_layout import SplineLayout
 
-H = Hyperparameters(1.0, 1e-6, 1e-7, 0.2, stiffness=3000.0, reach=1.5)
+H = Hyperparameters(1.0, 1e-6, 1e-7, 0.2, divergence_weight=3000.0, reach=1.5)
 
 
 def box(n, height, seed=0):
@@ -16,7 +16,7 @@ def box(n, height, seed=0):
 
 
 def test_few_samples_have_closer_splines_against_their_distance():
-    few, many = (Layout.over(box(n, 1.0)) for n in (400, 1500))
+    few, many = (SplineLayout.over(box(n, 1.0)) for n in (400, 1500))
     assert few.closest / few.distance < many.closest / many.distance
     assert many.closest < few.closest
 
@@ -25,5 +25,5 @@ def test_few_samples_have_closer_splines_against_their_distance():
 def test_a_plane_is_thin_however_it_lies(tilt):
     turn = Rotation.from_euler("xz", [tilt, 40.0], degrees=True)
     plane, volume = (turn.apply(box(500, height)) for height in (0.02, 1.0))
-    reach = [Layout.over(p).told(p, H).reach for p in (plane, volume)]
+    reach = [SplineLayout.over(p).extrapolating(p, H).reach for p in (plane, volume)]
     assert reach == pytest.approx([0.6 * 5 + 0.5, 0.3 * 5 + 0.5])

@@ -10,7 +10,7 @@ import numpy.typing as npt
 MOST_IDLE, SMALLEST = 3e8, 1 << 16
 
 
-class Reserve:
+class BufferPool:
     """Buffers in which matrices lie, and others once nobody looks at the first."""
 
     def __init__(self, most_idle: float = MOST_IDLE) -> None:
@@ -29,7 +29,7 @@ class Reserve:
             buffer = waiting.pop() if waiting else None
             if buffer is not None:
                 self.n_idle_bytes -= n_bytes
-        lent = _Lent(self, np.empty(n_bytes, dtype=np.uint8) if buffer is None else buffer)
+        lent = _PooledBuffer(self, np.empty(n_bytes, dtype=np.uint8) if buffer is None else buffer)
         return np.asarray(lent).view(kind)[:n].reshape((n_rows, n_columns), order="F")
 
     def give_back(self, buffer: np.ndarray) -> None:
@@ -40,10 +40,10 @@ class Reserve:
                 self.n_idle_bytes += buffer.nbytes
 
 
-class _Lent:
+class _PooledBuffer:
     """What all views of a matrix hold on to: when it goes, its buffer is idle."""
 
-    def __init__(self, reserve: Reserve, buffer: np.ndarray) -> None:
+    def __init__(self, reserve: BufferPool, buffer: np.ndarray) -> None:
         self._reserve, self._buffer = reserve, buffer
         self.__array_interface__ = buffer.__array_interface__
 
@@ -51,4 +51,4 @@ class _Lent:
         self._reserve.give_back(self._buffer)
 
 
-RESERVE = Reserve()
+BUFFER_POOL = BufferPool()

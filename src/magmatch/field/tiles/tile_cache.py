@@ -13,7 +13,7 @@ from magmatch.field.spline.spline_model import SplinePosterior
 MOST_TILES = 64
 
 
-class Recent:
+class TileCache:
     """Keeps some things as they were made, and beside them the last few that were asked for."""
 
     def __init__(self, n_bytes: float = np.inf, n_kept: int = MOST_TILES) -> None:

@@ -7,11 +7,11 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from magmatch.field.cholesky.reserve import Reserve
+from magmatch.field.cholesky.buffer_pool import BufferPool
 
 
 def test_a_buffer_serves_again_once_the_last_view_of_it_is_gone():
-    reserve = Reserve()
+    reserve = BufferPool()
     matrix = reserve.take(100, 200)
     place, corner = matrix.ctypes.data, matrix[:3, :3].T
     del matrix
@@ -25,7 +25,7 @@ def test_a_buffer_serves_again_once_the_last_view_of_it_is_gone():
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (300, 7), (1024, 128)])
 def test_matrices_have_their_shape_and_order(shape, precision):
-    matrix = Reserve().take(*shape, precision)
+    matrix = BufferPool().take(*shape, precision)
     assert matrix.shape == shape
     assert matrix.dtype == precision
     assert matrix.flags.f_contiguous
@@ -33,7 +33,7 @@ def test_matrices_have_their_shape_and_order(shape, precision):
 
 
 def test_matrices_in_use_never_share_memory():
-    reserve = Reserve()
+    reserve = BufferPool()
 
     def use(seed):
         rng = np.random.default_rng(seed)
@@ -49,14 +49,14 @@ def test_matrices_in_use_never_share_memory():
 
 
 def test_no_more_is_kept_than_was_allowed():
-    reserve = Reserve(most_idle=3e6)
+    reserve = BufferPool(most_idle=3e6)
     matrices = [reserve.take(512, 256) for _ in range(5)]
     matrices.clear()
     assert reserve.n_idle_bytes == 2 * 2**20
 
 
 def test_memory_that_comes_back_while_another_is_being_counted_does_not_wait_for_itself():
-    reserve = Reserve()
+    reserve = BufferPool()
     inner = reserve.take(10, 10)
 
     class Idle(dict):
