@@ -26,27 +26,10 @@ def fit_posterior(
     stored: Mapping[Index, StoredTile] | None = None,
     run: Runner = map,
 ) -> Posterior:
-    """Posterior of the field given samples.
+    """Posterior of the field given samples in the model's frame; the same arguments give the same bits.
 
-    Parameters
-    ----------
-    samples : Survey
-        In the model's frame.
-    hyperparameters : Hyperparameters
-        Resolved numbers of the prior.
-    config : FieldConfig
-        Which prior, and the box it is declared for.
-    T_domain_model : RigidTransform, optional
-        Takes model coordinates to those in which ``config.domain`` is given; the same by default.
-    stored : mapping, optional
-        Tiles of an earlier fit, used where their inputs are the very same.
-    run : callable, optional
-        Runs the tasks of a fit in tiles; one after the other by default.
-
-    Returns
-    -------
-    Posterior
-        In the model's frame; the same arguments give the same bits.
+    ``T_domain_model`` takes model coordinates to those in which ``config.domain`` is given. Tiles of an earlier fit
+    are used where their inputs are the very same; ``run`` fits the others.
     """
     box = Box.declared(config.domain, T_domain_model)
     return within(box, fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), stored or {}, run))

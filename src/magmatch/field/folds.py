@@ -74,19 +74,7 @@ def has_path_order(points: Points) -> bool:
 
 
 def path_segments(points: Points, length: float) -> Indices:
-    """Number the stretches of a path.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-        In the order of the path.
-    length : float, m
-        Path length of one stretch, shortened where the path would not give ten.
-
-    Returns
-    -------
-    (n,) int array
-    """
+    """Number the stretches of a path of a length (m), shortened where the path would not give ten."""
     step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
     # Jumps between merged surveys are no path.
     along = np.cumsum(np.minimum(step, 10 * np.median(step) + length / 10))

@@ -21,20 +21,7 @@ def sample_distance(points: Points) -> float:
 
 
 def choose_part(points: Points, n_samples: int, n_places: int) -> Mask:
-    """Samples around a few places far from one another.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    n_samples : int
-        About how many to take.
-    n_places : int
-        Over how many places.
-
-    Returns
-    -------
-    (n,) bool array
-    """
+    """About so many samples around a few places far from one another: (n,) bool."""
     is_chosen = np.zeros(len(points), dtype=bool)
     first = int(np.argmin(((points - np.median(points, axis=0)) ** 2).sum(axis=1)))
     distance = ((points - points[first]) ** 2).sum(axis=1)

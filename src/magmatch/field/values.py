@@ -72,16 +72,6 @@ def gradient_of(values: FieldValues) -> Tensors:
 
 
 def gradient_norm(gradient: Tensors) -> Scalars:
-    """Frobenius norm of gradient tensors, T/m.
-
-    Parameters
-    ----------
-    gradient : (n, 3, 3) array, T/m
-        ``[i, a, b] = dB_a / dx_b``.
-
-    Returns
-    -------
-    (n,) array, T/m
-    """
+    """Frobenius norm of gradient tensors, T/m: (n,)."""
     norm: Scalars = np.sqrt(np.einsum("nij,nij->n", gradient, gradient))
     return norm

@@ -29,9 +29,7 @@ class Front:
     border : (k,) int array
         Positions of later unknowns that they touch, ascending.
     children : tuple of int
-        Fronts whose updates are added here.
-    child_rows : tuple of int arrays
-        Where each child's border lies in this front's ``start..stop`` followed by ``border``.
+        Fronts whose updates are added here, and in ``child_rows`` to which rows of ``unknowns``.
     unknowns : (n,) int array
         Which unknowns stand at ``start..stop`` followed by ``border``.
     """

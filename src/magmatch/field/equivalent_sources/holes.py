@@ -20,14 +20,9 @@ _MOST_CHARGES, _MOST_NODES = 1500, 2e6
 
 
 def hole_charges(shell: SourceShell, points: Points) -> tuple[Points, Indices]:
-    """Lattice nodes within the samples' hull, far from any sample and from a layer of charges, in groups.
+    """Lattice nodes in the samples' hull, far from samples and from a layer of charges: (k, 3), and their groups (k,).
 
-    Returns
-    -------
-    charges : (k, 3) array, m
-        None along a path: all between its lanes would be a hole.
-    group : (k,) int array
-        Which cube each is in.
+    Paths are excluded: the space between lanes would count as a hole.
     """
     none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     if has_path_order(points):

@@ -27,16 +27,7 @@ _STEPS, _LARGEST_STEP, _SETTLED = 8, 0.3, 1e-4
 
 
 def magnet_charges(points: Points, field: Vectors, reach: float) -> tuple[Points, Indices, Scalars]:
-    """Clusters of charges that stand for magnets near the samples.
-
-    Returns
-    -------
-    charges : (k, 3) array, m
-    group : (k,) int array
-        Which magnet each stands for.
-    strength : (k,) array, T m^2
-        How large each may be.
-    """
+    """Clusters of charges (k, 3) that stand for magnets near the samples; each one's magnet and largest size, T m^2."""
     at, moments = find_magnets(points, field, reach)
     away = np.asarray(cKDTree(points).query(at)[0]).reshape(-1)
     at, moments, size = at[away < reach], moments[away < reach], _CLUSTER_SIZE * away[away < reach]
@@ -46,13 +37,7 @@ def magnet_charges(points: Points, field: Vectors, reach: float) -> tuple[Points
 
 
 def find_magnets(points: Points, field: Vectors, reach: float) -> tuple[Points, Vectors]:
-    """Positions and moments of dipoles beside a field that changes linearly.
-
-    Returns
-    -------
-    positions : (k, 3) array, m
-    moments : (k, 3) array, T m^3
-    """
+    """Positions (m) and moments (T m^3) of dipoles beside a field that changes linearly: (k, 3) each."""
     some = slice(None, None, -(-len(points) // _MOST_SAMPLES))
     x, y = points[some] - points.mean(axis=0), field[some]
     positions, moments, tree = np.zeros((0, 3)), np.zeros((0, 3)), cKDTree(x)

@@ -120,18 +120,7 @@ class SourceShell:
 def lay_shell(region: Points, distance: float, spacing: float, max_sources: int) -> SourceShell:
     """Charges evenly on the surface at a distance from the nearest point of a region.
 
-    Parameters
-    ----------
-    region : (n, 3) array, m
-    distance : float, m
-    spacing : float, m
-        Of the charges; kept in proportion to the distance.
-    max_sources : int
-        Where they would be more, distance and spacing are widened alike.
-
-    Returns
-    -------
-    SourceShell
+    Where they would be too many, distance and spacing (m) are widened alike.
     """
     ratio = float(np.clip(spacing / distance, *_SPACING_RATIOS))
     tree = cKDTree(region)

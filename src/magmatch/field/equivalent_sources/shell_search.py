@@ -31,14 +31,9 @@ _PATH_POWER = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ShellFit:
-    """A distance with the best signal and noise for it; the higher the score, the better.
+    """A distance (m) with the best signal and noise (T) for it.
 
-    Attributes
-    ----------
-    distance : float, m
-    signal_sd, noise_sd : float, T
-    score : float
-        Log evidence up to a constant, or minus the log of the held-out error.
+    The score is the log evidence up to a constant, or minus the log of the held-out error.
     """
 
     distance: float

@@ -36,12 +36,6 @@ class GaussianGrid:
     """A vector basis made of Gaussians on grid nodes by a differential operator; unit prior variance.
 
     Weights are component-major: ``weights[b m + j]`` is component b of node j; a potential has one component.
-
-    Attributes
-    ----------
-    lengthscale : float, m
-    terms : tuple of Term
-        The operator.
     """
 
     grid: InducingGrid

@@ -20,13 +20,7 @@ _LARGEST_INDEX = 2.0**50
 class InducingGrid:
     """Some nodes of a regular grid.
 
-    Attributes
-    ----------
-    origin : (3,) array, m
-        Where node (0, 0, 0) lies.
-    spacing : float, m
-    index : (m, 3) int array
-        Grid coordinates of the nodes in use, not negative, in C order.
+    ``index`` (m, 3) holds their grid coordinates, not negative, in C order; node (0, 0, 0) lies at ``origin`` (m).
     """
 
     origin: Vector3
@@ -42,14 +36,9 @@ class InducingGrid:
         return np.asarray(self.origin + self.spacing * self.index)
 
     def levels(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Coordinates in use along each axis, and which of them each node has.
+        """Coordinates (m) in use along each axis, ascending, and which of them each node has.
 
-        Returns
-        -------
-        coordinates : three (k,) arrays, m
-            Ascending; gaps where no node lies, so that far-flung surveys do not cost what lies between.
-        places : three (m,) int arrays
-            Position of each node in them.
+        Gaps remain where no node lies, so that far-flung surveys do not cost what lies between.
         """
         found = [np.unique(self.index[:, k], return_inverse=True) for k in range(3)]
         coordinates = [self.origin[k] + self.spacing * level for k, (level, _) in enumerate(found)]

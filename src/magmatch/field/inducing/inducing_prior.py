@@ -12,7 +12,7 @@ from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
 from magmatch.field.inducing.inducing_model import InducingModel
-from magmatch.field.inducing.kernels import GaussianKernel, Term
+from magmatch.field.inducing.kernels import Kernel, Term
 from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
 from magmatch.field.variogram import typical_length
@@ -56,9 +56,7 @@ class InducingPrior:
 
     is_calibrated = False
 
-    def __init__(
-        self, name: str, kernel: type[GaussianKernel], terms: tuple[Term, ...], config: InducingConfig
-    ) -> None:
+    def __init__(self, name: str, kernel: type[Kernel], terms: tuple[Term, ...], config: InducingConfig) -> None:
         self.name, self.kernel, self.terms, self.config = name, kernel, terms, config
 
     def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
@@ -125,7 +123,7 @@ class InducingPrior:
         grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, fit.lengthscale)
         return Hyperparameters(fit.lengthscale, fit.signal_sd, fit.noise_sd, grid.spacing)
 
-    def _unit_kernel(self, lengthscale: float) -> GaussianKernel:
+    def _unit_kernel(self, lengthscale: float) -> Kernel:
         return self.kernel(lengthscale, 1.0)
 
 

@@ -12,16 +12,7 @@ from magmatch.typing import Matrix, Scalars
 class DenseInformation:
     """Information in samples about whitened weights (prior N(0, I)), in units of the noise.
 
-    Attributes
-    ----------
-    gram : (m, m) array
-        ``sum W A^T A / s^2``; the lower triangle holds.
-    eta : (m,) array
-        ``sum W A^T b / s^2``.
-    square : float
-        ``sum W |b|^2 / s^2``.
-    n_values : float
-        Number of measured components.
+    ``gram = sum W A^T A / s^2`` (lower triangle), ``eta = sum W A^T b / s^2``, ``square = sum W |b|^2 / s^2``.
     """
 
     gram: Matrix

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -75,12 +75,7 @@ GRADIENT = tuple(Term(a, 0, _alpha((a,)), -1.0) for a in range(3))
 
 @cache
 def derivative_plan(terms: tuple[Term, ...], order: int) -> tuple[tuple[Alpha, tuple[Target, ...]], ...]:
-    """Every product of Hermite functions that field and derivatives need, and where each one goes.
-
-    Returns
-    -------
-    tuple of (alpha, tuple of Target)
-    """
+    """Every product of Hermite functions that field and derivatives need, and where each one goes."""
     if order not in (0, 1, 2):
         msg = f"expected order 0 (field), 1 (and gradient) or 2 (and second derivatives), got {order}"
         raise ValueError(msg)
@@ -138,28 +133,8 @@ def stack_products(
     return out
 
 
-class Kernel(Protocol):
-    """Covariance of a vector field, stationary."""
-
-    @property
-    def lengthscale(self) -> float:
-        """Distance over which the field changes, m."""
-        ...
-
-    def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
-        """Covariance of field (and derivatives) at points with the field at others: (rows n, 3 m).
-
-        Rows and columns run over components first, then points.
-        """
-        ...
-
-    def at_one_point(self, order: int = 0) -> Matrix:
-        """Prior covariance of field (order 0: (3, 3)) or field and gradient (order 1: (12, 12)) at one point."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
-class GaussianKernel:
+class Kernel:
     """A second-order differential operator on the squared exponential; the parts of its subclasses.
 
     Attributes
@@ -180,7 +155,7 @@ class GaussianKernel:
             raise ValueError(msg)
 
     def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
-        """Covariance of field (and derivatives) at points with the field at others."""
+        """Covariance of field (and derivatives) at points with the field at others, component-major: (rows n, 3 m)."""
         highest = highest_derivative(self.terms, order)
         offsets = ((points[:, None, k] - others[None, :, k]) / self.lengthscale for k in range(3))
         x, y, z = (hermite_functions(t, highest) for t in offsets)
@@ -192,11 +167,23 @@ class GaussianKernel:
         return stacked.reshape(N_ROWS[order] * shape[0], 3 * shape[1])
 
     def at_one_point(self, order: int = 0) -> Matrix:
-        """Prior covariance of field, or of field and gradient, at one point."""
-        return prior_at_one_point(self, order)
+        """Prior covariance of field (order 0: (3, 3)) or field and gradient (order 1: (12, 12)) at one point."""
+        if order not in (0, 1):
+            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
+            raise ValueError(msg)
+        origin = np.zeros((1, 3))
+        rows = self.covariance(origin, origin, 2 * order)
+        if order == 0:
+            return rows
+        out = np.zeros((12, 12))
+        out[:3, :3] = rows[:3]
+        # Differentiating with respect to x' changes the sign: cov(d_b B_a, d'_d B_c) = -d_b d_d K_ac(0).
+        second = rows[12:].reshape(3, 3, 3, 3)
+        out[3:, 3:] = -second.transpose(0, 1, 3, 2).reshape(9, 9)
+        return out
 
 
-class DivergenceFreeKernel(GaussianKernel):
+class DivergenceFreeKernel(Kernel):
     """Divergence-free squared-exponential kernel.
 
     ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [(d/l)(d/l)^T + (2 - |d|^2/l^2) I]``, ``d = x - x'``, which is
@@ -217,7 +204,7 @@ class DivergenceFreeKernel(GaussianKernel):
         return self.signal_sd * self.lengthscale / float(np.sqrt(2))
 
 
-class CurlFreeKernel(GaussianKernel):
+class CurlFreeKernel(Kernel):
     """Curl-free squared-exponential kernel: minus the gradient of a Gaussian-process potential.
 
     ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [I - (d/l)(d/l)^T]``, ``d = x - x'``, ``-sf^2 grad grad^T k_SE``, with
@@ -231,20 +218,3 @@ class CurlFreeKernel(GaussianKernel):
 
     __slots__ = ()
     terms = CURL_FREE
-
-
-def prior_at_one_point(kernel: Kernel, order: int) -> Matrix:
-    """Covariance of field (and gradient) with itself at one point, for a stationary kernel."""
-    if order not in (0, 1):
-        msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
-        raise ValueError(msg)
-    origin = np.zeros((1, 3))
-    rows = kernel.covariance(origin, origin, 2 * order)
-    if order == 0:
-        return rows
-    out = np.zeros((12, 12))
-    out[:3, :3] = rows[:3]
-    # Differentiating with respect to x' changes the sign: cov(d_b B_a, d'_d B_c) = -d_b d_d K_ac(0).
-    second = rows[12:].reshape(3, 3, 3, 3)
-    out[3:, 3:] = -second.transpose(0, 1, 3, 2).reshape(9, 9)
-    return out

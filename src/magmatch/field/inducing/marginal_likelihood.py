@@ -26,16 +26,7 @@ _N_COARSE_LENGTHSCALES = 14
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodFit:
-    """The most probable numbers at one lengthscale.
-
-    Attributes
-    ----------
-    lengthscale : float, m
-    signal_sd, noise_sd : float, T
-        Of one component.
-    log_likelihood : float, nats
-        Restricted; comparable between lengthscales on the same samples.
-    """
+    """The most probable signal and noise (T, of one component) at one lengthscale (m), and their log likelihood."""
 
     lengthscale: float
     signal_sd: float
@@ -128,15 +119,7 @@ def _contrasts(values: Matrix) -> Matrix:
 
 
 def tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
-    """Reduce a symmetric matrix once, so that shifting its diagonal costs next to nothing.
-
-    Returns
-    -------
-    diagonal, off_diagonal : (n,) and (n - 1,) array
-        Of ``T``.
-    z : (n,) array
-        ``Q^T y``.
-    """
+    """Diagonal and off-diagonal of T in ``gram = Q T Q^T``, and ``Q^T y``: shifts of the diagonal are then cheap."""
     size = len(gram)
     work, _ = lapack.dsytrd_lwork(size, lower=1)
     reflectors, diagonal, off_diagonal, tau, _ = lapack.dsytrd(
@@ -149,13 +132,7 @@ def tridiagonal(gram: Matrix, y: Scalars) -> tuple[Scalars, Scalars, Scalars]:
 
 
 def tridiagonal_score(diagonal: Scalars, off_diagonal: Scalars, z: Scalars) -> tuple[float, float]:
-    """Log-determinant of a tridiagonal matrix, and the quadratic form of its inverse.
-
-    Returns
-    -------
-    log_determinant, quadratic : float
-        Infinite and 0 where rounding made the matrix indefinite.
-    """
+    """Log-determinant of a tridiagonal matrix and quadratic form of its inverse; infinite and 0 where indefinite."""
     d, e, info = lapack.dpttrf(diagonal, off_diagonal)
     if info:
         return np.inf, 0.0

@@ -30,15 +30,7 @@ FITTED_BYTES, LEAST_FITTED = 512 * 2**20, 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Fit:
-    """A tile as it was fitted.
-
-    Attributes
-    ----------
-    versions : tuple of int
-        Of the blocks it was fitted to.
-    time : float, s
-        Everything that had arrived by then is in it.
-    """
+    """A tile as it was fitted: to which versions of its blocks, and when (s)."""
 
     posterior: SplinePosterior
     versions: tuple[int, ...]

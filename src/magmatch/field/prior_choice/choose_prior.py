@@ -33,15 +33,7 @@ _N_QUALIFYING = 800
 def choose_prior(
     samples: Survey, config: FieldConfig, T_domain_model: RigidTransform
 ) -> tuple[FieldConfig, Hyperparameters]:
-    """Take the prior that predicts left-out parts best, and say by how much.
-
-    Returns
-    -------
-    config : FieldConfig
-        With the prior that was taken, and the held-out error of each in ``comparison``.
-    hyperparameters : Hyperparameters
-        Of that prior.
-    """
+    """Take the prior that predicts left-out parts best, and its numbers; ``comparison`` keeps each one's error."""
     box = Box.declared(config.domain, T_domain_model)
     length = typical_length(samples.positions, samples.field)
     folds = divide(samples.positions, length)

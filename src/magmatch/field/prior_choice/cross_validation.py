@@ -26,14 +26,9 @@ N_COMPARED, _FEWEST_IN_PART = 2500, 3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
-    """A prior with its numbers, not yet calibrated, and how it does on each left-out part.
+    """A prior with its numbers, not yet calibrated, and the logarithm of its rms error (T) on each left-out part.
 
-    Attributes
-    ----------
-    log_errors : (p,) array
-        Logarithm of the root mean square error (T) of each part.
-    fitted : tuple, optional
-        Model laid over the samples that are compared, and the information in all of them.
+    ``fitted``: its model over the samples that are compared, and the information in all of them.
     """
 
     name: str

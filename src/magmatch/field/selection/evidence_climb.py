@@ -25,16 +25,9 @@ Step = Callable[[Hyperparameters], Hyperparameters | None]
 
 @dataclass(frozen=True, slots=True)
 class NoiseOptimum:
-    """Numbers that were tried, and the noise at which the evidence of such numbers is greatest.
+    """Numbers that were tried, and those with the noise at which their evidence is greatest.
 
-    Attributes
-    ----------
-    hyperparameters : Hyperparameters
-        The same but for the noise; nothing was computed there.
-    gain : float, nats
-        By which the evidence is greater there.
-    noise_sd : float, T
-        Level of the greatest likelihood there.
+    Nothing was computed there: the gain (nats) and the noise level of the greatest likelihood (T) are extrapolated.
     """
 
     tried: Hyperparameters

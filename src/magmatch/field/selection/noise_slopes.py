@@ -23,14 +23,9 @@ N_PROBES = 4
 
 @dataclass(frozen=True, slots=True)
 class NoiseSlopes:
-    """Derivatives with respect to the logarithm of the noise level that is assumed.
+    """First and second derivatives by the logarithm of the assumed noise level.
 
-    Attributes
-    ----------
-    evidence : tuple of 2 floats
-        First and second, of the tempered log evidence.
-    level : tuple of 2 floats
-        The same of the logarithm of the noise level of the greatest likelihood.
+    ``evidence``: of the tempered log evidence; ``level``: of the log of the noise level of the greatest likelihood.
     """
 
     evidence: tuple[float, float]

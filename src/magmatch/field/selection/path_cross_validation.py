@@ -25,16 +25,7 @@ COVERAGE, IN_SDS = 0.95, 1.96
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HeldOutErrors:
-    """Errors of predictions of left-out stretches.
-
-    Attributes
-    ----------
-    errors : (n, 3) array, T
-    variances : (n, 3) array, T^2
-        Of the predictions.
-    is_near : (n,) bool array
-        Where other passes are near.
-    """
+    """Errors (T) of predictions of left-out stretches, their variances (T^2), and where other passes are near."""
 
     errors: Vectors
     variances: Vectors

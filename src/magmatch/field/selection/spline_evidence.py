@@ -47,17 +47,7 @@ Shape = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class TrialFit:
-    """What one factorisation tells about trial numbers.
-
-    Attributes
-    ----------
-    square : float, T^2
-        S, what the prior and the noise have to explain.
-    log_determinant : float
-        ``ln det A``.
-    weights : (m + 3,) array, T
-        Posterior mean.
-    """
+    """What one factorisation tells about trial numbers: S (T^2), ``ln det A`` and the posterior mean (m + 3,)."""
 
     square: float
     log_determinant: float
@@ -228,17 +218,7 @@ def _solve(
 def integrated_autocorrelation_time(residuals: Vectors, order: Indices) -> float:
     """How many neighbouring samples of a path count as one independent measurement (Sokal 1997).
 
-    Parameters
-    ----------
-    residuals : (n, 3) array
-        Along the path.
-    order : (n,) int array
-        Place of each sample along it; samples left out leave gaps.
-
-    Returns
-    -------
-    float
-        ``1 + 2 sum of the autocorrelation`` up to where it fades, at most 16; 1 for white residuals.
+    ``1 + 2 sum of the autocorrelation`` up to where it fades, at most 16; samples left out leave gaps in ``order``.
     """
     mean: Scalars = (residuals**2).sum(axis=1)
     if not mean.any():

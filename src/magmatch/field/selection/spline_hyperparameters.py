@@ -30,17 +30,7 @@ LEAST_INFLATION = 1.3
 
 
 def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparameters:
-    """Numbers under which the survey is most likely; deterministic.
-
-    Parameters
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-
-    Returns
-    -------
-    Hyperparameters
-    """
+    """Numbers under which the survey is most likely; deterministic."""
     length = typical_length(points, field)
     floor = max(float(np.abs(field).max(initial=0.0)) * 1e-6, 1e-15)
     if len(points) < FEWEST_SAMPLES or length == 0 or np.ptp(field, axis=0).max() <= floor:

@@ -28,17 +28,7 @@ FINER = 0.75
 
 @dataclass(frozen=True, slots=True)
 class SplineLayout:
-    """How splines lie over samples.
-
-    Attributes
-    ----------
-    distance : float, m
-        Of the samples, as `sample_distance` says.
-    closest : float, m
-        Least spacing.
-    is_path : bool
-        Whether they follow one another.
-    """
+    """How splines lie over samples: their distance (m, see `sample_distance`), least spacing (m), and whether a path."""
 
     distance: float
     closest: float

@@ -32,7 +32,7 @@ CONSTANT_SD = 1e-4
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
 LARGEST_SHARE_FOR_SOLVES = 0.1
-# `SplineModel.information_ratio` up to which two corrections of a factor in single precision will do. Beyond, a factor
+# `SplineModel.information_ratio` up to which two corrections of a factor in single precision will do. Beyond, one
 # in double precision, which covariances need as well, takes no longer.
 HIGHEST_INFORMATION_RATIO = 3e3
 

@@ -95,13 +95,7 @@ def _zarr_entries(attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray
 
 
 def read_archive(path: str | Path, schema: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Read what `write_archive` wrote, after checking all of it.
-
-    Returns
-    -------
-    attributes : dict
-    arrays : dict of float64 arrays
-    """
+    """Attributes and float64 arrays that `write_archive` wrote, after checking all of them."""
     content = read_bytes(path, MAX_BYTES + 1)
     _check_outside(path, content)
     try:
@@ -124,23 +118,7 @@ def read_archive(path: str | Path, schema: str) -> tuple[dict[str, Any], dict[st
 def fingerprint_archive(path: str | Path) -> str:
     """SHA-256 that stands for all of an archive's content, read from its manifest alone.
 
-    The manifest lists the hash of every entry, so what is made of an archive can be told from what is made of
-    another without reading either. Damage of an entry is found by `read_archive`.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    DataFormatError
-        No such file, or no archive of ours.
+    The manifest lists the hash of every entry. Damage of an entry is found by `read_archive`.
     """
     try:
         with zipfile.ZipFile(path) as archive:

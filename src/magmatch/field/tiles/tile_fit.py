@@ -39,17 +39,7 @@ class FitError(MagmatchError, ValueError):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Samples:
-    """Samples in the model's frame, as information: each counts ``weights`` times, and all of them ``sign`` times.
-
-    Attributes
-    ----------
-    points : (n, 3) array, m
-    field : (n, 3) array, T
-    weights : (n,) array
-        Factor on each sample's inverse noise variance.
-    sign : int
-        1, or -1 for samples that are taken off again.
-    """
+    """Samples in the model's frame as information: each counts ``weights`` times, and all ``sign`` (1 or -1) times."""
 
     points: Points
     field: Vectors
@@ -121,10 +111,8 @@ class TileTask:
     def recall(self, weights: Scalars) -> SplinePosterior:
         """The posterior that has these weights, which an earlier fit gave; factorised only once that is needed.
 
-        Raises
-        ------
-        FitError
-            The weights do not belong to the samples: at once where their number shows it, else on factorising.
+        Raises `FitError` where they do not belong to the samples: at once where their number shows it, else on
+        factorising.
         """
         cells = self.cells()
         if weights.shape != (cells.n_nodes + 3,):

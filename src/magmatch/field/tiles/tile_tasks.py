@@ -21,16 +21,10 @@ class TileTasks:
     ----------
     tiling : Tiling or None
         None: one tile holds the whole region.
-    tiles : list of indices
-        In ascending order.
-    around : (n, 3) array, m
-        What the cells are laid around.
-    around_rows : list of int arrays
-        For each tile, which of these it sees.
-    parts : tuple of Samples
-        What informs the tiles.
-    rows : list of lists of int arrays
-        For each part and tile, which samples the tile sees.
+    around, around_rows
+        Points (m) that the cells are laid around, and which of them each tile sees.
+    parts, rows
+        Samples that inform the tiles, and of each part which samples each tile sees.
     """
 
     hyperparameters: Hyperparameters

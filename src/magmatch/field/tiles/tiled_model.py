@@ -43,17 +43,7 @@ class TiledInformation:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TiledModel:
-    """Spline models over the tiles near given points, with fixed hyperparameters.
-
-    Attributes
-    ----------
-    tiles : list of indices
-        In ascending order.
-    points : (n, 3) array, m
-        What the cells are laid around.
-    rows : list of int arrays
-        Which of the points each tile sees.
-    """
+    """Spline models over the tiles (ascending) near given points, and which of the points each tile sees."""
 
     hyperparameters: Hyperparameters
     tiling: Tiling

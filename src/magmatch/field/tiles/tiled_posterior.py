@@ -38,14 +38,7 @@ FACTORED_BYTES = 8e8
 class TiledPosterior:
     """A fitted field of many tiles; fills `magmatch.field.linear_model.Posterior`.
 
-    Attributes
-    ----------
-    tasks : TileTasks
-        What each tile was fitted from.
-    tile_weights : list of (m + 3,) arrays, T
-        Posterior mean of each tile's weights.
-    factored_tiles : TileCache
-        Tiles with their factors, as the fit left them or made again when they are needed.
+    ``tile_weights`` are the posterior means of each tile, (m + 3,), T; ``factored_tiles`` keeps some factors.
     """
 
     tasks: TileTasks
