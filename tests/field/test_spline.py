@@ -148,15 +148,20 @@ def test_inflation_scales_covariance_and_draws_but_not_the_mean(fitted):
     np.testing.assert_allclose(spread, 2 * usual, atol=1e-18)
 
 
-def test_far_from_data_the_field_is_the_constant_with_the_prior_variance(fitted):
-    _, posterior, x, _ = fitted
+def test_far_from_data_the_field_is_the_constant_with_its_variance_and_the_prior_s(fitted):
+    model, posterior, x, b = fitted
     far = np.array([[50.0, 0.0, 0.0]])
     assert not posterior.knows(far)[0]
     assert posterior.knows(x).all()
     assert np.array_equal(posterior.evaluate(far).field[0], posterior.weights[-3:])
-    variance = np.diagonal(posterior.covariance(far)[0])
-    assert np.all((variance >= H.signal_sd**2) & (variance <= H.signal_sd**2 + CONSTANT_SD**2))
-    assert np.linalg.eigvalsh(posterior.covariance(far, 1)[0]).min() > -1e-20
+    precision = (model.observe(x, b).gram + model.prior_precision()).to_dense(model.cells)
+    constant = np.linalg.inv(precision)[-3:, -3:] * (H.inflation * H.noise_sd) ** 2
+    expected = constant + H.signal_sd**2 * np.eye(3)
+    np.testing.assert_allclose(posterior.covariance(far)[0], expected, atol=1e-6 * H.signal_sd**2)
+    # The gradient is symmetric: three of its directions do not vary.
+    values = np.linalg.eigvalsh(posterior.covariance(far, 1)[0])
+    np.testing.assert_allclose(values[:3], 0, atol=1e-12 * values[-1])
+    assert values[3] > 0
 
 
 def test_prior_variance_at_a_lone_sample_is_the_stated_one():

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Claims about honest spread: misfit widens the posterior, noise does not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.box import Box
+from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.calibration import calibrated, misfit_inflation
+from magmatch.field.inducing.calibration import calibrated, misfit_inflation, widened
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
 
@@ -61,3 +64,30 @@ def test_what_is_only_noise_widens_nothing(name, seed):
     # Of two samples at one place each is the other's neighbour, not its own.
     twice = np.concatenate([points, points[:50]]), np.concatenate([field, field_at(points[:50], 0.0)])
     assert misfit_inflation(*twice, model.infer(model.observe(*twice))) == 1.0
+
+
+@pytest.mark.parametrize("name", ["divergence_free", "curl_free", "harmonic"])
+def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(name):
+    points, field = survey(0.0, n=300)
+    folds, prior = divide(points, 0.5), PRIORS[name]
+
+    def coverage(h):
+        said = []
+        for fold in folds.left_out:
+            model = prior.build(points, field, h)
+            posterior = model.infer(model.observe(points[~fold], field[~fold]))
+            variance = np.diagonal(posterior.covariance(points[fold]), axis1=1, axis2=2) + h.noise_sd**2
+            error = posterior.evaluate(points[fold]).field - field[fold]
+            said.append(np.abs(error) < 1.96 * np.sqrt(variance))
+        return np.concatenate(said).mean()
+
+    def without(fold):
+        model = prior.build(points, field, sure)
+        return model.infer(model.observe(points[~fold], field[~fold]))
+
+    sure = replace(H, noise_sd=0.05e-6)
+    honest = widened(sure, points, field, folds, without)
+    assert coverage(sure) < 0.8
+    assert 0.93 < coverage(honest) < 0.97
+    # The mean stays: noise and prior grew alike.
+    assert honest.noise_sd / honest.prior_scale == pytest.approx(sure.noise_sd / sure.prior_scale)

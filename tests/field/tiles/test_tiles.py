@@ -104,6 +104,16 @@ def test_every_tile_with_a_say_exists_and_sees_every_sample_that_reaches_its_cel
         assert np.array_equal(rows, np.flatnonzero(reaches))
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_points_on_the_rim_lie_in_the_box_that_holds_their_cell(axis):
+    tiling, index = Tiling(0.25, margin=5, reach=2, core=8, blend=2), (0, -1, 2)
+    low, high = tiling.box(index)
+    points = np.tile(0.25 * (low + high - 1) / 2, (4, 1))
+    # Cell i spans (i - 0.5, i + 0.5) spacings; all these numbers are exact.
+    points[:, axis] = 0.25 * (np.array([low[axis] - 1, low[axis], high[axis] - 1, high[axis]]) - 0.5)
+    assert tiling.is_inside(points, index).tolist() == [False, True, True, False]
+
+
 def test_tiles_know_what_one_fit_knows(fitted, whole):
     points = np.random.default_rng(0).uniform([-3, -3, -1], [3, 3, 1], (2000, 3))
     assert np.array_equal(fitted[1].knows(points), whole.knows(points))

@@ -111,7 +111,7 @@ def _locate(u, cell_index, cell, t, ijk):  # type: ignore[no-untyped-def]
 def count_active_cells(
     points: Points, spacing: float, reach: float, most_in_box: float = MAX_BOX_CELLS
 ) -> tuple[int, float]:
-    """How many cells `lay_cells` would activate, -1 where the box is too large to look at, and how many the box holds."""
+    """How many cells `lay_cells` would activate (-1: the box is too large to look at), and how many the box holds."""
     _, occupied, shape = _occupied(points, spacing, reach)
     n_box = float(np.prod(shape))
     if n_box > min(most_in_box, MAX_BOX_CELLS):

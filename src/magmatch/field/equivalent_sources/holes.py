@@ -20,7 +20,7 @@ _MOST_CHARGES, _MOST_NODES = 1500, 2e6
 
 
 def hole_charges(shell: SourceShell, points: Points) -> tuple[Points, Indices]:
-    """Lattice nodes in the samples' hull, far from samples and from a layer of charges: (k, 3), and their groups (k,).
+    """Lattice nodes in the samples' hull, far from samples and a layer of charges: (k, 3), and their groups (k,).
 
     Paths are excluded: the space between lanes would count as a hole.
     """

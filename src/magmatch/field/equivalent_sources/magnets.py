@@ -27,7 +27,7 @@ _STEPS, _LARGEST_STEP, _SETTLED = 8, 0.3, 1e-4
 
 
 def magnet_charges(points: Points, field: Vectors, reach: float) -> tuple[Points, Indices, Scalars]:
-    """Clusters of charges (k, 3) that stand for magnets near the samples; each one's magnet and largest size, T m^2."""
+    """Clusters of charges (k, 3) for magnets near the samples; of each its magnet and its largest size, T m^2."""
     at, moments = find_magnets(points, field, reach)
     away = np.asarray(cKDTree(points).query(at)[0]).reshape(-1)
     at, moments, size = at[away < reach], moments[away < reach], _CLUSTER_SIZE * away[away < reach]

@@ -155,7 +155,7 @@ class Kernel:
             raise ValueError(msg)
 
     def covariance(self, points: Points, others: Points, order: int = 0) -> Matrix:
-        """Covariance of field (and derivatives) at points with the field at others, component-major: (rows n, 3 m)."""
+        """Covariance of field (and derivatives) at points with the field at others: (rows n, 3 m), by component."""
         highest = highest_derivative(self.terms, order)
         offsets = ((points[:, None, k] - others[None, :, k]) / self.lengthscale for k in range(3))
         x, y, z = (hermite_functions(t, highest) for t in offsets)

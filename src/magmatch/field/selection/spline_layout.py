@@ -28,7 +28,7 @@ FINER = 0.75
 
 @dataclass(frozen=True, slots=True)
 class SplineLayout:
-    """How splines lie over samples: their distance (m, see `sample_distance`), least spacing (m), and whether a path."""
+    """How splines lie over samples: their distance (`sample_distance`, m), least spacing (m), and whether a path."""
 
     distance: float
     closest: float

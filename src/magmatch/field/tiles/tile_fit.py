@@ -39,7 +39,7 @@ class FitError(MagmatchError, ValueError):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Samples:
-    """Samples in the model's frame as information: each counts ``weights`` times, and all ``sign`` (1 or -1) times."""
+    """Samples in the model's frame as information: each counts ``weights`` times, and all ``sign`` (+-1) times."""
 
     points: Points
     field: Vectors
