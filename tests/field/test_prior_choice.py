@@ -86,6 +86,17 @@ def test_only_a_clear_margin_leaves_the_spline():
     assert verdict.best(few).name == "spline"
 
 
+def test_only_what_loses_by_more_than_chance_is_dropped_early():
+    scatter = np.tile([-1.0, 1.0], 20)
+    spline = Candidate("spline", H, np.zeros(40))
+    # The mean of 40 such differences is known to 0.16.
+    for loss, stays in ((-0.1, True), (0.1, True), (0.2, False)):
+        assert verdict.may_be_better(Candidate("harmonic", H, scatter + loss), spline) == stays
+    assert verdict.may_be_better(
+        Candidate("harmonic", H, spline.log_errors[:5] + 9), Candidate("spline", H, np.zeros(5))
+    )
+
+
 def test_further_parts_are_asked_only_where_they_may_change_what_is_taken():
     scatter = np.tile([-1.0, 1.0], 20)
     spline = Candidate("spline", H, np.zeros(40))

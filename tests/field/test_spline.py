@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from magmatch.errors import ConfigurationError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
-from magmatch.field.spline.spline_model import CONSTANT_SD, SplineModel
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 
 few = settings(deadline=None, derandomize=True, max_examples=8)
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 300.0)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey, subsets
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import check_finite, fit_posterior
+from magmatch.field.gridded_field import GriddedField
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
 from magmatch.field.storage.store import MapRecord
@@ -17,28 +18,7 @@ from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
-from magmatch.typing import Mask, Points, Scalars
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class GriddedField:
-    """A map evaluated on a regular grid; arrays are in the grid's C order, components in the map frame.
-
-    Attributes
-    ----------
-    values : FieldValues
-        Field and derivatives at ``grid.points()``.
-    variance : (n,) array, T^2
-        Mean posterior variance of the three components, returning to the prior away from data; NaN where it
-        was not asked for.
-    is_known : (n,) bool array
-        Where the map has data nearby.
-    """
-
-    grid: RegularGrid
-    values: FieldValues
-    variance: Scalars
-    is_known: Mask
+from magmatch.typing import Mask, Points
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -244,42 +224,27 @@ class FieldMap:
         """
         for survey in surveys:
             check_finite(survey)
-        parts, old = (*self.surveys, *surveys), self._fitted()
-        T_model_map = self.T_map_model.inv()
+        old, T_model_map = self._fitted(), self.T_map_model.inv()
         fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in surveys))
-        posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, self._tiles(), run)
-        return replace(
-            self, survey=parts[0].merged(*parts[1:]), posterior=posterior, fitted_samples=fitted, parts=parts
-        )
+        return self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)
 
     def without_samples(self, is_out: Mask, run: Runner = map) -> "FieldMap":
-        """Return this map as fitted without some of its samples; frame and hyperparameters stay.
+        """Return this map as fitted without some samples (n,) of all surveys; frame and hyperparameters stay.
 
         Of a spline model only those tiles are fitted again that saw these samples.
-
-        Parameters
-        ----------
-        is_out : (n,) bool array
-            Of the samples of all surveys, in order.
-        run : callable, optional
-            Runs the tasks of a fit in tiles; one after the other by default.
-
-        Returns
-        -------
-        FieldMap
         """
-        parts, fitted = subsets(self.surveys, ~is_out), self._fitted().subset(~is_out)
         tiles = self._tiles()
         # A region in one piece has no tile that saw none of them.
-        stored = tiles if len(tiles) > 1 else None
+        stored = tiles if len(tiles) > 1 else {}
+        return self._refitted(subsets(self.surveys, ~is_out), self._fitted().subset(~is_out), stored, run)
+
+    def _refitted(
+        self, parts: tuple[Survey, ...], fitted: Survey, stored: dict[Index, StoredTile], run: Runner
+    ) -> "FieldMap":
+        """Same frame and numbers, other samples."""
         posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, stored, run)
-        return replace(
-            self,
-            survey=parts[0].merged(*parts[1:]),
-            posterior=posterior,
-            fitted_samples=fitted,
-            parts=parts if len(parts) > 1 else (),
-        )
+        merged, parts = parts[0].merged(*parts[1:]), parts if len(parts) > 1 else ()
+        return replace(self, survey=merged, posterior=posterior, fitted_samples=fitted, parts=parts)
 
     def save(self, path: str | Path) -> None:
         """Write the map to one file (Zarr v3 in a zip, layout in ``docs/conventions.md``), whole or not at all.

@@ -17,7 +17,8 @@ from magmatch.field.live.estimator import FieldEstimator
 from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS
 from magmatch.field.live.live_record import SCHEMA
 from magmatch.field.map import FieldMap
-from magmatch.field.spline.spline_model import CONSTANT_SD, SplineModel
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.storage.archive import read_archive, write_archive
 
 laws = settings(deadline=None, derandomize=True, max_examples=6)

@@ -9,50 +9,25 @@ posterior.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.basis import Basis
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.information import DenseInformation
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
 from magmatch.field.inducing.whitening import gram_factor
 from magmatch.field.linear_model import Axes, Index, Runner, StoredTile
 from magmatch.field.values import FieldValues
-from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Rows times weights of one block of the design matrix, in numbers: 64 MiB.
 _BLOCK_NUMBERS = 2**23
 # Stands for a constant field that is held at zero, T.
 _NO_CONSTANT_SD = 1e-30
-
-
-class Basis(Protocol):
-    """Vector fields that weights (T) stand for, with unit prior variance of a component."""
-
-    @property
-    def n_weights(self) -> int:
-        """How many."""
-        ...
-
-    def is_whole(self, points: Points) -> Mask:
-        """Where the basis alone is the prior; elsewhere the prior has a part that the basis cannot represent."""
-        ...
-
-    def design(self, points: Points, order: int = 0) -> Matrix:
-        """Field and derivatives per unit of each weight: (rows n, m), rows component-major."""
-        ...
-
-    def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives at points."""
-        ...
-
-    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, in C order."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -4,15 +4,14 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Self
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.config import MIN_SAMPLES, EstimatorConfig, FieldConfig
@@ -21,46 +20,18 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.live_cells import KEPT_PER_CELL
 from magmatch.field.live.live_record import LiveRecord
 from magmatch.field.live.live_tiles import LiveTiles
+from magmatch.field.live.prediction import Prediction
+from magmatch.field.live.samples import check_samples, sample_rows
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.tiles.tiles import Tiling
-from magmatch.field.values import FieldValues
 from magmatch.threads import single_threaded
-from magmatch.typing import Mask, Points, Vectors
+from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
 # Samples that wait before cells take them in together: a call that fills this up takes about a millisecond longer.
 N_WAITING = 256
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Prediction:
-    """What is known about the field at n points, map frame.
-
-    Attributes
-    ----------
-    values : FieldValues
-        Posterior mean of field and derivatives.
-    covariance : (n, 3, 3) array, T^2
-        Of the noise-free field; where blocks blend, an upper bound.
-    is_known : (n,) bool array
-        Where there are samples near.
-    """
-
-    values: FieldValues
-    covariance: np.ndarray
-    is_known: Mask
-
-    @property
-    def field(self) -> Vectors:
-        """Mean of the field, T."""
-        return self.values.field
-
-    @property
-    def variance(self) -> Vectors:
-        """Variance of each component, T^2: (n, 3)."""
-        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
 
 
 class FieldEstimator:
@@ -92,7 +63,6 @@ class FieldEstimator:
         self.config = config or EstimatorConfig()
         self._clock = clock
         self._waiting, self._n_waiting = np.zeros((N_WAITING, 6)), 0
-        self._limits = np.r_[np.full(3, MAX_EXTENT), np.full(3, MAX_FIELD)]
         self._start: np.ndarray | None = None
         # Samples that came before the hyperparameters were settled, and for how many they were last chosen.
         self._first: list[np.ndarray] | None = [] if hyperparameters is None else None
@@ -132,12 +102,12 @@ class FieldEstimator:
         ValueError
             The arrays do not fit together.
         """
-        rows = _rows(position, field, orientation)
+        rows = sample_rows(position, field, orientation)
         if self._start is None:
-            self._check(rows, rows[0, :3] if len(rows) else np.zeros(3))
+            check_samples(rows, rows[0, :3] if len(rows) else np.zeros(3))
             self._start = rows[0, :3].copy() if len(rows) else None
         else:
-            self._check(rows, self._start)
+            check_samples(rows, self._start)
         while len(rows):
             taken = rows[: N_WAITING - self._n_waiting]
             self._waiting[self._n_waiting : self._n_waiting + len(taken)] = taken
@@ -255,21 +225,6 @@ class FieldEstimator:
             estimator._tiles = record.restore_into(estimator._laid(record.hyperparameters))
         return estimator
 
-    def _check(self, rows: np.ndarray, start: np.ndarray) -> None:
-        """Refuse what no magnetometer on a walk reports."""
-        offsets = rows - np.r_[start, 0.0, 0.0, 0.0]
-        if (np.abs(offsets) <= self._limits).all():
-            return
-        bad = int(np.argmin((np.abs(offsets) <= self._limits).all(axis=1)))
-        found = f"sample {bad}: position {rows[bad, :3]} m, field {rows[bad, 3:]} T"
-        if not np.isfinite(rows[bad]).all():
-            msg = f"{found}: expected finite numbers, got NaN or infinity; leave it out"
-        elif np.abs(rows[bad, 3:]).max() > MAX_FIELD:
-            msg = f"{found}: expected a field below {MAX_FIELD} T; is it in tesla?"
-        else:
-            msg = f"{found}: expected a position within {MAX_EXTENT / 1e3:.0f} km of the first; is it in metres?"
-        raise SurveyError(msg)
-
     def _take_in(self) -> None:
         """Hand the waiting samples on, and settle the hyperparameters once there are enough."""
         if self._n_waiting:
@@ -323,24 +278,3 @@ def _choose(samples: np.ndarray) -> Hyperparameters:
     h = PRIORS["spline"].choose_hyperparameters(samples[:, :3].copy(), samples[:, 3:].copy())
     log.info("hyperparameters from %d samples: %s", len(samples), h)
     return h
-
-
-def _rows(position: Points, field: Vectors, orientation: np.ndarray | None) -> np.ndarray:
-    """Position and field in the map frame, one row a sample: (n, 6)."""
-    p, b = np.asarray(position, dtype=np.float64), np.asarray(field, dtype=np.float64)
-    if p.shape != b.shape or p.shape[-1:] != (3,) or p.ndim > 2:
-        msg = f"expected position and field both (3,) or both (n, 3), got {p.shape} and {b.shape}"
-        raise ValueError(msg)
-    if orientation is not None:
-        q = np.asarray(orientation, dtype=np.float64)
-        if q.shape != (*p.shape[:-1], 4):
-            msg = f"expected orientation {(*p.shape[:-1], 4)}, quaternions xyzw, got {q.shape}"
-            raise ValueError(msg)
-        norm = np.linalg.norm(q, axis=-1)
-        if not np.all(np.abs(norm - 1.0) < 1e-3):
-            msg = f"expected orientation as unit quaternions xyzw, got one of length {np.ravel(norm)[0]:.3g}"
-            raise SurveyError(msg)
-        b = Rotation.from_quat(q).apply(b)
-    rows = np.empty((p.size // 3, 6))
-    rows[:, :3], rows[:, 3:] = p, b
-    return rows

@@ -17,7 +17,8 @@ from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index
 from magmatch.field.live.live_cells import Block, add_sums
-from magmatch.field.spline.spline_model import SplineModel, SplinePosterior, outside_covariance
+from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
+from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import blended_covariance, blended_values, tile_shares
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
@@ -29,7 +30,7 @@ FITTED_BYTES, LEAST_FITTED = 512 * 2**20, 8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Fit:
+class FittedTile:
     """A tile as it was fitted: to which versions of its blocks, and when (s)."""
 
     posterior: SplinePosterior
@@ -47,7 +48,7 @@ class LiveTiles:
         self.n_fits = 0
         self._tiles: set[Index] = set()
         self._keys: tuple[list[Index], TileKeys] | None = None
-        self._fits: OrderedDict[Index, Fit] = OrderedDict()
+        self._fits: OrderedDict[Index, FittedTile] = OrderedDict()
 
     @property
     def kept(self) -> np.ndarray:
@@ -101,7 +102,7 @@ class LiveTiles:
         return values, covariance, known
 
     def fit(self, index: Index) -> SplinePosterior:
-        """Fit a tile to all that has been measured in it and around it."""
+        """FittedTile a tile to all that has been measured in it and around it."""
         blocks = [self.blocks[i] for i in self._around(index)]
         kept = np.concatenate([block.kept for block in blocks])
         cells = lay_cells(kept[:, :3], self.tiling.spacing, self.hyperparameters.reach, self.tiling.box(index))
@@ -117,7 +118,7 @@ class LiveTiles:
         versions = tuple(self.blocks[i].version for i in self._around(index))
         fit, now = self._fits.get(index), self.clock()
         if fit is None or (fit.versions != versions and now - fit.time >= max_age):
-            fit = Fit(self.fit(index), versions, now)
+            fit = FittedTile(self.fit(index), versions, now)
             self.n_fits += 1
             self._fits[index] = fit
             self._fits.move_to_end(index)

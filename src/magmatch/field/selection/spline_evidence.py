@@ -23,13 +23,8 @@ from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.noise_slopes import NoiseSlopes, noise_slopes
-from magmatch.field.spline.spline_model import (
-    SplineInformation,
-    SplineModel,
-    SplinePosterior,
-    constant_precision,
-    relative_prior_precision,
-)
+from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
+from magmatch.field.spline.spline_prior import constant_precision, relative_prior_precision
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # Correlations below this end the sum: what follows is scatter of the estimate.

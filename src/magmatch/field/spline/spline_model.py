@@ -17,19 +17,22 @@ from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_elements
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes, Index
-from magmatch.field.spline.element_matrices import cell_weights, lone_cell_covariance, prior_element
+from magmatch.field.spline.element_matrices import cell_weights
 from magmatch.field.spline.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
 from magmatch.field.spline.spline_grid import evaluate_on_grid
 from magmatch.field.spline.spline_kernels import add_gram, evaluate_points, linear_rows, point_covariances
+from magmatch.field.spline.spline_prior import (
+    cell_precision,
+    constant_precision,
+    expand,
+    prior_outside,
+    relative_prior_precision,
+)
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Tile of a region that one factor can hold.
 WHOLE: Index = (0, 0, 0)
-# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
-CONSTANT_SD = 1e-4
-# Finer spacings than this share of the lengthscale change nothing but rounding errors.
-HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
 LARGEST_SHARE_FOR_SOLVES = 0.1
 # `SplineModel.information_ratio` up to which two corrections of a factor in single precision will do. Beyond, one
@@ -137,28 +140,6 @@ class SplineModel:
         return information.gram + self.prior_precision()
 
 
-def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
-    relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
-    return prior_element(relative, h.divergence_weight), lone_cell_covariance(relative, h.divergence_weight, h.reach)
-
-
-def relative_prior_precision(h: Hyperparameters) -> float:
-    """Factor from the prior's shape to the prior, in units of the noise."""
-    return (h.noise_sd / (h.prior_scale * h.signal_sd)) ** 2
-
-
-def constant_precision(h: Hyperparameters) -> float:
-    """Prior precision of the constant field in units of the noise's."""
-    return (h.noise_sd / CONSTANT_SD) ** 2
-
-
-def cell_precision(h: Hyperparameters) -> np.ndarray:
-    """Prior precision of one cell of weight 1 in units of the noise's: (64, 64)."""
-    element, covariance = prior_terms(h)
-    return np.asarray(element * (relative_prior_precision(h) * covariance[0, 0]))
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class SplinePosterior:
     """A fitted spline potential.
@@ -241,7 +222,7 @@ class SplinePosterior:
             out[cell < 0, :3, :3] = inverse.corner
         out *= (h.inflation * h.noise_sd) ** 2
         out[cell < 0] += prior_outside(h)[:n_rows, :n_rows]
-        return out if order == 0 else _expand(out)
+        return out if order == 0 else expand(out)
 
     def joint_covariance(self, points: Points) -> np.ndarray:
         """Posterior covariance of the field at all points together: (3 n, 3 n), row ``3 i + a``.
@@ -295,20 +276,6 @@ class SplinePosterior:
         return rows
 
 
-def prior_outside(h: Hyperparameters) -> np.ndarray:
-    """Prior covariance of field and distinct gradient entries where there are no splines: (9, 9)."""
-    prior = prior_terms(h)[1] / prior_terms(h)[1][0, 0]
-    per_spacing = np.repeat([1.0, 1.0 / h.spacing], [3, 6])
-    return np.asarray(h.signal_sd**2 * prior * np.outer(per_spacing, per_spacing))
-
-
-def outside_covariance(h: Hyperparameters, constant: np.ndarray) -> np.ndarray:
-    """Covariance of field and gradient (row-major) where there is only a constant, of given covariance: (12, 12)."""
-    covariance = _expand(prior_outside(h)[None])[0]
-    covariance[:3, :3] += constant
-    return np.asarray(covariance)
-
-
 def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:
     """Field values from the list of distinct derivatives."""
     return FieldValues(
@@ -316,9 +283,3 @@ def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldV
         distinct[:, 3:9][:, GRADIENT_INDEX] if order >= 1 else None,
         distinct[:, 9:][:, SECOND_INDEX] if order >= 2 else None,
     )
-
-
-def _expand(covariance: np.ndarray) -> np.ndarray:
-    """From field and 6 distinct gradient entries to field and all 9, row-major."""
-    rows = np.concatenate([np.arange(3), 3 + GRADIENT_INDEX.ravel()])
-    return np.asarray(covariance[:, rows[:, None], rows])

@@ -7,16 +7,13 @@ bytes. What is read is checked before it is decoded: a map may come from anywher
 
 import hashlib
 import json
-import math
-import re
 import struct
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
-from itertools import product
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -25,23 +22,23 @@ from magmatch._version import __version__
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.text import read_bytes
 from magmatch.errors import DataFormatError, first_fault
+from magmatch.field.storage.archive_checks import (
+    MAX_BYTES,
+    MAX_ENTRIES,
+    check_array,
+    check_entry,
+    check_outside,
+    one_line,
+    parse,
+)
 
 # A group of its own, so that any Zarr reader can list the file without stumbling over it.
 MANIFEST = "manifest/zarr.json"
-MAX_BYTES = 2 * 1024**3
-MAX_ENTRIES = 100_000
-MAX_JSON_BYTES = 16 * 1024**2
 ROWS_PER_CHUNK = 65_536
-CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}]
-CHUNK_KEYS = {"name": "default", "configuration": {"separator": "/"}}
-CRC_BYTES = 4
-END_BYTES = 22
 # What zip adds to an entry: two headers and its name twice, rounded up.
 ENTRY_OVERHEAD = 300
 # The oldest time a zip can state: the bytes shall not depend on when they were written.
 EPOCH = (1980, 1, 1, 0, 0, 0)
-ARRAY_NAME = r"[a-z_]+(?:\.-?[0-9]{1,9}){0,3}"
-ENTRY_NAME = re.compile(rf"(?:{ARRAY_NAME}/)?zarr\.json|{ARRAY_NAME}/c(?:/[0-9]{{1,9}}){{1,3}}")
 # All that zipfile raises over a damaged archive.
 ZIP_ERRORS = (zipfile.BadZipFile, RuntimeError, EOFError, ValueError, KeyError, OverflowError, struct.error)
 
@@ -97,19 +94,19 @@ def _zarr_entries(attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray
 def read_archive(path: str | Path, schema: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Attributes and float64 arrays that `write_archive` wrote, after checking all of them."""
     content = read_bytes(path, MAX_BYTES + 1)
-    _check_outside(path, content)
+    check_outside(path, content)
     try:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             entries = _verified_entries(path, archive, schema)
     except ZIP_ERRORS as error:
         if isinstance(error, DataFormatError):
             raise
-        raise DataFormatError(path, f"is a damaged zip archive: {_one_line(error)}") from None
+        raise DataFormatError(path, f"is a damaged zip archive: {one_line(error)}") from None
     arrays = {}
     for name in sorted({n.split("/")[0] for n in entries if "/" in n}):
-        _check_array(path, name, entries)
+        check_array(path, name, entries)
         arrays[name] = _decode(path, name, entries)
-    attributes = _parse(path, "zarr.json", entries["zarr.json"]).get("attributes")
+    attributes = parse(path, "zarr.json", entries["zarr.json"]).get("attributes")
     if not isinstance(attributes, dict):
         raise DataFormatError(path, "entry 'zarr.json' has no attributes")
     return attributes, arrays
@@ -123,33 +120,21 @@ def fingerprint_archive(path: str | Path) -> str:
     try:
         with zipfile.ZipFile(path) as archive:
             info = archive.getinfo(MANIFEST)
-            _check_entry(path, info)
+            check_entry(path, info)
             return hashlib.sha256(archive.read(info)).hexdigest()
     except OSError as error:
         raise DataFormatError(path, f"cannot be read: {error.strerror or error}") from None
     except ZIP_ERRORS as error:
         if isinstance(error, DataFormatError):
             raise
-        raise DataFormatError(path, f"is not a saved map: {_one_line(error)}") from None
-
-
-def _check_outside(path: str | Path, content: bytes) -> None:
-    """Size and both ends of the file, before anything in it is believed."""
-    if len(content) > MAX_BYTES:
-        raise DataFormatError(path, f"is larger than any saved map ({MAX_BYTES} bytes)")
-    if not content.startswith(b"PK\x03\x04"):
-        raise DataFormatError(path, "is not a saved map (expected a zip archive)")
-    tail = content[-END_BYTES:]
-    # A fixed-length end record without comment; a large directory would cost memory before it can be checked.
-    if not tail.startswith(b"PK\x05\x06") or int.from_bytes(tail[12:16], "little") > MAX_ENTRIES * 200:
-        raise DataFormatError(path, "has no zip directory at its end (cut off while writing or copying?)")
+        raise DataFormatError(path, f"is not a saved map: {one_line(error)}") from None
 
 
 def _verified_entries(path: str | Path, archive: zipfile.ZipFile, schema: str) -> dict[str, bytes]:
     """Content of every entry but the manifest, each as the manifest says."""
     infos = archive.infolist()
     for info in infos:
-        _check_entry(path, info)
+        check_entry(path, info)
     names = [info.filename for info in infos]
     if len(set(names)) < len(names):
         raise DataFormatError(path, "holds two entries of one name")
@@ -170,26 +155,16 @@ def _verified_entries(path: str | Path, archive: zipfile.ZipFile, schema: str) -
     return entries
 
 
-def _check_entry(path: str | Path, info: zipfile.ZipInfo) -> None:
-    """A name that we write, and stored as it is: nothing to unpack, nowhere else to go."""
-    if not ENTRY_NAME.fullmatch(info.filename):
-        raise DataFormatError(path, f"holds an entry that no map has: {info.filename[:60]!r}")
-    if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size or info.flag_bits & 1:
-        raise DataFormatError(path, f"entry '{info.filename}' is compressed or encrypted, expected plain")
-    if info.file_size > MAX_BYTES or (info.filename.endswith(".json") and info.file_size > MAX_JSON_BYTES):
-        raise DataFormatError(path, f"entry '{info.filename}' is too large: {info.file_size} bytes")
-
-
 def _content(path: str | Path, archive: zipfile.ZipFile, name: str) -> bytes:
     try:
         return archive.read(name)
     except (*ZIP_ERRORS, OSError) as error:
-        raise DataFormatError(path, f"entry '{name}' is damaged: {_one_line(error)}") from None
+        raise DataFormatError(path, f"entry '{name}' is damaged: {one_line(error)}") from None
 
 
 def _listing(path: str | Path, content: bytes, schema: str) -> dict[str, Any]:
     """Entries of the manifest, once its schema is the one expected."""
-    about = _parse(path, MANIFEST, content).get("attributes")
+    about = parse(path, MANIFEST, content).get("attributes")
     found = about.get("schema") if isinstance(about, dict) else None
     if not isinstance(about, dict) or found != schema:
         family = schema.rpartition("/")[0] + "/"
@@ -200,58 +175,6 @@ def _listing(path: str | Path, content: bytes, schema: str) -> dict[str, Any]:
     if not isinstance(listing, dict) or MANIFEST in listing:
         raise DataFormatError(path, f"entry '{MANIFEST}' lists no entries")
     return listing
-
-
-def _parse(path: str | Path, name: str, content: bytes) -> dict[str, Any]:
-    """Parse a JSON object."""
-    try:
-        parsed = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise DataFormatError(path, f"entry '{name}' is not JSON: {_one_line(error)}") from None
-    if not isinstance(parsed, dict):
-        raise DataFormatError(path, f"entry '{name}': expected a JSON object, found {type(parsed).__name__}")
-    return parsed
-
-
-def _check_array(path: str | Path, name: str, entries: Mapping[str, bytes]) -> None:
-    """Float64 with our codecs alone, and every chunk of the declared shape there in full length."""
-    about = entries.get(f"{name}/zarr.json")
-    if about is None:
-        raise DataFormatError(path, f"entry '{name}/zarr.json' is missing")
-    meta = _parse(path, f"{name}/zarr.json", about)
-    where = f"entry '{name}/zarr.json'"
-    if meta.get("node_type") != "array" or meta.get("data_type") != "float64" or meta.get("codecs") != CODECS:
-        raise DataFormatError(path, f"{where}: expected a float64 array with codecs bytes and crc32c")
-    if meta.get("chunk_key_encoding") != CHUNK_KEYS or meta.get("storage_transformers"):
-        raise DataFormatError(path, f"{where}: expected chunks named 'c/0/0' and stored as they are")
-    shape, grid = meta.get("shape"), meta.get("chunk_grid")
-    chunk = _at(grid, "configuration", "chunk_shape") if _at(grid, "name") == "regular" else None
-    if not _is_shape(shape) or not _is_shape(chunk) or len(shape) != len(chunk) or 0 in chunk:
-        raise DataFormatError(path, f"{where}: expected a shape of 1 to 3 numbers and one of its chunks")
-    n_chunks = [-(-n // c) for n, c in zip(shape, chunk, strict=True)]
-    held = {n for n in entries if n.startswith(f"{name}/c/")}
-    if math.prod(n_chunks) != len(held):
-        raise DataFormatError(path, f"{where}: expected {math.prod(n_chunks)} chunks, found {len(held)}")
-    # Of an empty array another axis may be declared of any length, which `product` would write out first.
-    for index in product(*map(range, n_chunks)) if held else ():
-        key = f"{name}/c/" + "/".join(map(str, index))
-        if key not in held or len(entries[key]) != math.prod(chunk) * 8 + CRC_BYTES:
-            raise DataFormatError(path, f"entry '{key}' is missing or of the wrong length")
-
-
-def _at(value: Any, *keys: str) -> Any:
-    """Look into nested objects; None where there is nothing."""
-    for key in keys:
-        value = value.get(key) if isinstance(value, dict) else None
-    return value
-
-
-def _is_shape(value: Any) -> TypeGuard[list[int]]:
-    return (
-        isinstance(value, list)
-        and 1 <= len(value) <= 3
-        and all(isinstance(n, int) and not isinstance(n, bool) and 0 <= n <= MAX_BYTES for n in value)
-    )
 
 
 def _decode(path: str | Path, name: str, entries: Mapping[str, bytes]) -> np.ndarray:
@@ -266,11 +189,7 @@ def _decode(path: str | Path, name: str, entries: Mapping[str, bytes]) -> np.nda
         array = zarr.open_array(MemoryStore(held), mode="r", zarr_format=3)
         return np.array(array[...], dtype=np.float64)
     except (ValueError, KeyError, TypeError) as error:
-        raise DataFormatError(path, f"entry '{name}/zarr.json': {_one_line(error)}") from None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+        raise DataFormatError(path, f"entry '{name}/zarr.json': {one_line(error)}") from None
 
 
 @contextmanager

@@ -21,7 +21,8 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.element_matrices import cell_weights
 from magmatch.field.spline.spline_basis import FIRST
 from magmatch.field.spline.spline_kernels import add_right_hand_sides
-from magmatch.field.spline.spline_model import CONSTANT_SD, SplinePosterior, cell_precision
+from magmatch.field.spline.spline_model import SplinePosterior
+from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision
 from magmatch.field.tiles.tile_fit import TileTask
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.threads import single_threaded

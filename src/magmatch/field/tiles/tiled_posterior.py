@@ -20,7 +20,8 @@ import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes, Index
-from magmatch.field.spline.spline_model import SplinePosterior, outside_covariance
+from magmatch.field.spline.spline_model import SplinePosterior
+from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
 from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_tasks import TileTasks

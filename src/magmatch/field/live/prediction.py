@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a live estimate says at points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magmatch.field.values import FieldValues
+from magmatch.typing import Mask, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """What is known about the field at n points, map frame.
+
+    Attributes
+    ----------
+    values : FieldValues
+        Posterior mean of field and derivatives.
+    covariance : (n, 3, 3) array, T^2
+        Of the noise-free field; where blocks blend, an upper bound.
+    is_known : (n,) bool array
+        Where there are samples near.
+    """
+
+    values: FieldValues
+    covariance: np.ndarray
+    is_known: Mask
+
+    @property
+    def field(self) -> Vectors:
+        """Mean of the field, T."""
+        return self.values.field
+
+    @property
+    def variance(self) -> Vectors:
+        """Variance of each component, T^2: (n, 3)."""
+        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
