@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The few numbers a prior needs, and how they are stated."""
 
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -56,6 +56,10 @@ class Hyperparameters:
         if not (0 <= self.divergence_weight < np.inf and 0 <= self.reach <= MAX_REACH):
             msg = f"expected a divergence weight that is not negative and a reach of at most {MAX_REACH}, got {self}"
             raise ValueError(msg)
+
+    def with_noise(self, noise_sd: float) -> Self:
+        """The same map of the same samples, with another statement of their noise."""
+        return replace(self, noise_sd=noise_sd, prior_scale=self.prior_scale * noise_sd / self.noise_sd)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers by their names in files."""

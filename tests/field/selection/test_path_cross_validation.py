@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.path_cross_validation import HeldOutErrors, cross_validate_path
+from magmatch.field.selection.path_cross_validation import HeldOutErrors, cross_validate_path, expecting
 from magmatch.field.selection.spline_evidence import EvidenceSearch
+from magmatch.field.spline.spline_model import SplineModel
 
 
 def test_errors_between_passes_hold_the_offset_of_a_lap():
@@ -46,3 +47,19 @@ def test_a_path_too_short_to_leave_any_of_it_out_is_not_validated():
     x = np.zeros((5, 3))
     search = EvidenceSearch(x, np.zeros((5, 3)), np.arange(5), np.float32)
     assert cross_validate_path(search, Hyperparameters(1.0, 1e-6, 1e-7, 0.5), 1.0) is None
+
+
+def test_what_is_expected_elsewhere_widens_the_posterior_by_the_inflation_and_leaves_the_mean():
+    x = np.random.default_rng(3).uniform(0, 1, (80, 3))
+    b, evident = 1e-6 * np.sin(3 * x), 0.2e-6
+    h = Hyperparameters(0.6, 1e-6, 0.1e-6, 0.3, divergence_weight=30.0)
+    missed = HeldOutErrors(np.full((50, 3), 1e-6), np.full((50, 3), 0.1e-12), np.ones(50, dtype=bool))
+    wide = expecting(h, evident, missed)
+    assert wide.noise_sd == pytest.approx(1e-6)
+    models = [SplineModel.over(x, numbers) for numbers in (h.with_noise(evident), wide)]
+    before, after = (model.infer(model.observe(x, b)) for model in models)
+    # The constant's prior does not scale along.
+    np.testing.assert_allclose(after.evaluate(x).field, before.evaluate(x).field, rtol=1e-3)
+    factor = missed.inflation(wide.noise_sd)
+    expected = factor**2 * before.covariance(x[:5])
+    np.testing.assert_allclose(after.covariance(x[:5]), expected, atol=1e-2 * expected.max())

@@ -5,7 +5,7 @@ Only other passes and the prior can predict a stretch, so these errors hold what
 expect: poses that drift, and structure between the lanes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -58,3 +58,13 @@ def cross_validate_path(search: EvidenceSearch, h: Hyperparameters, lengthscale:
     errors, variances = zip(*side_by_side(predict, left_out), strict=True)
     distance = np.concatenate([cKDTree(points[~fold]).query(points[fold])[0] for fold in left_out])
     return HeldOutErrors(np.concatenate(errors), np.concatenate(variances), distance <= np.quantile(distance, SHARE))
+
+
+def expecting(h: Hyperparameters, evident_noise_sd: float, missed: HeldOutErrors) -> Hyperparameters:
+    """Noise and spread that a map for other surveys has to expect; the mean stays.
+
+    Along a path the nearest samples share their error: other passes miss by more than the noise that the evidence
+    sees. ``missed``: what a posterior of that noise and of no inflation missed.
+    """
+    noise = max(evident_noise_sd, missed.size)
+    return replace(h.with_noise(noise), inflation=missed.inflation(noise) * evident_noise_sd / noise)

@@ -10,7 +10,7 @@ import numpy as np
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.affordability import affordable_spacing
 from magmatch.field.selection.evidence_climb import climb, rounded, settle
-from magmatch.field.selection.path_cross_validation import cross_validate_path
+from magmatch.field.selection.path_cross_validation import cross_validate_path, expecting
 from magmatch.field.selection.searched_part import search_part, search_smaller_part
 from magmatch.field.selection.spline_layout import REACH_OF_A_PATH, SplineLayout
 from magmatch.field.variogram import typical_length
@@ -46,21 +46,14 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
     else:
         found = climb(search_smaller_part(points, field, start, search), start)
         top = settle(search, found.hyperparameters, partial(layout.finer, points))
-    best, noise, inflation = top.hyperparameters, max(top.noise_sd, floor), LEAST_INFLATION
-    missed = cross_validate_path(search, _with_noise(best, noise), start.lengthscale) if layout.is_path else None
+    best, noise = top.hyperparameters, max(top.noise_sd, floor)
+    chosen = best.with_noise(noise)
+    missed = cross_validate_path(search, chosen, start.lengthscale) if layout.is_path else None
     if missed is not None:
-        # Along a path the nearest samples share their error: by how much other passes miss is the noise that a map
-        # for other surveys has to expect.
-        evident, noise = noise, max(noise, missed.size)
-        inflation = max(LEAST_INFLATION, missed.inflation(noise) * evident / noise)
-    chosen = layout.extrapolating(points, replace(_with_noise(best, noise), inflation=inflation))
+        chosen = expecting(best, noise, missed)
+    chosen = replace(chosen, inflation=max(LEAST_INFLATION, chosen.inflation))
     log.info("integrated autocorrelation time %.0f samples, %s", search.autocorrelation_time, chosen)
-    return chosen
-
-
-def _with_noise(h: Hyperparameters, noise_sd: float) -> Hyperparameters:
-    """The same map from the same samples, with another statement of their noise."""
-    return replace(h, noise_sd=noise_sd, prior_scale=h.prior_scale * noise_sd / h.noise_sd)
+    return layout.extrapolating(points, chosen)
 
 
 def _start(points: Points, field: Vectors, length: float, layout: SplineLayout) -> Hyperparameters:
