@@ -255,5 +255,5 @@ def test_zip_bomb_is_refused_before_it_is_unpacked(saved):
 
 
 def test_file_beyond_the_bound_is_refused(saved, monkeypatch):
-    monkeypatch.setattr("magmatch.field.storage.archive.MAX_BYTES", 1000)
+    monkeypatch.setattr("magmatch.field.storage.archive_checks.MAX_BYTES", 1000)
     assert "larger than any saved map" in refusal(saved)

@@ -152,10 +152,6 @@ class FieldMap:
             Highest derivative.
         with_variance : bool
             False leaves the variance NaN and saves its cost.
-
-        Returns
-        -------
-        GriddedField
         """
         T_model_grid = self.T_map_model.inv() * grid.T_map_grid
         p_model = transform_points(grid.local_points(), T_model_grid)
@@ -179,25 +175,11 @@ class FieldMap:
             Distance of neighbouring points.
         margin : float, m
             How far it reaches beyond the samples' box.
-
-        Returns
-        -------
-        RegularGrid
         """
         return RegularGrid.over(self.survey.positions, spacing, margin, self.T_map_model)
 
     def transformed(self, T_new_map: RigidTransform) -> "FieldMap":
-        """Return the same map in another frame; its grids and model are carried along.
-
-        Parameters
-        ----------
-        T_new_map : RigidTransform
-            Takes map coordinates to the new frame.
-
-        Returns
-        -------
-        FieldMap
-        """
+        """Return the same map in another frame, to which ``T_new_map`` takes map coordinates."""
         return replace(
             self,
             survey=self.survey.transformed(T_new_map),

@@ -242,7 +242,7 @@ def test_directory_of_countless_entries_is_refused(tmp_path, monkeypatch):
     with zipfile.ZipFile(buffer, "w") as archive:
         for k in range(300):
             archive.writestr(f"a/c/{k}", b"")
-    monkeypatch.setattr("magmatch.field.storage.archive.MAX_ENTRIES", 10)
+    monkeypatch.setattr("magmatch.field.storage.archive_checks.MAX_ENTRIES", 10)
     (tmp_path / "m").write_bytes(buffer.getvalue())
     assert "zip directory" in refusal(tmp_path / "m")
 

@@ -21,7 +21,7 @@ from magmatch.field.inducing.information import DenseInformation
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
 from magmatch.field.inducing.whitening import gram_factor
 from magmatch.field.linear_model import Axes, Index, Runner, StoredTile
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldValues, check_covariance_order
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Rows times weights of one block of the design matrix, in numbers: 64 MiB.
@@ -198,9 +198,7 @@ class InducingPosterior:
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's far from the samples (DTC)."""
-        if order not in (0, 1):
-            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
-            raise ValueError(msg)
+        check_covariance_order(order)
         points = np.asarray(points, dtype=np.float64)
         k = N_ROWS[order]
         h = self.hyperparameters

@@ -14,6 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from magmatch.field.values import check_covariance_order
 from magmatch.typing import Matrix, Points
 
 # How often each axis is differentiated.
@@ -168,9 +169,7 @@ class Kernel:
 
     def at_one_point(self, order: int = 0) -> Matrix:
         """Prior covariance of field (order 0: (3, 3)) or field and gradient (order 1: (12, 12)) at one point."""
-        if order not in (0, 1):
-            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
-            raise ValueError(msg)
+        check_covariance_order(order)
         origin = np.zeros((1, 3))
         rows = self.covariance(origin, origin, 2 * order)
         if order == 0:

@@ -28,7 +28,7 @@ from magmatch.field.spline.spline_prior import (
     prior_outside,
     relative_prior_precision,
 )
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldValues, check_covariance_order
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Tile of a region that one factor can hold.
@@ -202,9 +202,7 @@ class SplinePosterior:
         There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
         A few points are solved for; many take the selected inverse, which is computed once and kept.
         """
-        if order not in (0, 1):
-            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
-            raise ValueError(msg)
+        check_covariance_order(order)
         derivatives, h = derivative_table(order), self.hyperparameters
         cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
         unknowns, n_rows = self._unknowns(cell), len(derivatives)

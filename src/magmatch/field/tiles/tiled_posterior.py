@@ -27,7 +27,7 @@ from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldValues, check_covariance_order
 from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Points, Scalars, Vector3
 
@@ -112,9 +112,7 @@ class TiledPosterior:
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Bound of the posterior covariance of field (and gradient) at each point; the prior's where no tile is."""
-        if order not in (0, 1):
-            msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
-            raise ValueError(msg)
+        check_covariance_order(order)
         p = np.asarray(points, dtype=np.float64)
         size = 3 if order == 0 else 12
         shares = list(self._shares(p, order))

@@ -79,15 +79,8 @@ class Tiling:
 
     def assign(self, points: Points, tiles: list[Index]) -> list[Indices]:
         """Rows of the points that each tile sees: those in its box, and those beyond whose cells reach into it."""
-        cells, keys = self._cells(points), TileKeys(tiles)
-        rows, owners = [], []
-        for row, tile in self._tiles_around(cells, self.margin + self.reach):
-            owner = keys.find(tile)
-            rows.append(row[owner >= 0])
-            owners.append(owner[owner >= 0])
-        row, owner = np.concatenate(rows), np.concatenate(owners)
-        order = np.lexsort((row, owner))
-        return np.split(row[order], np.searchsorted(owner[order], np.arange(1, len(tiles))))
+        row, owner = TileKeys(tiles).owned(self._tiles_around(self._cells(points), self.margin + self.reach))
+        return np.split(row, np.searchsorted(owner, np.arange(1, len(tiles))))
 
     def is_inside(self, points: Points, index: Index) -> np.ndarray:
         """Whether points lie in the box of a tile."""
@@ -102,14 +95,7 @@ class Tiling:
         v = np.clip(np.nan_to_num(v, nan=-1e15), (keys.low - 2) * self.core, (keys.high + 2) * self.core)
         first = np.floor((v - self.blend) / self.core).astype(np.int64)
         last = np.floor((v + self.blend) / self.core).astype(np.int64)
-        rows, owners = [], []
-        for row, tile in _between(first, last):
-            owner = keys.find(tile)
-            rows.append(row[owner >= 0])
-            owners.append(owner[owner >= 0])
-        row, owner = np.concatenate(rows), np.concatenate(owners)
-        order = np.lexsort((row, owner))
-        row, owner = row[order], owner[order]
+        row, owner = keys.owned(_between(first, last))
         start = np.flatnonzero(np.diff(owner, prepend=-1))
         for low, high in pairwise([*start, len(row)]):
             yield int(owner[low]), row[low:high]
@@ -157,6 +143,13 @@ class TileKeys:
         key = self._key(np.where(is_near[:, None], index, self.low))
         place = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
         return np.where(is_near & (self._keys[place] == key), place, -1)
+
+    def owned(self, pairs: Iterator[tuple[Indices, np.ndarray]]) -> tuple[Indices, Indices]:
+        """Rows and the numbers of their tiles, tile by tile, of pairs of rows and tiles (n, 3)."""
+        found = [(row[owner >= 0], owner[owner >= 0]) for row, tile in pairs for owner in (self.find(tile),)]
+        row, owner = (np.concatenate(part) for part in zip(*found, strict=True))
+        order = np.lexsort((row, owner))
+        return row[order], owner[order]
 
     def _key(self, index: np.ndarray) -> np.ndarray:
         """One number per tile, in the order of their indices."""
