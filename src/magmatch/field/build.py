@@ -65,7 +65,7 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
 def _choose_and_fit(
     surveys: tuple[Survey, ...], config: FieldConfig, run: Runner
 ) -> tuple[FieldMap, Posterior, Survey]:
-    """Map of all samples, its posterior without a declared box, and the samples in its frame."""
+    """Map of all samples, its posterior without a declared box, and the samples in the model's frame."""
     merged = surveys[0].merged(*surveys[1:])
     check_finite(merged)
     T_map_model = merged.principal_frame()
@@ -76,6 +76,5 @@ def _choose_and_fit(
         hyperparameters = choose_numbers(prior_over(config.prior, box), samples, config)
     log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), config.prior)
     unbounded = fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), {}, run)
-    parts = surveys if len(surveys) > 1 else ()
-    field_map = FieldMap(merged, within(box, unbounded), T_map_model, config, T_map_model, samples, parts)
-    return field_map, unbounded, samples
+    posterior, parts = within(box, unbounded), surveys if len(surveys) > 1 else ()
+    return FieldMap(merged, posterior, T_map_model, config, T_map_model, samples, parts), unbounded, samples
