@@ -11,7 +11,6 @@ import numpy as np
 from oracle import DenseGP
 
 from magmatch import simulate
-from magmatch import Survey, simulate
 from magmatch.field.config import FieldConfig
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.prior_choice.numbers import choose_numbers
@@ -27,39 +26,6 @@ def main() -> None:
     """Print the table."""
     survey = simulate("office", seed=0, config=SimulationConfig(n_samples=2500)).base
     samples = survey.transformed(survey.principal_frame().inv())
-    time_steps(samples)
-    compare_spacings(samples)
-
-
-def time_steps(samples: Survey) -> None:
-    """Print processor seconds of each step, at the lengthscale chosen and at one that fills the cap on nodes."""
-    prior = DivergenceFreePrior()
-    start = process_time()
-    chosen = choose_numbers(prior, samples, FieldConfig())
-    print(f"{len(samples)} samples: hyperparameters {process_time() - start:.2f} s, {chosen.lengthscale:.2f} m")
-    axes = tuple(np.linspace(low, high, n) for low, high, n in zip(*_box(samples), (40, 40, 13), strict=True))
-    for length in (chosen.lengthscale, 0.42):
-        h = replace(chosen, lengthscale=length, spacing=0.7 * length)
-        times = [process_time()]
-        model = prior.build(samples.positions, samples.field, h)
-        posterior = model.infer(model.observe(samples.positions, samples.field))
-        times.append(process_time())
-        posterior.evaluate_on_grid(axes, 2)
-        times.append(process_time())
-        posterior.evaluate(samples.positions, 1)
-        times.append(process_time())
-        posterior.covariance(samples.positions[:500])
-        times.append(process_time())
-        fit, grid, points, covariance = np.diff(times)
-        print(
-            f"  lengthscale {length:.2f} m, {len(model.basis.grid)} inducing points: fit {fit:.2f} s, "
-            f"20,800 grid points to order 2 {grid:.3f} s, 2,500 points to order 1 {points:.3f} s, "
-            f"covariance at 500 points {covariance:.2f} s"
-        )
-
-
-def compare_spacings(samples: Survey) -> None:
-    """Print the error at left-out stretches against that of the exact model, on the same 1,500 samples."""
     is_test = (np.arange(len(samples)) // 25) % 6 == 2
     train, test = samples.subset(np.flatnonzero(~is_test)[:1500]), samples.subset(is_test)
     h = choose_numbers(DivergenceFreePrior(), train, FieldConfig())
