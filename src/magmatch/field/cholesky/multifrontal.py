@@ -22,9 +22,9 @@ from magmatch.field.cholesky.blas import (
     syrk,
     trsm,
 )
+from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.cells import HALF_STENCIL
 from magmatch.field.cholesky.nested_dissection import Elimination
-from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
 

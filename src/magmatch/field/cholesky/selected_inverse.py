@@ -20,9 +20,9 @@ from magmatch.field.cholesky.blas import (
     trmm,
     trtri,
 )
+from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.cholesky.multifrontal import CholeskyFactor, flat, in_precision
-from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
 
