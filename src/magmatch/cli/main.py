@@ -14,6 +14,7 @@ from magmatch.cli.convert import convert
 from magmatch.cli.datasets import datasets
 from magmatch.cli.demo import demo
 from magmatch.cli.evaluate import evaluate
+from magmatch.cli.glossary import glossary
 from magmatch.cli.index import index
 from magmatch.cli.info import info
 from magmatch.cli.map import build
@@ -53,6 +54,7 @@ COMMANDS = (
     simulate,
     datasets,
     demo,
+    glossary,
     evaluate,
 )
 

@@ -11,9 +11,12 @@ if TYPE_CHECKING:
 
 def tell_result(result: "RegistrationResult", out: Path | None = None, report: Path | None = None) -> str:
     """Tell a registration in a few lines."""
+    from magmatch.glossary import terms_in
     from magmatch.registration.sensor_calibration import in_words as calibration_words
 
     lines = [f"{'Accepted' if result.is_accepted else f'Not accepted ({result.status})'}: {result.reason}"]
+    jargon = [term.lower() for term in terms_in(result.reason)]
+    lines += [f"('magmatch glossary' explains {', '.join(jargon)})"] if jargon else []
     lines += [] if result.base is None else [f"Map: {result.base}"]
     if result.T_base_target is not None:
         lines += ["T_base_target (p_base = T p_target, metres):"]

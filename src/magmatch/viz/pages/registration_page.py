@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.glossary import terms_in
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
 from magmatch.viz.figures.registration_figures import (
@@ -18,7 +19,7 @@ from magmatch.viz.figures.registration_figures import (
     time_figure,
 )
 from magmatch.viz.figures.residuals import LARGEST_ORDINARY, compare
-from magmatch.viz.pages.page import Section, bullets, columns, figure_row, note, paragraph, verdict, write_page
+from magmatch.viz.pages.page import Section, bullets, columns, figure_row, note, paragraph, table, verdict, write_page
 from magmatch.viz.pages.registration_tables import (
     again,
     certainty,
@@ -55,7 +56,14 @@ def write_report(
     sections += other_poses(result, base, target)
     sections += _time(result)
     sections.append(again(result, command))
+    sections.append(Section("Terms", [table([[term, said] for term, said in _terms(result).items()])]))
     write_page(path, _title(result), sections)
+
+
+def _terms(result: RegistrationResult) -> dict[str, str]:
+    """Definitions of the words that the verdict and the key figures use."""
+    figures = "overlap, normalised residual, fitness, keypoint, probability, log odds, NEES, degenerate direction"
+    return terms_in(f"{result.reason} {MEANING[result.status]} {figures}")
 
 
 def _survey(read: Survey | FieldMap) -> Survey:

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch glossary``: what messages and reports mean by their words."""
+
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import command
+from magmatch.cli.narration import put
+from magmatch.errors import ConfigurationError
+
+EXAMPLES = ("magmatch glossary", "magmatch glossary nat", 'magmatch glossary "null model"')
+
+
+@command("glossary", EXAMPLES)
+def glossary(
+    term: Annotated[str | None, typer.Argument(help="A term, or the beginning of one; all by default.")] = None,
+) -> None:
+    """Explain the terms of messages and reports."""
+    from magmatch.glossary import terms
+
+    found = {name: said for name, said in terms().items() if name.lower().startswith((term or "").lower())}
+    if not found:
+        msg = f"no term '{term}'; there are {', '.join(terms())}"
+        raise ConfigurationError(msg)
+    put("\n\n".join(f"{name}\n  {said}" for name, said in found.items()))
