@@ -87,5 +87,5 @@ def test_surveys_that_come_with_a_result_are_mapped(place, run, tmp_path):
     page = tmp_path / "v.html"
     files = [place / name for name in ("result.json", "base.csv", "target.csv")]
     assert run("view", *files, "--out", page).code == 0
-    for words in ("The field of both maps", "Residual at every sample", "Where the target lies"):
+    for words in ("The field of both maps", "Residual at every sample", "Position of the target"):
         assert words in page.read_text()

@@ -120,7 +120,7 @@ def npz():
 FOREIGN_CASES = {
     "gzip": (gzip.compress(table(*rows()).encode()), ["gzip", "gunzip"]),
     "bzip2": (b"BZh91AY", ["bzip2"]),
-    "ROS 1 bag": (b"#ROSBAG V2.0\n" + bytes(100), ["bag whose header", "--recover"]),
+    "ROS 1 bag": (b"#ROSBAG V2.0\n" + bytes(100), ["damaged bag", "near byte", "--recover"]),
     "MCAP": (b"\x89MCAP0\r\n" + bytes(20), ["MCAP", "--recover"]),
     "ULog": (b"ULog\x01\x12\x35" + bytes(20), ["ULog"]),
     "HDF5": (b"\x89HDF\r\n\x1a\n" + bytes(20), ["HDF5"]),

@@ -37,7 +37,8 @@ def test_writing_names_the_extra(suffix, package, extra, walk, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("suffix", "package", "extra"), [(".mcap", "zstandard", "ros"), (".parquet", "pyarrow", "parquet")]
+    ("suffix", "package", "extra"),
+    [(".mcap", "mcap", "ros"), (".mcap", "zstandard", "ros"), (".parquet", "pyarrow", "parquet")],
 )
 def test_reading_names_the_extra(suffix, package, extra, walk, tmp_path, monkeypatch):
     pytest.importorskip(package)
@@ -45,10 +46,3 @@ def test_reading_names_the_extra(suffix, package, extra, walk, tmp_path, monkeyp
     hide(monkeypatch, package)
     with pytest.raises(MissingExtraError, match=f"magmatch\\[{extra}\\]"):
         read_survey(tmp_path / f"walk{suffix}")
-
-
-def test_reading_mcap_needs_no_library_of_the_format(walk, tmp_path, monkeypatch):
-    pytest.importorskip("mcap")
-    SURVEY_WRITERS[".mcap"](walk, tmp_path / "walk.mcap")
-    hide(monkeypatch, "mcap", "rosbags")
-    assert len(read_survey(tmp_path / "walk.mcap")) == 40

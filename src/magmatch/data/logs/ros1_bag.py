@@ -246,7 +246,7 @@ class Ros1Log:
         except (*_FAULTS, OSError) as error:
             if isinstance(error, OSError) and error.errno != errno.EINVAL:  # a seek to where no file reaches
                 raise
-            words = printable(str(error) or type(error).__name__)
+            words = printable(str(error).rstrip(".") or type(error).__name__)
             message = f"is a damaged bag, near byte {self._reader.position}: {words}"
             raise DataFormatError(self.path, f"{message}; --recover reads all that is whole of it") from None
 

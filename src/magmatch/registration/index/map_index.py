@@ -25,7 +25,7 @@ from magmatch.registration.index.mapped_arrays import MappedArrays, open_mapped,
 from magmatch.registration.index.walk_index import WalkIndex, index_walks
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.prepared_map import PreparedMap, prepare
+from magmatch.registration.prepared.prepared_map import PreparedMap, known_samples, prepare
 from magmatch.registration.prepared.raster import Raster
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.pair_search import PairTable
@@ -156,7 +156,7 @@ class IndexFile:
         """
         self.content.check()
         arrays, about = self.content.arrays, self.content.attributes
-        survey = field_map.survey.transformed(field_map.T_map_model.inv())
+        survey = known_samples(field_map)
         base = PreparedMap(
             field_map=field_map,
             T_map_model=field_map.T_map_model,

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
 from magmatch.features.invariants import rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldFunction, FieldValues, gradient_norm, gradient_of
@@ -23,6 +25,8 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 MEDIAN_CHI2_3 = 2.366
 # Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
 MEDIAN_GRADIENT2 = 8.69
+# Of fewer samples in a declared box nothing can be told.
+FEWEST_KNOWN = 10
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,7 +93,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     -------
     PreparedMap
     """
-    survey = field_map.survey.transformed(field_map.T_map_model.inv())
+    survey = known_samples(field_map)
     posterior = field_map.posterior
     some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
     correlation_length = correlation_length_of(posterior.evaluate(some, order=1))
@@ -119,6 +123,17 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         drift=Drift.of(survey, posterior),
         draws=lambda: weights,
     )
+
+
+def known_samples(field_map: FieldMap) -> Survey:
+    """The map's samples in its model frame; of a map for a declared box, those in it: elsewhere it knows no field."""
+    survey = field_map.survey
+    if field_map.config.domain is not None:
+        survey = survey.subset(field_map.knows(survey.positions))
+        if len(survey) < FEWEST_KNOWN:
+            msg = f"'{survey.name}': {len(survey)} samples lie in the map's domain, expected at least {FEWEST_KNOWN}"
+            raise SurveyError(msg)
+    return survey.transformed(field_map.T_map_model.inv())
 
 
 def common_length(base: PreparedMap, target: PreparedMap) -> float:
