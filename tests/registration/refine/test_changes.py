@@ -108,6 +108,41 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit(move
     assert distance(best.pose.T_base_target, T_model, target) < 0.003
 
 
+@pytest.fixture(scope="module")
+def found_with(moved, ordinary):
+    """Log evidence of the poses beside a change, by settings; two starts, one of them rough."""
+    base, target, T_model, _ = moved
+    null_model = null_model_of(base, target)
+    whole = weigh_pose(base, target, ordinary, null_model, FLAT)
+    rough = T_model * perturbation(np.array([0.05, 0.02, 0.06, 0.06, 0.04, 0.02]), ordinary.center)
+
+    def find(config):
+        starts = [rough, T_model]
+        found = poses_beside_changes(base, target, starts, whole, ordinary, null_model, FLAT, config, 0)
+        return [one.log_evidence for one in found]
+
+    return find
+
+
+SMALL = ChangeConfig(n_samples=250, n_charges=120, n_candidates=2)
+OTHER = {
+    "is_enabled": False, "max_misfit": 1e3, "max_noise": 1.0, "n_candidates": 1, "min_agreement": 1e6,
+    "n_samples": 200, "n_charges": 100, "distance": 0.9, "n_steps": 1,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def usually_found(found_with):
+    return found_with(SMALL)
+
+
+# In this room every pose comes to rest in its first round: `n_rounds` does not show.
+@pytest.mark.parametrize("name", sorted(set(ChangeConfig.model_fields) - {"n_rounds"}))
+def test_each_setting_changes_what_is_found(found_with, usually_found, name):
+    assert usually_found
+    assert found_with(SMALL.model_copy(update={name: OTHER[name]})) != usually_found
+
+
 def test_more_cells_than_agree_tell_beside_the_change(moved, ordinary):
     base, target, T_model, _ = moved
     null_model = null_model_of(base, target)

@@ -65,7 +65,7 @@ class ChangeConfig(BaseModel):
     # Samples compared, and most charges that stand for the change: with half as many of both, fields of the target's
     # own are described so badly that wrong poses win.
     n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
-    n_charges: int = Field(default=400, ge=8)
+    n_charges: int = Field(default=400, ge=100)
     # Distance of the charges from the samples, in correlation lengths.
     distance: float = Field(default=0.6, gt=0)
     # Most steps of the pose in a round.
