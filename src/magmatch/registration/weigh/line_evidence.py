@@ -313,7 +313,8 @@ def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
 
 def _strained(fits: _Fits, config: LineConfig) -> Matrix:
     """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
-    window = np.ones(config.piece_bins)
+    # A piece is no longer than the path.
+    window = np.ones(min(config.piece_bins, fits.known.shape[1]))
     counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
     power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
     is_strained = (power > config.max_power) & fits.known
