@@ -9,7 +9,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.decide.walk_answer import WalkDecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
-from magmatch.registration.published.method import PublishedConfig
+from magmatch.registration.published.config import PublishedConfig
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.search.invariant_search import InvariantSearchConfig

@@ -31,23 +31,15 @@ WeighedWalk = Weighed[WalkIndex, Walk, LineEvidence]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WalkStrategy:
-    """Fills `Strategy` for a line of samples, in the order they were taken.
-
-    Attributes
-    ----------
-    target : Survey or FieldMap
-        As given.
-    samples : Survey
-        All of them: a map leaves out what contradicts the rest.
-    length : float or None, m
-        Correlation length to bin by; by default the base's own. Only with the same bins can bases be compared.
-    """
+    """Fills `Strategy` for a line of samples, in the order they were taken."""
 
     target: Survey | FieldMap
+    # All that were given: a map leaves out what contradicts the rest.
     samples: Survey
     config: RegistrationConfig
     seed: int
     clock: Clock
+    # Correlation length (m) to bin by, the base's by default: only with the same bins can bases be compared.
     length: float | None = None
 
     def pair(self, base: MapIndex, volume: float | None = None) -> WalkPair:

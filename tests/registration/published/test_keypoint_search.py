@@ -12,7 +12,8 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.decide.fitness import alignment_fitness
-from magmatch.registration.published.method import PublishedConfig, comparable, keypoint_search
+from magmatch.registration.published.config import PublishedConfig
+from magmatch.registration.published.method import comparable, keypoint_search
 
 CONFIG = PublishedConfig()
 T_BASE_TARGET = random_transform(np.random.default_rng(11))

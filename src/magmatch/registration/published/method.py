@@ -4,7 +4,6 @@
 import logging
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.features.config import FeatureConfig
 from magmatch.features.extract import extract_features, shared_range
@@ -13,24 +12,14 @@ from magmatch.features.grids import grid_spacing
 from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
 from magmatch.registration.decide.fitness import alignment_fitness
-from magmatch.registration.published.consensus import Consensus, ConsensusConfig, vector_msac
-from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness
-from magmatch.registration.published.matching import Correspondences, MatchingConfig, match_features
+from magmatch.registration.published.config import PublishedConfig
+from magmatch.registration.published.consensus import Consensus, vector_msac
+from magmatch.registration.published.fitness_decision import by_fitness
+from magmatch.registration.published.matching import Correspondences, match_features
 from magmatch.registration.result import Links, RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
 
 log = logging.getLogger(__name__)
-
-
-class PublishedConfig(BaseModel):
-    """The steps of the published method."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    features: FeatureConfig = Field(default_factory=FeatureConfig)
-    matching: MatchingConfig = Field(default_factory=MatchingConfig)
-    consensus: ConsensusConfig = Field(default_factory=ConsensusConfig)
-    decision: FitnessConfig = Field(default_factory=FitnessConfig)
 
 
 def register_published(
