@@ -72,7 +72,7 @@ def test_a_walk_along_the_path_of_another_is_refined_from_both_sides():
     assert not index.walks.noise.is_learned  # one pass only
     strategy = WalkStrategy(pair.target, pair.target, PRESETS["default"], 0, Clock())
     walk = strategy.pair(index)
-    one_sided = strategy.decide(strategy.weigh(walk, strategy.search(walk)))
+    one_sided = strategy.decide(strategy.refine_and_weigh(walk, strategy.search(walk)))
     truth, center = pair.T_base_target, pair.target.centroid
     (far, turned), (near, hardly) = (transform_error(r.T_base_target, truth, center) for r in (one_sided, result))
     assert near < min(0.15, far / 2)

@@ -93,7 +93,7 @@ def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.Registration
     """Search, refine and decide by pairs of points alone."""
     strategy = WalkStrategy(target, target, CONFIG, seed, Clock())
     pair = strategy.pair(index)
-    return strategy.decide(strategy.weigh(pair, strategy.search(pair)))
+    return strategy.decide(strategy.refine_and_weigh(pair, strategy.search(pair)))
 
 
 def try_one(index: MapIndex, stretch: Survey, rng: np.random.Generator) -> Outcome:

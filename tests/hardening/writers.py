@@ -30,9 +30,9 @@ from magmatch.field.export import map_on_grid, write_netcdf, write_ply_cloud, wr
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
-from magmatch.registration.export import write_g2o, write_relative_tum, write_static_transform
 from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
 
 
 @dataclass(frozen=True)

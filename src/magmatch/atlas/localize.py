@@ -134,7 +134,7 @@ def _best_of(
         with clock("search"):
             found = strategy.search(pair)
         with clock("refine"):
-            weighed[entry] = strategy.weigh(pair, found)
+            weighed[entry] = strategy.refine_and_weigh(pair, found)
     answers = {}
     for entry, lead in _leads(weighed).items():
         with clock("decoys"):

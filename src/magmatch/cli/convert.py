@@ -86,7 +86,7 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
 
 
 def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:
-    from magmatch.registration.export import write_g2o, write_relative_tum, write_static_transform
+    from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
 
     names = [name.strip() for name in frames.split(",")]
     if len(names) != 2 or not all(names):

@@ -53,28 +53,28 @@ class MapStrategy:
         """The target's map."""
         return self.prepared.field_map
 
-    def pair(self, base: MapIndex, volume: float | None = None) -> MapPair:
+    def pair(self, index: MapIndex, volume: float | None = None) -> MapPair:
         """Two prepared maps."""
-        volume = base.base.raster.volume if volume is None else volume
-        prior = pose_prior(self.config.prior, base.base.T_map_model, self.prepared.T_map_model, volume)
-        return Pair(base.base, self.prepared, prior)
+        volume = index.base.raster.volume if volume is None else volume
+        prior = pose_prior(self.config.prior, index.base.T_map_model, self.prepared.T_map_model, volume)
+        return Pair(index.base, self.prepared, prior)
 
     def search(self, pair: MapPair) -> SearchResult:
         """Poses under which local frames and invariants agree."""
         rng = np.random.default_rng(self.seed)
         return invariant_search(pair.base, pair.target, pair.prior, self.config.invariants, rng)
 
-    def weigh(self, pair: MapPair, found: SearchResult) -> WeighedMap:
-        """Refine against both maps; cells of the target count for and against."""
+    def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> WeighedMap:
+        """Refine against both maps; each cell of the target adds evidence for or against."""
         log.info("refining the best poses")
         starts = [c.T_base_target for c in found.candidates]
         ranked = rank_poses(pair.base, pair.target, starts, pair.prior, self.config, self.seed)
         return Weighed(pair, found, ranked)
 
     def search_decoys(self, weighed: WeighedMap) -> WeighedMap:
-        """Search mirror images of the base, where an answer would be accepted that chance could come near."""
+        """Search mirror images of the base, where the answer would be accepted and is weak enough to be chance."""
         is_clear = weighed.log_density >= self.config.decision.certain_log_evidence
-        # A rough pose leaves little to chance, and a mirror has none.
+        # A rough pose known beforehand leaves little to chance, and none is known in a mirror image.
         if is_clear or weighed.pair.prior.T_base_target is not None:
             return weighed
         if not self.decide(weighed).is_accepted:
@@ -83,13 +83,13 @@ class MapStrategy:
         reached = -np.inf
         for base, prior in decoys(weighed.pair.base, weighed.pair.prior):
             pair = Pair(base, weighed.pair.target, prior)
-            # Evidence of cells and of samples beside a change are not of one scale.
-            like = [
+            # Evidence beside an estimated change is on another scale: like is compared with like.
+            comparable = [
                 e.log_evidence
-                for e in self.weigh(pair, self.search(pair)).ranked
+                for e in self.refine_and_weigh(pair, self.search(pair)).ranked
                 if e.is_beside_change == weighed.ranked[0].is_beside_change
             ]
-            reached = max([reached, *like])
+            reached = max([reached, *comparable])
         return replace(weighed, decoy_evidence=reached)
 
     def decide(self, weighed: WeighedMap) -> RegistrationResult:
@@ -98,12 +98,12 @@ class MapStrategy:
         return by_evidence(w.pair.base, w.pair.target, w.found, w.ranked, decision, w.lead, w.decoy_evidence)
 
     def settle(self, weighed: WeighedMap, answer: RegistrationResult) -> RegistrationResult:
-        """A covariance that knows what the maps do not.
+        """Widen the covariance by what the maps do not know between their samples.
 
         Far from a map's samples its error is alike everywhere: the pose follows it, and no residual tells. Where
         residuals do tell of it, both say the same: the larger is taken, not the sum.
         """
-        # Beside a change, what is left free is counted there.
+        # Where a change was estimated, its covariance already covers this.
         if not answer.is_accepted or weighed.ranked[0].is_beside_change:
             return answer
         best, pair = weighed.ranked[0], weighed.pair

@@ -2,12 +2,12 @@
 """The verb of this room: two surveys (or maps) in, one transform or a reasoned refusal out."""
 
 from magmatch.registration.clock import Clock
-from magmatch.registration.compare import Base, Found, Target, compare
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.maps import survey_of
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensor_calibration import better_supported, calibrate_sensors
+from magmatch.registration.steps import Base, Outcome, Target, register_once
 from magmatch.threads import one_blas_thread
 
 
@@ -20,7 +20,7 @@ def register(
     ----------
     base, target : Survey or FieldMap
         Each in its own frame; surveys are mapped first. A base that serves many targets is best given as its
-        `MapIndex`, which holds what else would be computed again for each.
+        `MapIndex`, which keeps what would otherwise be computed again for each target.
     config : RegistrationConfig, optional
         Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method.
     seed : int
@@ -41,16 +41,16 @@ def register(
 
 def register_keeping_maps(
     base: Base, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
-) -> Found:
-    """Register, and hand on base and target as they were used: for pictures, or for the next registration."""
+) -> Outcome:
+    """Register, and also return the base's map and the target as they were used: for pictures, say."""
     config, clock, samples = config or PRESETS["default"], Clock(), survey_of(target)
     with one_blas_thread():
-        found = compare(base, target, samples, config, seed, clock)
+        outcome = register_once(base, target, samples, config, seed, clock)
         if config.calibrate:
             with clock("calibrate"):
-                calibrated = calibrate_sensors(base, found, samples)
+                calibrated = calibrate_sensors(base, outcome, samples)
             if calibrated:
-                again = calibrated.attempt(compare, config, seed, clock)
-                found = better_supported(found, again, calibrated.sides)
-    base_map, used, answer = found
+                again = calibrated.attempt(register_once, config, seed, clock)
+                outcome = better_supported(outcome, again, calibrated.sides)
+    base_map, used, answer = outcome
     return base_map, used, stamped(answer, (survey_of(base), samples), config, seed, clock)

@@ -15,8 +15,8 @@ from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
-from magmatch.registration.compare import Base, Found, Target
 from magmatch.registration.result import Calibration, RegistrationResult, Sensor
+from magmatch.registration.steps import Base, Outcome, Target
 from magmatch.threads import side_by_side
 
 P = ParamSpec("P")
@@ -122,14 +122,14 @@ class CalibratedPair:
     sides: Mapping[str, Calibrated]
 
     def attempt(
-        self, compare: Callable[Concatenate[Any, Any, Survey, P], T], *args: P.args, **kwargs: P.kwargs
+        self, register_once: Callable[Concatenate[Any, Any, Survey, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> T | None:
         """Compare base and target; None where that fails: then the first answer stands."""
         log.info("registering once more, calibrated")
-        return attempted(compare, self.base, self.target, self.samples, *args, **kwargs)
+        return attempted(register_once, self.base, self.target, self.samples, *args, **kwargs)
 
 
-def calibrate_sensors(base: Base, found: Found, samples: Survey) -> CalibratedPair | None:
+def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> CalibratedPair | None:
     """Calibrate base and target where their readings turn with their sensor; None where neither's do.
 
     Parameters

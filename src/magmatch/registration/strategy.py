@@ -15,29 +15,29 @@ from magmatch.registration.search.candidate import SearchResult
 
 
 class Evidence(Protocol):
-    """What a refined pose has for it."""
+    """What speaks for a refined pose."""
 
     @property
     def log_density(self) -> float:
         """Comparable between bases, nats."""
 
 
-Base = TypeVar("Base")
-Target = TypeVar("Target")
+BaseSide = TypeVar("BaseSide")
+TargetSide = TypeVar("TargetSide")
 Weight = TypeVar("Weight", bound=Evidence)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Pair(Generic[Base, Target]):
+class Pair(Generic[BaseSide, TargetSide]):
     """Base and target as a strategy sees them, and what is known of the pose beforehand."""
 
-    base: Base
-    target: Target
+    base: BaseSide
+    target: TargetSide
     prior: PosePrior
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Weighed(Generic[Base, Target, Weight]):
+class Weighed(Generic[BaseSide, TargetSide, Weight]):
     """Poses of a pair, refined and weighed; nothing is decided yet.
 
     Attributes
@@ -50,7 +50,7 @@ class Weighed(Generic[Base, Target, Weight]):
         What the same search reaches in places that do not exist; None where it need not be known.
     """
 
-    pair: Pair[Base, Target]
+    pair: Pair[BaseSide, TargetSide]
     found: SearchResult
     ranked: list[Weight]
     lead: float = np.inf
@@ -62,30 +62,31 @@ class Weighed(Generic[Base, Target, Weight]):
         return self.ranked[0].log_density if self.ranked else -np.inf
 
 
-class Strategy(Protocol[Base, Target, Weight]):
-    """The steps of a registration, in their order.
-
-    ``volume`` (m^3) is that of all regions in which the target is looked for, by default this base's.
-    """
+class Strategy(Protocol[BaseSide, TargetSide, Weight]):
+    """The steps of a registration, in their order."""
 
     @property
     def target(self) -> Survey | FieldMap:
         """The target as it was used."""
 
-    def pair(self, base: MapIndex, volume: float | None = None) -> Pair[Base, Target]:
-        """Bring base and target into the form that is compared."""
+    def pair(self, base: MapIndex, volume: float | None = None) -> Pair[BaseSide, TargetSide]:
+        """Both sides as they are compared; ``volume`` (m^3) is that of all regions searched, this base's if None."""
 
-    def search(self, pair: Pair[Base, Target]) -> SearchResult:
+    def search(self, pair: Pair[BaseSide, TargetSide]) -> SearchResult:
         """Poses worth a look."""
 
-    def weigh(self, pair: Pair[Base, Target], found: SearchResult) -> Weighed[Base, Target, Weight]:
+    def refine_and_weigh(
+        self, pair: Pair[BaseSide, TargetSide], found: SearchResult
+    ) -> Weighed[BaseSide, TargetSide, Weight]:
         """Refine the candidates against the field, and weigh each against the null model."""
 
-    def search_decoys(self, weighed: Weighed[Base, Target, Weight]) -> Weighed[Base, Target, Weight]:
+    def search_decoys(self, weighed: Weighed[BaseSide, TargetSide, Weight]) -> Weighed[BaseSide, TargetSide, Weight]:
         """Add what the same search reaches in places that do not exist, where that may matter."""
 
-    def decide(self, weighed: Weighed[Base, Target, Weight]) -> RegistrationResult:
+    def decide(self, weighed: Weighed[BaseSide, TargetSide, Weight]) -> RegistrationResult:
         """Accept or refuse the best pose, and state the result."""
 
-    def settle(self, weighed: Weighed[Base, Target, Weight], answer: RegistrationResult) -> RegistrationResult:
-        """Add to an answer what the residuals of this comparison cannot show: how far the maps themselves err."""
+    def settle(
+        self, weighed: Weighed[BaseSide, TargetSide, Weight], answer: RegistrationResult
+    ) -> RegistrationResult:
+        """Widen an accepted covariance by the maps' own errors, which residuals do not show."""

@@ -42,12 +42,12 @@ class WalkStrategy:
     # Correlation length (m) to bin by, the base's by default: only with the same bins can bases be compared.
     length: float | None = None
 
-    def pair(self, base: MapIndex, volume: float | None = None) -> WalkPair:
+    def pair(self, index: MapIndex, volume: float | None = None) -> WalkPair:
         """The base's pairs of points, and the walk in bins."""
-        walks = base.walks
+        walks = index.walks
         walk = walk_of(self.samples, self.length or walks.length)
-        volume = base.base.raster.volume if volume is None else volume
-        return Pair(walks, walk, pose_prior(self.config.prior, base.base.T_map_model, walk.T_survey_walk, volume))
+        volume = index.base.raster.volume if volume is None else volume
+        return Pair(walks, walk, pose_prior(self.config.prior, index.base.T_map_model, walk.T_survey_walk, volume))
 
     def search(self, pair: WalkPair) -> SearchResult:
         """Poses under which pairs of points agree."""
@@ -55,7 +55,7 @@ class WalkStrategy:
         rng = np.random.default_rng(self.seed)
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
-    def weigh(self, pair: WalkPair, found: SearchResult) -> WeighedWalk:
+    def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> WeighedWalk:
         """Generalised least squares, with residuals as this base's own stretches show them."""
         starts, walks = [c.T_base_target for c in found.candidates], pair.base
         config = self.config.walks.evidence

@@ -55,7 +55,7 @@ def register_walk(index, target, seed=0, prior=None):
     config = RegistrationConfig(prior=prior or PosePriorConfig())
     strategy = WalkStrategy(target, target, config, seed, Clock())
     pair = strategy.pair(MapIndex(index.base, lambda: index))
-    return strategy.decide(strategy.weigh(pair, strategy.search(pair)))
+    return strategy.decide(strategy.refine_and_weigh(pair, strategy.search(pair)))
 
 
 @pytest.mark.parametrize("seed", range(5))

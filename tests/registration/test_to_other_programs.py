@@ -8,8 +8,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.errors import SurveyError
 from magmatch.geometry import exp_se3
-from magmatch.registration.export import g2o_information, write_g2o, write_relative_tum, write_static_transform
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.to_other_programs import (
+    g2o_information,
+    write_g2o,
+    write_relative_tum,
+    write_static_transform,
+)
 
 T = RigidTransform.from_components([1.5, -2.0, 0.25], Rotation.from_rotvec([0.3, -0.2, 1.1]))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The algorithm: maps, then for each strategy that suits the target prepare, search, refine, weigh, decide."""
+"""The algorithm: map, then for each strategy prepare, search, refine and weigh, try decoys, decide, settle."""
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
@@ -14,15 +14,16 @@ from magmatch.registration.strategies import strategies
 Target = Survey | FieldMap
 Base = Target | MapIndex
 # Map of the base, the target as it was used, and the answer.
-Found = tuple[FieldMap, Target, RegistrationResult]
+Outcome = tuple[FieldMap, Target, RegistrationResult]
 
 
-def compare(
+def register_once(
     base: Base, target: Target, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
-) -> Found:
-    """The answer for two surveys as they are; a walk is compared with all its samples, mapped or not."""
+) -> Outcome:
+    """The answer without calibrating sensors; a walk is compared with all its samples, mapped or not."""
     with clock("maps"):
         base, target = map_base(base, target, config.field)
+    # The published method has steps of its own.
     if config.search == "keypoints":
         with clock("maps"):
             target_map = as_map(target, config.field)
@@ -35,9 +36,9 @@ def compare(
         with clock("prepare"):
             pair = strategy.pair(index)
         with clock("search"):
-            found = strategy.search(pair)
+            candidates = strategy.search(pair)
         with clock("refine"):
-            weighed = strategy.weigh(pair, found)
+            weighed = strategy.refine_and_weigh(pair, candidates)
         with clock("decoys"):
             weighed = strategy.search_decoys(weighed)
         with clock("decide"):
@@ -47,5 +48,6 @@ def compare(
         tried.append((strategy.target, answer))
         if answer.is_accepted:
             break
+    # None accepted: the more probable refusal, the first where both are equal.
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
     return index.field_map, used, answer
