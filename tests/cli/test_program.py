@@ -13,7 +13,7 @@ from magmatch.cli import boundary, main
 
 COMMANDS = (
     "register", "transform", "prepare", "map", "index", "query", "info", "view", "convert", "simulate", "datasets",
-    "demo", "evaluate",
+    "demo", "glossary", "evaluate",
 )  # fmt: skip
 
 
