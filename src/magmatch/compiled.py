@@ -48,7 +48,7 @@ def compile_known(module: str) -> None:
 
 
 class NoCollection(event.Listener):
-    """No garbage is collected while a loop compiles: the compiler keeps what it makes, and collecting costs a tenth."""
+    """No garbage is collected while a loop compiles: the compiler keeps what it makes."""
 
     def __init__(self) -> None:
         self._depth = 0
