@@ -47,6 +47,11 @@ def compile_known(module: str) -> None:
         loop.compile(signature)
 
 
+def _is_ours(compilation: event.Event) -> bool:
+    """Whether a loop of this package compiles; those of others are none of our business."""
+    return bool(compilation.data["dispatcher"].py_func.__module__.startswith("magmatch."))
+
+
 class NoCollection(event.Listener):
     """No garbage is collected while a loop compiles: the compiler keeps what it makes."""
 
@@ -56,15 +61,19 @@ class NoCollection(event.Listener):
 
     def on_start(self, event: event.Event) -> None:
         """Hear of a compilation, perhaps inside another."""
-        if event.is_start and self._depth == 0:
+        if not _is_ours(event):
+            return
+        if self._depth == 0:
             self._was_on = gc.isenabled()
             gc.disable()
         self._depth += 1
 
     def on_end(self, event: event.Event) -> None:
         """Collect again after the outermost."""
+        if not _is_ours(event):
+            return
         self._depth -= 1
-        if event.is_end and self._depth == 0 and self._was_on:
+        if self._depth == 0 and self._was_on:
             gc.enable()
 
 
@@ -83,7 +92,7 @@ class FirstUse(event.Listener):
 
     def on_start(self, event: event.Event) -> None:
         """Hear of a compilation."""
-        if self._is_over or not event.data["dispatcher"].py_func.__module__.startswith("magmatch."):
+        if self._is_over or not _is_ours(event):
             return
         self._is_over = True
         log.log(

@@ -6,7 +6,7 @@ from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.maps import survey_of
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.sensor_calibration import better_supported, calibrate_sensors
+from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate_sensors
 from magmatch.registration.steps import Base, Outcome, Target, register_once
 from magmatch.threads import one_blas_thread
 
@@ -50,7 +50,9 @@ def register_keeping_maps(
             with clock("calibrate"):
                 calibrated = calibrate_sensors(base, outcome, samples)
             if calibrated:
-                again = calibrated.attempt(register_once, config, seed, clock)
+                again = attempted(
+                    register_once, calibrated.base, calibrated.target, calibrated.samples, config, seed, clock
+                )
                 outcome = better_supported(outcome, again, calibrated.sides)
     base_map, used, answer = outcome
     return base_map, used, stamped(answer, (survey_of(base), samples), config, seed, clock)

@@ -4,7 +4,7 @@
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Concatenate, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -121,13 +121,6 @@ class CalibratedPair:
     samples: Survey
     sides: Mapping[str, Calibrated]
 
-    def attempt(
-        self, register_once: Callable[Concatenate[Any, Any, Survey, P], T], *args: P.args, **kwargs: P.kwargs
-    ) -> T | None:
-        """Compare base and target; None where that fails: then the first answer stands."""
-        log.info("registering once more, calibrated")
-        return attempted(register_once, self.base, self.target, self.samples, *args, **kwargs)
-
 
 def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> CalibratedPair | None:
     """Calibrate base and target where their readings turn with their sensor; None where neither's do.
@@ -154,6 +147,7 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
         again = sides["base"].survey
     if "target" in sides:
         samples = target = sides["target"].survey
+    log.info("registering once more, calibrated")
     return CalibratedPair(again, target, samples, sides)
 
 
