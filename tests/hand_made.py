@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Prepared maps of fields that are known everywhere, made by hand: the stages of registration are tested on them."""
+"""Prepared maps of fields known everywhere, and weighed poses, made by hand: stages are tested on them."""
 
 from dataclasses import dataclass, field, replace
 
@@ -109,3 +109,17 @@ def turn_about(center, xi):
     """The motion ``Exp(xi)`` about a centre: turn by xi[:3] about it, then shift by xi[3:]."""
     R = Rotation.from_rotvec(xi[:3])
     return RigidTransform.from_components(np.asarray(center) + xi[3:] - R.apply(center), R)
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedPose:
+    """A hypothesis as a decision sees it: by default one that is beyond doubt."""
+
+    T_base_target: RigidTransform = field(default_factory=RigidTransform.identity)
+    log_evidence: float = 200.0
+    misfit: float = 1.0
+    kind: str = "map"
+    center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    covariance: np.ndarray | None = field(default_factory=lambda: 1e-6 * np.eye(6))
+    attainable: float = 300.0
+    overlap: float = 0.9

@@ -8,7 +8,9 @@ from magmatch.geometry import log_se3, random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch.registration.weigh.line_evidence import weigh_walk
 from magmatch.simulation.config import SimulationConfig
 
 pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
@@ -70,11 +72,17 @@ def test_a_walk_along_the_path_of_another_is_refined_from_both_sides():
     assert result.is_accepted
     index = prepare_index(mm.build_map(pair.base), PRESETS["default"])
     assert not index.walks.noise.is_learned  # one pass only
-    strategy = WalkStrategy(pair.target, pair.target, PRESETS["default"], 0, Clock())
+    config, walks = PRESETS["default"], index.walks
+    strategy = WalkStrategy(
+        pair.target, pair.target, config, 0, lambda: MapStrategy.of(pair.target, config, 0, Clock())
+    )
     walk = strategy.pair(index)
-    one_sided = strategy.decide(strategy.refine_and_weigh(walk, strategy.search(walk)))
+    starts = [c.T_base_target for c in strategy.search(walk).candidates]
+    evidence = config.walks.evidence
+    by_base = weigh_walk(walks.base, walk.target, starts, walks.noise, walks.length, walk.prior, evidence)[0]
+    one_sided = walk.estimate(by_base).T_base_target
     truth, center = pair.T_base_target, pair.target.centroid
-    (far, turned), (near, hardly) = (transform_error(r.T_base_target, truth, center) for r in (one_sided, result))
+    (far, turned), (near, hardly) = (transform_error(T, truth, center) for T in (one_sided, result.T_base_target))
     assert near < min(0.15, far / 2)
     assert hardly < turned
     xi = log_se3(result.T_base_target.inv() * truth)

@@ -17,7 +17,7 @@ def test_every_term_has_a_definition_without_marks():
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("log odds 90 nats", ["Log odds", "Nat"]),
+        ("evidence of 90 nats", ["Evidence", "Nat"]),
         ("6 of 8 informative cells agree", ["Cell", "Informative cell"]),
         ("signatures and nations", []),
     ],

@@ -27,8 +27,10 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import index_walks
+from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import tabulate_pairs
+from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, pose_error, timed
@@ -91,9 +93,11 @@ def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
 
 def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.RegistrationResult:
     """Search, refine and decide by pairs of points alone."""
-    strategy = WalkStrategy(target, target, CONFIG, seed, Clock())
+    clock = Clock()
+    strategy = WalkStrategy(target, target, CONFIG, seed, lambda: MapStrategy.of(target, CONFIG, seed, clock))
     pair = strategy.pair(index)
-    return strategy.decide(strategy.refine_and_weigh(pair, strategy.search(pair)))
+    weighed = strategy.refine_and_weigh(pair, strategy.search(pair))
+    return settle_and_decide(weighed, CONFIG.decision, clock)
 
 
 def try_one(index: MapIndex, stretch: Survey, rng: np.random.Generator) -> Outcome:

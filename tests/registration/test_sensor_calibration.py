@@ -122,18 +122,21 @@ def test_a_clean_pair_is_registered_once(pair):
 @pytest.mark.parametrize(
     ("as_given", "calibrated", "taken"),
     [
-        ((True, 90.0), (True, 20.0), "calibrated"),
-        ((True, 90.0), (False, 95.0), "as given"),
-        ((False, 90.0), (True, 20.0), "calibrated"),
-        ((False, 3.0), (False, 2.0), "as given"),
-        ((False, 2.0), (False, 3.0), "calibrated"),
+        ((True, 0.999), (True, 0.99), "calibrated"),
+        ((True, 0.99), (False, 0.999), "as given"),
+        ((False, 0.999), (True, 0.99), "calibrated"),
+        ((False, 0.3), (False, 0.2), "as given"),
+        ((False, 0.2), (False, 0.3), "calibrated"),
+        ((False, 0.2), (False, 0.2), "as given"),
+        ((False, None), (False, 0.1), "calibrated"),
+        ((False, 0.1), (False, None), "as given"),
         ((False, None), (False, None), "as given"),
     ],
 )
 def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
-    def answer(is_accepted, log_odds):
+    def answer(is_accepted, probability):
         status = Status.ACCEPTED if is_accepted else Status.INCONSISTENT
-        return RegistrationResult(status, "", pair.T_base_target, evidence={"log_odds": log_odds})
+        return RegistrationResult(status, "", pair.T_base_target, probability=probability)
 
     first, second = answer(*as_given), answer(*calibrated)
     sides = {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))}

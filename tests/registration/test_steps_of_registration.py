@@ -1,18 +1,176 @@
 # SPDX-License-Identifier: BSD-3-Clause
-import numpy as np
+"""The order of the steps: what is decided is the most probable pose, and only that is settled."""
 
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from hand_made import WeighedPose
+from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.steps import register_once
+from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.posterior import log_odds
+from magmatch.registration.decide.support import Support
+from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.register import register
+from magmatch.registration.result import Links, Status
+from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.steps import register_once, settle_and_decide
+from magmatch.registration.strategy import Pair, Weighed
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
 
 
 def test_a_walk_is_compared_with_every_sample_that_was_given():
     """A map leaves out what contradicts the rest; the walk's answer does not depend on one having been made."""
-    pair, config = simulate("corridor", 0, SimulationConfig(n_samples=600)), RegistrationConfig(search="pairs")
-    base, target = build_map(pair.base), pair.target
+    made = simulate("office-hand-held", 3, SimulationConfig(n_samples=2000))
+    config = RegistrationConfig(search="pairs")
+    # This base passes places twice: it shows what residuals along a path are like.
+    base, target = prepare_index(build_map(made.base), config), made.target.subset(np.arange(240))
     fewer = build_map(target.subset(np.arange(0, len(target), 2)))
     alone, mapped = (register_once(base, used, target, config, 0, Clock())[2] for used in (target, fewer))
-    assert alone.evidence["log_odds"] == mapped.evidence["log_odds"] > 0
+    assert alone.is_accepted, alone.reason
+    assert alone.evidence == mapped.evidence
+    np.testing.assert_array_equal(alone.T_base_target.as_matrix(), mapped.T_base_target.as_matrix())
+
+
+def test_a_walk_along_a_base_that_passes_each_place_once_is_weighed_from_both_sides():
+    made, config = simulate("corridor", 0, SimulationConfig(n_samples=300)), RegistrationConfig(search="pairs")
+    answer = register_once(build_map(made.base), made.target, made.target, config, 0, Clock())[2]
+    # Cells are counted, as those of two maps are, and the probability follows their law.
+    assert answer.evidence["n_informative"] is not None
+    odds = log_odds(answer.evidence["log_odds"], answer.evidence["misfit"], "map")
+    share = answer.probability / answer.evidence["probability_unrelated"]
+    assert share == pytest.approx(np.exp(odds), rel=1e-6)
+
+
+HERE = RigidTransform.identity()
+PAIR = Pair(None, None, PosePrior(1.0), 0.6, RigidTransform.from_translation([1.0, 0.0, 0.0]), HERE)
+FOUND = SearchResult(n_keypoints=7)
+NO_LINKS = Links(np.zeros((0, 3)), np.zeros((0, 3)))
+# What settling moves the pose by, and how wide it leaves it.
+STEP = RigidTransform.from_translation([0.0, 0.0, 0.01])
+
+
+@dataclass
+class HandMadeStrategy:
+    """States a pose as it was weighed; settles it by a step and a wider covariance."""
+
+    settled_covariance: np.ndarray = field(default_factory=lambda: 1e-4 * np.eye(6))
+    asked: list = field(default_factory=list)
+
+    def state(self, pair, pose):
+        self.asked.append(("state", pose))
+        return pair.estimate(pose), Support(residual=1.0, n_inliers=3, links=NO_LINKS)
+
+    def settle(self, pair, pose):
+        self.asked.append(("settle", pose))
+        settled = replace(pose, T_base_target=pose.T_base_target * STEP, covariance=self.settled_covariance)
+        return pair.estimate(settled), Support(residual=0.9, n_inliers=4, links=NO_LINKS)
+
+
+def decided(ranked, elsewhere=-np.inf, strategy=None, config=None):
+    weighed = Weighed(strategy or HandMadeStrategy(), PAIR, FOUND, list(ranked), elsewhere)
+    return settle_and_decide(weighed, config or DecisionConfig(), Clock())
+
+
+def shifted(metres, **changes):
+    return WeighedPose(RigidTransform.from_translation([metres, 0.0, 0.0]), **changes)
+
+
+def test_a_probable_pose_is_settled_and_stated_so():
+    strategy, best = HandMadeStrategy(), shifted(0.2)
+    result = decided([best, shifted(9.0, log_evidence=20.0)], strategy=strategy)
+    assert [(what, pose) for what, pose in strategy.asked] == [("settle", best)]
+    assert result.status is Status.ACCEPTED
+    np.testing.assert_allclose(result.T_base_target.translation, [1.2, 0.0, 0.01], atol=1e-12)
+    np.testing.assert_allclose(result.covariance, 1e-4 * np.eye(6), atol=1e-12)
+    assert (result.residual, result.n_inliers, result.n_keypoints) == (0.9, 4, 7)
+
+
+def test_what_settling_finds_out_decides_whether_the_pose_is_known_well_enough():
+    result = decided([shifted(0.0)], strategy=HandMadeStrategy(settled_covariance=np.eye(6)))
+    assert result.status is Status.DEGENERATE
+    assert (result.T_base_target, result.covariance) == (None, None)
+    np.testing.assert_allclose(result.alternatives[0].T_base_target.translation, [1.0, 0.0, 0.01], atol=1e-12)
+    assert len(result.degenerate_directions) == 6
+
+
+def test_a_doubtful_pose_is_stated_as_it_was_weighed():
+    strategy = HandMadeStrategy()
+    best, rival = shifted(0.0, log_evidence=100.0), shifted(5.0, log_evidence=99.0)
+    result = decided([best, rival], strategy=strategy)
+    assert [what for what, _ in strategy.asked] == ["state"]
+    assert result.status is Status.AMBIGUOUS
+    shown = [a.T_base_target.translation[0] for a in result.alternatives]
+    np.testing.assert_allclose(shown, [1.0, 6.0])
+    assert sum(a.probability for a in result.alternatives) == pytest.approx(1, abs=1e-6)
+
+
+def test_the_most_probable_is_decided_on_wherever_it_stands():
+    """A ranking by evidence, of which the first has residuals that nothing explains."""
+    strained, plain = shifted(0.0, log_evidence=210.0, misfit=12.0), shifted(5.0)
+    result = decided([strained, plain])
+    np.testing.assert_allclose(result.T_base_target.translation, [6.0, 0.0, 0.01], atol=1e-12)
+
+
+def test_near_poses_are_one_answer_within_three_of_the_largest_spreads_asked_for():
+    near = [shifted(0.0), shifted(0.5, log_evidence=199.0)]
+    assert decided(near).is_accepted  # 3 x 0.3 x 0.6 m
+    assert decided(near, config=DecisionConfig(max_sd_translation=0.1)).status is Status.AMBIGUOUS
+
+
+def test_a_pose_elsewhere_takes_its_share_and_prior_odds_theirs():
+    best = shifted(0.0, log_evidence=100.0)
+    there = decided([best], elsewhere=log_odds(100.0, 1.0, "map"))
+    assert there.status is Status.AMBIGUOUS
+    assert there.probability == pytest.approx(0.5, abs=1e-4)
+    sceptical = decided([best], config=DecisionConfig(prior_odds=1e-9))
+    odds = 1e-9 * np.exp(log_odds(100.0, 1.0, "map"))
+    assert not sceptical.is_accepted
+    assert sceptical.probability == pytest.approx(odds / (1 + odds))
+
+
+def test_the_best_log_odds_of_a_pair_are_those_of_its_most_probable_pose():
+    poses = [shifted(0.0, log_evidence=210.0, misfit=12.0), shifted(5.0), shifted(7.0, kind="walk", log_evidence=3.0)]
+    best = Weighed(HandMadeStrategy(), PAIR, FOUND, poses).best_log_odds
+    assert best == log_odds(200.0, 1.0, "map")
+    assert Weighed(HandMadeStrategy(), PAIR, FOUND, []).best_log_odds == -np.inf
+
+
+def test_without_a_pose_nothing_is_settled_and_the_answer_is_a_result():
+    for ranked in ([], [WeighedPose(log_evidence=-np.inf, misfit=np.inf, covariance=None)]):
+        strategy = HandMadeStrategy()
+        result = decided(ranked, strategy=strategy)
+        assert (result.status, result.T_base_target, strategy.asked) == (Status.UNINFORMATIVE, None, [])
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_duplicated_sample_adds_next_to_nothing(seed):
+    """Every sample twice, of either side or of both: not twice the evidence, but a twentieth more at most.
+
+    The map's numbers are given, for learned ones believe in less noise where samples agree to the bit.
+    """
+    made = simulate("office-random", seed, SimulationConfig(n_samples=300, room_size=(2.0, 2.0, 0.8)))
+    numbers = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
+    config = RegistrationConfig.model_validate({"field": numbers, "calibrate": False})
+
+    def times(n, survey):
+        rows = np.repeat(np.arange(len(survey)), n)
+        return Survey(survey.positions[rows], survey.field[rows])
+
+    once, target_twice, base_twice, both_twice = (
+        register(times(n, made.base), times(k, made.target), config) for n, k in ((1, 1), (1, 2), (2, 1), (2, 2))
+    )
+    usual = once.evidence["log_odds"]
+    assert abs(target_twice.evidence["log_odds"] - usual) < 0.05 * usual
+    for result in (target_twice, base_twice, both_twice):
+        assert result.is_accepted
+        assert result.evidence["effective"] < 1.05 * once.evidence["effective"]
+        distance = np.linalg.norm(result.T_base_target.translation - once.T_base_target.translation)
+        assert distance < 0.02

@@ -126,7 +126,7 @@ def test_what_the_decision_was_weighed_from_is_shown(pair, tmp_path):
     result = replace(pair.accepted, evidence={"log_odds": 221.5, "lead": None, "something_new": 3.0})
     write_report(tmp_path / "r.html", None, None, result)
     page = (tmp_path / "r.html").read_text()
-    for words in ("log odds of the best pose (nats)", "221.5", "something new"):
+    for words in ("evidence for the best pose over unrelated surveys (nats)", "221.5", "something new"):
         assert words in page
     assert "lead over" not in page
 

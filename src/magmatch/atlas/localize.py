@@ -4,6 +4,7 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from magmatch.registration.prepared.walk import choose_search
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate
+from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategy import Strategy, Weighed
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.threads import one_blas_thread
@@ -87,9 +89,10 @@ def _localize_walk(
     with clock("votes"):
         votes = count_votes([entry.table for entry in atlas.entries], survey, atlas.config.walks.search, seed)
     likely = shortlist(atlas.entries, votes)
-    # The same bins for all: only then can their densities be compared.
+    # The same bins for all: none is judged by more of them.
     length = float(np.median([entry.table.length for entry in likely]))
-    return _best_of(atlas, likely, WalkStrategy(target, survey, atlas.config, seed, clock, length), clock)
+    mapped = cache(lambda: MapStrategy.of(target, atlas.config, seed, clock))
+    return _best_of(atlas, likely, WalkStrategy(target, survey, atlas.config, seed, mapped, length), clock)
 
 
 def _localize_map(
@@ -136,13 +139,9 @@ def _best_of(
         with clock("refine"):
             weighed[entry] = strategy.refine_and_weigh(pair, found)
     answers = {}
-    for entry, lead in _leads(weighed).items():
-        with clock("decoys"):
-            best = strategy.search_decoys(replace(weighed[entry], lead=lead))
-        with clock("decide"):
-            answer = strategy.decide(best)
-        with clock("settle"):
-            answers[entry] = strategy.settle(best, answer)
+    for entry, elsewhere in _best_elsewhere(weighed).items():
+        best = replace(weighed[entry], elsewhere=elsewhere)
+        answers[entry] = settle_and_decide(best, atlas.config.decision, clock)
     return _with_alternatives(answers)
 
 
@@ -153,12 +152,11 @@ def shortlist(entries: tuple[AtlasEntry, ...], votes: Scalars) -> list[AtlasEntr
     return [entries[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
 
 
-def _leads(weighed: Mapping[AtlasEntry, Weighed[Any, Any, Any]]) -> dict[AtlasEntry, float]:
-    """Lead of each map's best pose over that of any other map, best first."""
-    ranked = sorted(weighed, key=lambda entry: -weighed[entry].log_density)
-    first, *others = (weighed[entry].log_density for entry in ranked)
-    leads = {entry: weighed[entry].log_density - first for entry in ranked}
-    return leads | {ranked[0]: first - others[0] if others and np.isfinite(others[0]) else np.inf}
+def _best_elsewhere(weighed: Mapping[AtlasEntry, Weighed[Any, Any, Any]]) -> dict[AtlasEntry, float]:
+    """Log odds of the best pose in any other map; the map of the best pose first."""
+    odds = {entry: one.best_log_odds for entry, one in weighed.items()}
+    ranked = sorted(odds, key=lambda entry: -odds[entry])
+    return {entry: max((odds[other] for other in ranked if other is not entry), default=-np.inf) for entry in ranked}
 
 
 def _with_alternatives(judged: dict[AtlasEntry, RegistrationResult]) -> RegistrationResult:

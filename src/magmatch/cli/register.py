@@ -11,6 +11,7 @@ import typer
 from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
+from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.prior import with_prior
@@ -31,6 +32,7 @@ EXAMPLES = (
     "magmatch register monday.bag tuesday.mcap --target-pose-topic /slam/pose",
     "magmatch register room.map target.csv --preset paper --json > result.json",
     "magmatch register hall.map robot.csv --gravity-aligned --prior-pose 3,1.5,0,0,0,0,1 --prior-pose-sd 2,30",
+    "magmatch register base.csv target.csv --min-probability 0.999 --max-sd 0.05,1",
     "magmatch register buildings/ walk.csv   # which of the maps in this folder, and where in it",
 )
 
@@ -63,6 +65,16 @@ def register(
     gravity_sd: Annotated[
         float | None, typer.Option(help="Accuracy of that, degrees.  [default: 0.6]", min=0.001, max=45)
     ] = None,
+    min_probability: Annotated[
+        float | None, typer.Option(help="Accept a pose that is right at least so probably.  [default: 0.99]")
+    ] = None,
+    max_sd: Annotated[
+        str | None,
+        typer.Option(
+            help="Accept a pose known at least so well, as a standard deviation: metres,degrees.  "
+            "[default: 0.3 lengths over which the field changes, 4.6 degrees]"
+        ),
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the preset's.")] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
@@ -77,6 +89,7 @@ def register(
     with_help()
     settings = registration_config(preset, config, sensor)
     settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd)
+    settings = with_limits(settings, min_probability, max_sd)
     check_outputs((out, report), inputs=[path for path in (base, target, config) if path])
     if report is not None:
         from magmatch.viz.figures.plotting import require_plotly

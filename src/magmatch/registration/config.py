@@ -7,7 +7,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.field.config import FieldConfig
 from magmatch.registration.decide.decision import DecisionConfig
-from magmatch.registration.decide.walk_answer import WalkDecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.published.config import PublishedConfig
 from magmatch.registration.refine.changes import ChangeConfig
@@ -24,7 +23,6 @@ class WalkConfig(BaseModel):
 
     search: PairSearchConfig = Field(default_factory=PairSearchConfig)
     evidence: LineConfig = Field(default_factory=LineConfig)
-    decision: WalkDecisionConfig = Field(default_factory=WalkDecisionConfig)
 
 
 class RegistrationConfig(BaseModel):

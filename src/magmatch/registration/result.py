@@ -184,11 +184,11 @@ class RegistrationResult:
     covariance : (6, 6) array or None
         Of xi in ``T_true = T_estimate Exp(xi)``, rotation first (rad, m); None unless accepted, or not known.
     probability : float or None
-        Calibrated probability that the transform is right (see `registration/decide/probability.py`); of the
+        Calibrated probability that the transform is right (see `registration/decide/posterior.py`); of the
         first alternative where nothing was accepted; None with the published method.
     evidence : dict
-        What the probability was computed from: ``log_odds`` (nats) of the best pose, its ``lead`` over the best pose
-        elsewhere (None where there is none), and the shares that agree.
+        What the probability was computed from: evidence (``log_odds``, nats) for the best pose, how much of it is
+        ``effective``, its ``lead`` over any other pose (None where there is none), and the shares that agree.
     overlap : float
         Fraction of the target's samples that fall where the base map knows the field.
     alternatives : tuple of Alternative

@@ -15,7 +15,7 @@ from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
-from magmatch.registration.result import Calibration, RegistrationResult, Sensor
+from magmatch.registration.result import Calibration, Sensor
 from magmatch.registration.steps import Base, Outcome, Target
 from magmatch.threads import side_by_side
 
@@ -164,7 +164,7 @@ def better_supported(as_given: Answered, calibrated: Answered | None, sides: Map
     Returns
     -------
     tuple
-        Of two refusals the one with higher log odds; the second says what was corrected.
+        Of two refusals the more probable; the second says what was corrected.
     """
     if calibrated is None:
         return as_given
@@ -173,17 +173,12 @@ def better_supported(as_given: Answered, calibrated: Answered | None, sides: Map
         # What turns with the sensor is no place's field, however well it may agree.
         is_better = second.is_accepted
     else:
-        is_better = _log_odds(second) > _log_odds(first)
+        is_better = (second.probability or 0.0) > (first.probability or 0.0)
     if not is_better:
         return as_given
     stated = {name: side.as_dict() for name, side in sides.items()}
     answer = replace(second, sensor=(second.sensor or Sensor()) | Sensor(calibrated=stated))
     return cast("Answered", (*calibrated[:-1], answer))
-
-
-def _log_odds(answer: RegistrationResult) -> float:
-    log_odds = answer.evidence.get("log_odds")
-    return -np.inf if log_odds is None else log_odds
 
 
 def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:

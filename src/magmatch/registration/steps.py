@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The algorithm: map, then for each strategy prepare, search, refine and weigh, try decoys, decide, settle."""
+"""The algorithm: map, then for each strategy prepare, search, refine and weigh, settle, decide."""
+
+from typing import Any
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.decide.answer import no_pose, state_answer
+from magmatch.registration.decide.decision import DecisionConfig, decide
+from magmatch.registration.decide.posterior import posterior_over
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base
 from magmatch.registration.published.method import register_published
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.strategies import strategies
+from magmatch.registration.strategy import Weighed
 
 Target = Survey | FieldMap
 Base = Target | MapIndex
@@ -36,18 +43,32 @@ def register_once(
         with clock("prepare"):
             pair = strategy.pair(index)
         with clock("search"):
-            candidates = strategy.search(pair)
+            found = strategy.search(pair)
         with clock("refine"):
-            weighed = strategy.refine_and_weigh(pair, candidates)
-        with clock("decoys"):
-            weighed = strategy.search_decoys(weighed)
-        with clock("decide"):
-            answer = strategy.decide(weighed)
-        with clock("settle"):
-            answer = strategy.settle(weighed, answer)
+            weighed = strategy.refine_and_weigh(pair, found)
+        answer = settle_and_decide(weighed, config.decision, clock)
         tried.append((strategy.target, answer))
         if answer.is_accepted:
             break
     # None accepted: the more probable refusal, the first where both are equal.
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
-    return index.field_map, used, answer
+    return index.field_map, used, with_advice(answer, index.field_map.survey, samples, config.prior)
+
+
+def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:
+    """Compare the poses' probabilities, settle what is uncertain of the best, decide and state the answer."""
+    pair = weighed.pair
+    with clock("decide"):
+        posterior = posterior_over(
+            weighed.ranked, config.tolerance(pair.length), config.prior_odds, weighed.elsewhere
+        )
+    if not posterior.poses:
+        return no_pose(weighed.found)
+    with clock("settle"):
+        by = weighed.strategy
+        stated = by.settle if posterior.best >= config.min_probability else by.state
+        estimate, support = stated(pair, posterior.poses[0])
+    with clock("decide"):
+        verdict = decide(posterior, estimate, pair.length, config)
+        poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
+        return state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length), weighed.found)

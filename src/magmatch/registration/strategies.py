@@ -2,6 +2,7 @@
 """Which strategies suit a target, in the order they are tried."""
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 from magmatch.data.survey import Survey
@@ -23,7 +24,8 @@ def strategies(
     when the second strategy is asked for.
     """
     search = choose_search(samples, length) if config.search == "auto" else config.search
+    mapped = cache(lambda: MapStrategy.of(target, config, seed, clock))
     if search == "pairs":
-        yield WalkStrategy(target, samples, config, seed, clock)
+        yield WalkStrategy(target, samples, config, seed, mapped)
     if config.search != "pairs":
-        yield MapStrategy.of(target, config, seed, clock)
+        yield mapped()

@@ -2,67 +2,78 @@
 """How a target is compared with a base, as a map or as a walk: the steps that both fill, and their order."""
 
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.posterior import log_odds
+from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import SearchResult
-
-
-class Evidence(Protocol):
-    """What speaks for a refined pose."""
-
-    @property
-    def log_density(self) -> float:
-        """Comparable between bases, nats."""
-
+from magmatch.registration.weigh.hypothesis import Hypothesis
 
 BaseSide = TypeVar("BaseSide")
 TargetSide = TypeVar("TargetSide")
-Weight = TypeVar("Weight", bound=Evidence)
+W = TypeVar("W", bound=Hypothesis)
+Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair(Generic[BaseSide, TargetSide]):
-    """Base and target as a strategy sees them, and what is known of the pose beforehand."""
+    """Base and target as a strategy sees them, and what is known of the pose beforehand.
+
+    Attributes
+    ----------
+    length : float, m
+        Over which the field changes: the scale of tolerances.
+    T_base_model, T_target_model : RigidTransform
+        Survey frames from the frames that poses are sought in.
+    """
 
     base: BaseSide
     target: TargetSide
     prior: PosePrior
+    length: float
+    T_base_model: RigidTransform
+    T_target_model: RigidTransform
+
+    def estimate(self, pose: Hypothesis) -> Estimate:
+        """A pose of this pair in the surveys' frames."""
+        return Estimate.of(pose, self.T_base_model, self.T_target_model)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Weighed(Generic[BaseSide, TargetSide, Weight]):
+class Weighed(Generic[BaseSide, TargetSide, W]):
     """Poses of a pair, refined and weighed; nothing is decided yet.
 
     Attributes
     ----------
+    strategy : Strategy
+        That weighed them, and can state and settle them.
     ranked : list
-        Best first.
-    lead : float, nats
-        How far the best pose is ahead of the best one in any other base.
-    decoy_evidence : float or None, nats
-        What the same search reaches in places that do not exist; None where it need not be known.
+        In any order.
+    elsewhere : float, nats
+        Log odds of the best pose in any other base; -inf where there is none.
     """
 
+    strategy: "Strategy[BaseSide, TargetSide, W]"
     pair: Pair[BaseSide, TargetSide]
     found: SearchResult
-    ranked: list[Weight]
-    lead: float = np.inf
-    decoy_evidence: float | None = None
+    ranked: list[W]
+    elsewhere: float = -np.inf
 
     @property
-    def log_density(self) -> float:
-        """Of the best pose, comparable between bases, nats; -inf where there is none."""
-        return self.ranked[0].log_density if self.ranked else -np.inf
+    def best_log_odds(self) -> float:
+        """Of the most probable pose over unrelated surveys, nats; -inf where there is none."""
+        return max((log_odds(h.log_evidence, h.misfit, h.kind) for h in self.ranked), default=-np.inf)
 
 
-class Strategy(Protocol[BaseSide, TargetSide, Weight]):
+class Strategy(Protocol[BaseSide, TargetSide, Pose_contra]):
     """The steps of a registration, in their order."""
 
     @property
@@ -75,18 +86,11 @@ class Strategy(Protocol[BaseSide, TargetSide, Weight]):
     def search(self, pair: Pair[BaseSide, TargetSide]) -> SearchResult:
         """Poses worth a look."""
 
-    def refine_and_weigh(
-        self, pair: Pair[BaseSide, TargetSide], found: SearchResult
-    ) -> Weighed[BaseSide, TargetSide, Weight]:
+    def refine_and_weigh(self, pair: Pair[BaseSide, TargetSide], found: SearchResult) -> Weighed[Any, Any, Any]:
         """Refine the candidates against the field, and weigh each against the null model."""
 
-    def search_decoys(self, weighed: Weighed[BaseSide, TargetSide, Weight]) -> Weighed[BaseSide, TargetSide, Weight]:
-        """Add what the same search reaches in places that do not exist, where that may matter."""
+    def state(self, pair: Pair[BaseSide, TargetSide], pose: Pose_contra) -> tuple[Estimate, Support]:
+        """A pose as it was weighed, and what speaks for it."""
 
-    def decide(self, weighed: Weighed[BaseSide, TargetSide, Weight]) -> RegistrationResult:
-        """Accept or refuse the best pose, and state the result."""
-
-    def settle(
-        self, weighed: Weighed[BaseSide, TargetSide, Weight], answer: RegistrationResult
-    ) -> RegistrationResult:
-        """Widen an accepted covariance by the maps' own errors, which residuals do not show."""
+    def settle(self, pair: Pair[BaseSide, TargetSide], pose: Pose_contra) -> tuple[Estimate, Support]:
+        """A pose that is probable: its covariance as wide as what residuals do not show makes it."""

@@ -2,23 +2,23 @@
 """The target as a walk: pairs of points find poses, least squares along the path refines and weighs them."""
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.both_sides import needs_both_sides, refine_from_both_sides
-from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.decide.walk_answer import by_line_evidence
+from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.support import Support, support_of_walk
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.pose_prior import pose_prior
 from magmatch.registration.prepared.walk import Walk, walk_of
-from magmatch.registration.result import RegistrationResult
-from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
@@ -38,8 +38,9 @@ class WalkStrategy:
     samples: Survey
     config: RegistrationConfig
     seed: int
-    clock: Clock
-    # Correlation length (m) to bin by, the base's by default: only with the same bins can bases be compared.
+    # The target as a map, made when it is first asked for.
+    mapped: Callable[[], MapStrategy]
+    # Correlation length (m) to bin by, the base's by default.
     length: float | None = None
 
     def pair(self, index: MapIndex, volume: float | None = None) -> WalkPair:
@@ -47,7 +48,8 @@ class WalkStrategy:
         walks = index.walks
         walk = walk_of(self.samples, self.length or walks.length)
         volume = index.base.raster.volume if volume is None else volume
-        return Pair(walks, walk, pose_prior(self.config.prior, index.base.T_map_model, walk.T_survey_walk, volume))
+        frames = index.base.T_map_model, walk.T_survey_walk
+        return Pair(walks, walk, pose_prior(self.config.prior, *frames, volume), walks.length, *frames)
 
     def search(self, pair: WalkPair) -> SearchResult:
         """Poses under which pairs of points agree."""
@@ -55,25 +57,33 @@ class WalkStrategy:
         rng = np.random.default_rng(self.seed)
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
-    def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> WeighedWalk:
-        """Generalised least squares, with residuals as this base's own stretches show them."""
+    def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> Weighed[Any, Any, Any]:
+        """Generalised least squares, with residuals as this base's own stretches show them.
+
+        Where the base passed each place once, they cannot: what residuals are like is then a guess, and so is the
+        evidence. The poses are weighed as those of two maps instead, whose errors beside their own paths are of
+        opposite sense.
+        """
         starts, walks = [c.T_base_target for c in found.candidates], pair.base
         config = self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, starts, walks.noise, walks.length, pair.prior, config)
-        return Weighed(pair, found, ranked)
+        if walks.noise.is_learned or not ranked:
+            along: WeighedWalk = Weighed(self, pair, found, ranked)
+            return along
+        log.info("weighing the walk's poses from both sides")
+        mapped = self.mapped()
+        as_maps = mapped.pair_with(walks.base, pair.prior.volume)
+        to_model = pair.T_target_model.inv() * as_maps.T_target_model
+        poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
+        return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
 
-    def search_decoys(self, weighed: WeighedWalk) -> WeighedWalk:
-        """None are searched: the covariance of the base's left-out stretches is learned, not assumed."""
-        return weighed
+    def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
+        """As the residuals along the path show it."""
+        # The base's own stretches show how its poses drift, not how far the walk's frame is off as a whole.
+        whole = replace(pose, covariance=pose.covariance + np.diag([0.0] * 3 + [pair.target.pose_sd**2] * 3))
+        estimate = pair.estimate(whole)
+        return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)
 
-    def decide(self, weighed: WeighedWalk) -> RegistrationResult:
-        """By the evidence along the path."""
-        w, walks, config = weighed, weighed.pair.base, self.config.walks.decision
-        return by_line_evidence(walks.base, w.pair.target, w.found, w.ranked, walks.length, config, w.lead)
-
-    def settle(self, weighed: WeighedWalk, answer: RegistrationResult) -> RegistrationResult:
-        """Refine from both sides where the base alone cannot tell how sure the pose is."""
-        if not needs_both_sides(weighed.pair.base, answer):
-            return answer
-        mapped = MapStrategy.of(self.target, self.config, self.seed, self.clock)
-        return refine_from_both_sides(weighed.pair.base.base, mapped.prepared, answer, self.config, self.seed)
+    def settle(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
+        """As it was weighed: along a path nothing is left to widen."""
+        return self.state(pair, pose)

@@ -1,92 +1,265 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which check refuses what: both sides of each limit, of poses that are otherwise beyond doubt."""
+"""Accepted is a pose that is probable and known well enough; else the status says where the rest of the mass is."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.decide.decision import DecisionConfig, decide, odds_in_words
-from magmatch.registration.refine.refinement import RefinedPose
-from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
+from hand_made import WeighedPose
+from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide, in_words
+from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.posterior import Posterior, needed_evidence, posterior_over
 from magmatch.registration.result import Status
-from magmatch.registration.weigh.evidence import PoseEvidence
 
 CONFIG = DecisionConfig()
-SENSOR = identical_sensors(SensorConfig(mode="none"), -1)
-POSE = RefinedPose(RigidTransform.identity(), np.zeros(3), SENSOR, np.ones(3), np.zeros((6, 6)), ())
-CLEAR = PoseEvidence(
-    POSE, np.eye(6), overlap=0.9, n_informative=40, n_good=38, log_evidence=200.0, unexplained=1e-3,
-    residual=1.0, misfit=0.6,
-)  # fmt: skip
-REFUSED = Status.INCONSISTENT
+# m
+LENGTH = 0.6
+NEEDED = needed_evidence(CONFIG.min_probability, "map")
 
 
-def status_of(best=CLEAR, lead=np.inf, decoys=None, is_free=False, config=CONFIG, **changes):
-    return decide([replace(best, **changes)], is_free, lead, decoys, config).status
+def posterior_of(best=0.995, rivals=0.0, elsewhere=0.0, pose=None):
+    """The best pose, two others and another map, each with its probability; the rest is the null's."""
+    poses = (pose or WeighedPose(), WeighedPose(log_evidence=20.0), WeighedPose(log_evidence=10.0))
+    return Posterior(poses, (best, 0.75 * rivals, 0.25 * rivals), elsewhere, 1 - best - rivals - elsewhere)
 
 
-def test_a_clear_pose_is_accepted():
-    assert status_of() is Status.ACCEPTED
+def estimate_of(turn=0.01, shift=0.01):
+    return Estimate(RigidTransform.identity(), np.zeros(3), np.diag([turn**2] * 3 + [shift**2] * 3))
+
+
+def verdict_of(best=0.995, rivals=0.0, elsewhere=0.0, pose=None, estimate=None, config=CONFIG, **changes):
+    pose = replace(pose or WeighedPose(), **changes)
+    return decide(posterior_of(best, rivals, elsewhere, pose), estimate or estimate_of(), LENGTH, config)
+
+
+def status_of(**said):
+    return verdict_of(**said).status
+
+
+@pytest.mark.parametrize("limit", [0.5, 0.9, 0.99, 0.999])
+def test_a_pose_is_accepted_from_the_least_probability_on(limit):
+    config = DecisionConfig(min_probability=limit)
+    assert status_of(best=limit, config=config) is Status.ACCEPTED
+    assert status_of(best=limit - 1e-6, config=config) is not Status.ACCEPTED
 
 
 @pytest.mark.parametrize(
     ("just", "beyond", "status"),
     [
-        ({"overlap": 0.05}, {"overlap": 0.0499}, Status.NO_OVERLAP),
-        ({"n_informative": 6, "n_good": 6}, {"n_informative": 5, "n_good": 5}, Status.UNINFORMATIVE),
-        ({"n_informative": 10, "n_good": 7}, {"n_informative": 100, "n_good": 69}, REFUSED),
-        ({"n_informative": 8, "n_good": 6}, {"n_informative": 7, "n_good": 5}, REFUSED),
-        ({"residual": 3.0}, {"residual": 3.001}, REFUSED),
-        ({"log_evidence": 15.0}, {"log_evidence": 14.99}, REFUSED),
-        ({"log_evidence": 149.0, "misfit": 3.0}, {"log_evidence": 149.0, "misfit": 3.001}, REFUSED),
-        ({"log_evidence": 150.0, "misfit": 9.0}, {"log_evidence": 149.9, "misfit": 9.0}, REFUSED),
-        ({"log_evidence": 16.0, "lead": 10.0}, {"log_evidence": 16.0, "lead": 9.99}, Status.AMBIGUOUS),
-        ({"lead": 100.0}, {"lead": 99.9}, Status.AMBIGUOUS),
-        ({"log_evidence": 40.0, "decoys": 25.0}, {"log_evidence": 40.0, "decoys": 25.01}, REFUSED),
-        ({"log_evidence": 40.0, "decoys": -99.0}, {"log_evidence": 14.0, "decoys": -99.0}, REFUSED),
+        # Of the mass that the best pose lacks, other poses have at least as much as the null.
+        ({"best": 0.6, "rivals": 0.199}, {"best": 0.6, "rivals": 0.201}, Status.AMBIGUOUS),
+        ({"best": 0.6, "elsewhere": 0.199}, {"best": 0.6, "elsewhere": 0.201}, Status.AMBIGUOUS),
+        (
+            {"best": 0.6, "rivals": 0.1, "elsewhere": 0.099},
+            {"best": 0.6, "rivals": 0.1, "elsewhere": 0.101},
+            Status.AMBIGUOUS,
+        ),
+        # All of the target would have to overlap for a perfect match to show.
+        (
+            {"best": 0.6, "overlap": 0.5, "attainable": 0.499 * NEEDED},
+            {"best": 0.6, "overlap": 0.5, "attainable": 0.501 * NEEDED},
+            Status.NO_OVERLAP,
+        ),
+        (
+            {"best": 0.6, "overlap": 0.801, "attainable": 0.8 * NEEDED},
+            {"best": 0.6, "overlap": 0.799, "attainable": 0.8 * NEEDED},
+            Status.NO_OVERLAP,
+        ),
+        # The field could not show a match.
+        (
+            {"best": 0.6, "overlap": 1.0, "attainable": 1.001 * NEEDED},
+            {"best": 0.6, "overlap": 1.0, "attainable": 0.999 * NEEDED},
+            Status.UNINFORMATIVE,
+        ),
+        # It could, and does not.
+        (
+            {"best": 0.6, "overlap": 0.01, "attainable": 0.009 * NEEDED},
+            {"best": 0.6, "overlap": 0.01, "attainable": 1.001 * NEEDED},
+            Status.INCONSISTENT,
+        ),
     ],
 )
-def test_each_limit_refuses_on_its_own_side_alone(just, beyond, status):
-    assert status_of(**just) is Status.ACCEPTED
+def test_a_refusal_says_where_the_rest_of_the_probability_lies(just, beyond, status):
+    assert status_of(**just) not in (status, Status.ACCEPTED)
     assert status_of(**beyond) is status
 
 
-def test_residuals_that_nothing_explains_ask_for_more_than_chance_reaches():
-    # A factor e costs twenty nats; residuals as expected or smaller cost nothing.
-    just = {"misfit": np.e, "decoys": 65.0}
-    assert status_of(log_evidence=100.0, **just) is Status.ACCEPTED
-    assert status_of(log_evidence=99.9, **just) is REFUSED
-    assert status_of(log_evidence=80.0, misfit=0.2, decoys=65.0) is Status.ACCEPTED
+def test_rivals_are_named_before_what_the_null_would_say():
+    assert status_of(best=0.4, rivals=0.5, attainable=0.0, overlap=0.01) is Status.AMBIGUOUS
+    assert status_of(best=0.6, attainable=-5.0, overlap=0.5) is Status.UNINFORMATIVE
+    assert status_of(best=0.6, attainable=-5.0, overlap=0.0) is Status.UNINFORMATIVE
 
 
-def test_a_free_direction_is_degenerate_and_then_odds_need_not_be_large():
-    assert status_of(is_free=True) is Status.DEGENERATE
-    assert status_of(is_free=True, log_evidence=1.0) is Status.DEGENERATE
-    assert status_of(is_free=True, residual=5.0) is REFUSED
-    assert status_of(is_free=True, lead=1.0) is Status.AMBIGUOUS
+@pytest.mark.parametrize("kind", ["map", "walk"])
+def test_what_a_perfect_match_must_reach_depends_on_kind_probability_and_prior_odds(kind):
+    for config in (CONFIG, DecisionConfig(min_probability=0.9), DecisionConfig(prior_odds=1e-3)):
+        needed = needed_evidence(config.min_probability, kind, config.prior_odds)
+        assert status_of(best=0.3, kind=kind, attainable=needed * 1.001, config=config) is Status.INCONSISTENT
+        assert status_of(best=0.3, kind=kind, attainable=needed * 0.999, overlap=1.0, config=config) is (
+            Status.UNINFORMATIVE
+        )
 
 
-def test_what_is_wrong_first_is_said_first():
-    assert status_of(overlap=0.0, n_informative=0, residual=9.0) is Status.NO_OVERLAP
-    assert status_of(n_informative=0, n_good=0, residual=9.0) is Status.UNINFORMATIVE
-    assert status_of(residual=9.0, lead=0.0, is_free=True) is REFUSED
+@pytest.mark.parametrize(
+    ("just", "beyond"),
+    [
+        (estimate_of(shift=0.1799), estimate_of(shift=0.1801)),  # 0.3 lengths of 0.6 m
+        (estimate_of(turn=0.0799), estimate_of(turn=0.0801)),
+    ],
+)
+def test_a_probable_pose_that_is_not_known_well_enough_is_degenerate(just, beyond):
+    assert status_of(estimate=just) is Status.ACCEPTED
+    verdict = verdict_of(estimate=beyond)
+    assert verdict.status is Status.DEGENERATE
+    assert all(d.words in verdict.reason for d in beyond.free_directions(CONFIG.max_sd(LENGTH)))
+    assert status_of(best=0.5, rivals=0.4, estimate=beyond) is Status.AMBIGUOUS
+    assert status_of(best=0.5, estimate=beyond) is Status.INCONSISTENT
 
 
-def test_no_pose_at_all_is_a_result():
-    assert decide([], False, np.inf, None, CONFIG).status is Status.UNINFORMATIVE
+def test_a_pose_that_nothing_fixes_is_degenerate():
+    verdict = verdict_of(estimate=replace(estimate_of(), covariance=None))
+    assert verdict.status is Status.DEGENERATE
+    assert "all directions" in verdict.reason
 
 
-def test_the_best_pose_is_judged_and_not_its_rivals():
-    assert decide([CLEAR, replace(CLEAR, overlap=0.0)], False, np.inf, None, CONFIG).status is Status.ACCEPTED
-    assert decide([replace(CLEAR, overlap=0.0), CLEAR], False, np.inf, None, CONFIG).status is Status.NO_OVERLAP
+def test_a_largest_spread_in_metres_overrides_the_one_in_lengths():
+    assert CONFIG.max_sd(LENGTH) == pytest.approx((0.3 * LENGTH, 0.08))
+    stated = DecisionConfig(max_sd_translation=0.05, max_sd_translation_in_lengths=9.0, max_sd_rotation=0.02)
+    for length in (0.1, LENGTH, 40.0):
+        assert stated.max_sd(length) == (0.05, 0.02)
+        # Right is within three of them.
+        assert stated.tolerance(length) == pytest.approx((0.15, 0.06))
+    assert status_of(estimate=estimate_of(shift=0.049), config=stated) is Status.ACCEPTED
+    assert status_of(estimate=estimate_of(shift=0.051), config=stated) is Status.DEGENERATE
+    wide = DecisionConfig(max_sd_translation=5.0)
+    assert status_of(estimate=estimate_of(shift=4.9), config=wide) is Status.ACCEPTED
 
 
-def test_reason_names_the_number_that_decided():
-    verdict = decide([replace(CLEAR, overlap=0.01)], False, np.inf, None, CONFIG)
-    assert "1%" in verdict.reason
-    assert "5%" in verdict.reason
-    assert "38 of 40" in decide([CLEAR], False, 123.0, None, CONFIG).reason
-    assert odds_in_words(50.0, 20.0) == "log odds 50 nats, 20 nats ahead of any other pose"
-    assert odds_in_words(50.0, None) == odds_in_words(50.0, np.inf) == "log odds 50 nats, no rival pose"
+@given(length=st.floats(0.01, 100), share=st.floats(0.01, 10), turn=st.floats(0.001, 3))
+def test_an_accepted_pose_is_right_within_what_makes_two_poses_one_answer(length, share, turn):
+    config = DecisionConfig(max_sd_translation_in_lengths=share, max_sd_rotation=turn)
+    assert config.tolerance(length) == pytest.approx(tuple(3 * sd for sd in config.max_sd(length)))
+    assert config.max_sd(length) == pytest.approx((share * length, turn))
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"min_probability": 0.0},
+        {"min_probability": 1.0},
+        {"max_sd_translation": 0.0},
+        {"max_sd_translation_in_lengths": 0.0},
+        {"max_sd_rotation": -0.1},
+        {"prior_odds": 0.0},
+        {"min_log_odds": 15.0},
+    ],
+)
+def test_limits_that_cannot_be_are_refused(bad):
+    with pytest.raises(ValidationError):
+        DecisionConfig.model_validate(bad)
+
+
+def test_no_pose_at_all_is_a_result_with_a_remedy():
+    assert NO_POSE.status is Status.UNINFORMATIVE
+    assert "survey closer to iron" in NO_POSE.reason
+
+
+def test_reasons_name_the_numbers_that_decided():
+    assert "0.995" in verdict_of().reason
+    assert "200 nats of evidence" in verdict_of().reason
+    assert "nats ahead of any other pose" in verdict_of().reason
+    alone = decide(posterior_over([WeighedPose()], (1.0, 1.0)), estimate_of(), LENGTH, CONFIG)
+    assert "200 nats" in alone.reason
+    assert "other pose" not in alone.reason
+    ambiguous = verdict_of(best=0.41, rivals=0.3, elsewhere=0.25).reason
+    assert "0.41" in ambiguous
+    assert "0.55 together" in ambiguous
+    assert "12% of the target" in verdict_of(best=0.2, attainable=0.5 * NEEDED, overlap=0.123).reason
+    faint = verdict_of(best=0.2, attainable=3.2, overlap=1.0).reason
+    assert f"would reach 3 nats, {NEEDED:.0f} are needed" in faint
+    assert "would reach 0 nats" in verdict_of(best=0.2, attainable=-7.0, overlap=1.0).reason
+
+
+def test_a_reason_says_how_likely_different_places_are():
+    assert verdict_of(best=0.2).reason.startswith("probably different places")
+    assert verdict_of(best=0.6).reason.startswith("perhaps different places")
+    strained = verdict_of(best=0.2, log_evidence=90.0, misfit=9.0)
+    assert strained.status is Status.INCONSISTENT
+    assert "90 nats" not in strained.reason  # they count for less
+    assert f"{NEEDED:.0f} are needed" in strained.reason
+
+
+masses = st.lists(st.floats(0.001, 1), min_size=4, max_size=4).map(lambda m: [v / sum(m) for v in m])
+
+
+@given(
+    masses=masses,
+    log_evidence=st.floats(-100, 1000),
+    attainable=st.floats(-100, 1000),
+    misfit=st.floats(0.1, 20),
+    overlap=st.floats(0, 1),
+    kind=st.sampled_from(["map", "walk"]),
+    turn=st.floats(1e-4, 3),
+    shift=st.floats(1e-4, 30),
+    min_probability=st.floats(0.01, 0.999),
+)
+def test_whatever_is_found_the_verdict_follows_and_its_reason_has_three_sentences_at_most(
+    masses, log_evidence, attainable, misfit, overlap, kind, turn, shift, min_probability
+):
+    best, rivals, elsewhere, _ = masses
+    config, estimate = DecisionConfig(min_probability=min_probability), estimate_of(turn, shift)
+    said = {
+        "log_evidence": log_evidence,
+        "attainable": attainable,
+        "misfit": misfit,
+        "overlap": overlap,
+        "kind": kind,
+    }
+    verdict = verdict_of(best, rivals, elsewhere, estimate=estimate, config=config, **said)
+    is_probable, is_known = best >= min_probability, not estimate.free_directions(config.max_sd(LENGTH))
+    assert (verdict.status is Status.ACCEPTED) == (is_probable and is_known)
+    assert (verdict.status is Status.DEGENERATE) == (is_probable and not is_known)
+    sentences = [s for s in re.split(r"[.;!?](?:\s|$)", verdict.reason) if s]
+    assert 1 <= len(sentences) <= 3
+    assert "nan" not in verdict.reason
+
+
+@given(st.floats(0.5, 1.0))
+def test_a_probability_in_words_is_never_certainty_and_keeps_its_first_digit_that_is_no_nine(p):
+    words = in_words(p)
+    if p > 1 - 1e-6:
+        assert words == "above 0.999999"
+    else:
+        assert float(words) < 1
+        assert abs(float(words) - p) <= 0.5 * (1 - p) + 0.0051
+
+
+@pytest.mark.parametrize(
+    ("p", "words"), [(0.99, "0.99"), (0.9942, "0.994"), (0.99975, "0.9998"), (0.5, "0.50"), (1.0, "above 0.999999")]
+)
+def test_probabilities_in_words(p, words):
+    assert in_words(p) == words
+
+
+def test_the_lead_over_any_other_pose_is_over_any_other_pose():
+    """A rival whose residuals nothing explains may have more evidence, and not be second."""
+    far = RigidTransform.from_translation([50.0, 0.0, 0.0])
+    farther = RigidTransform.from_translation([0.0, 50.0, 0.0])
+    rivals = [WeighedPose(far, log_evidence=60.0), WeighedPose(farther, log_evidence=190.0, misfit=5.0)]
+    posterior = posterior_over([WeighedPose(), *rivals], (1.0, 1.0))
+    reason = decide(posterior, estimate_of(), LENGTH, CONFIG).reason
+    assert "140 nats ahead" not in reason
+
+
+def test_a_pose_within_both_limits_is_accepted_however_turn_and_shift_go_together():
+    C = estimate_of(turn=0.07, shift=0.16).covariance
+    C[0, 3] = C[3, 0] = 0.95 * 0.07 * 0.16
+    estimate = replace(estimate_of(), covariance=C)
+    assert estimate.worst_sd == pytest.approx((0.16, 0.07))
+    assert status_of(estimate=estimate) is Status.ACCEPTED

@@ -5,8 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.spatial.distance import cdist
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2 as chi2_of
+from scipy.stats import multivariate_normal, norm
 
 from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
 
@@ -51,13 +55,36 @@ def test_components_are_coupled_by_what_the_walkers_frame_drifts_and_turns():
 
 
 @pytest.mark.parametrize("chi2", [25.0, 60.0, 150.0])
-def test_the_most_likely_factor_is_where_the_likelihood_is_largest(chi2):
+def test_the_factor_is_where_the_likelihood_is_largest_and_the_likelihood_its_average(chi2):
+    """Against a fine search, and against numerical quadrature over the spread's own density."""
     u = np.linspace(-1.6, 1.6, 20_001)
     log_density = -0.5 * chi2 * np.exp(-u) - 0.5 * 60 * u - 0.5 * (u / 0.4) ** 2
-    factor, value = NOISE.most_likely_factor(chi2, 60)
+    factor, value = NOISE.factor(chi2, 60)
     # The factors that are tried lie a twentieth of the spread apart.
     assert np.log(factor) == pytest.approx(u[log_density.argmax()], abs=0.011)
-    assert value == pytest.approx(log_density.max(), abs=0.01)
+    most = log_density.max()
+    average, _ = quad(lambda v: np.exp(-0.5 * chi2 * np.exp(-v) - 30 * v - most) * norm.pdf(v, scale=0.4), -4, 4)
+    # What lies beyond four deviates is left out.
+    assert value == pytest.approx(most + np.log(average), abs=2e-3)
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.4, 0.7])
+@pytest.mark.parametrize("n_free", [3, 18, 90])
+def test_where_residuals_are_as_expected_the_normalised_likelihood_ratio_is_one_on_average(spread, n_free):
+    """Over chi-square itself, by quadrature: the averaged density is a density, whatever the spread."""
+    noise = replace(NOISE, spread=spread)
+    # Chi^2 times the largest factor, far into its tail.
+    u = np.linspace(-12, np.log(40 * n_free * np.exp(4 * spread) + 2000), 6000)
+    ratio = np.array([noise.factor(c, n_free)[1] for c in np.exp(u)]) + np.exp(u) / 2
+    density = np.exp(ratio + chi2_of(n_free).logpdf(np.exp(u)) + u)
+    assert np.trapezoid(density, u) == pytest.approx(1, abs=1e-3)
+
+
+@given(low=st.floats(0, 1e4), high=st.floats(0, 1e4), n_free=st.integers(1, 300), spread=st.floats(0.01, 2))
+def test_larger_residuals_are_never_more_likely(low, high, n_free, spread):
+    noise, (low, high) = replace(NOISE, spread=spread), sorted((low, high))
+    assert noise.factor(low, n_free)[1] >= noise.factor(high, n_free)[1]
+    assert noise.factor(low, n_free)[0] <= noise.factor(high, n_free)[0]
 
 
 def test_total_spread_and_what_is_a_guess():

@@ -12,13 +12,12 @@ from scipy.stats import chi2
 from hand_made import box, prepared_map, seen_from, some_field, turn_about
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
+from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
-from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
+from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.evidence import (
     CellComparison,
     Change,
-    PoseEvidence,
     agreeing_cells,
     compare_cells,
     null_model_of,
@@ -54,14 +53,15 @@ def test_evidence_is_odds_of_the_cells_and_the_share_of_all_poses_that_the_estim
     pose, null = pose_at(base, target), null_model_of(base, target)
     found = weigh_pose(base, target, pose, null, PRIOR)
     seen = compare_cells(base, target, HERE, target.sample_field, null)
-    log_ratio, unexplained = null.log_ratio(seen.residual[seen.rows], seen.map_variance[seen.rows], seen.rows)
+    log_ratio, attainable = null.log_ratio(seen.residual[seen.rows], seen.map_variance[seen.rows], seen.rows)
     joint = joint_covariance(pose, 1.0)
     # Laplace's approximation: (2 pi)^(6/2) sqrt(det C) times the prior's density; of the sensor, as a share.
     scale = np.append(np.ones(6), pose.sensor_sd)
     log_det = np.linalg.slogdet(joint / np.outer(scale, scale))[1]
     price = 0.5 * log_det + 3 * np.log(2 * np.pi) - np.log(10.0 * 8 * np.pi**2)
     assert found.log_evidence == pytest.approx(log_ratio + price)
-    assert found.unexplained == unexplained
+    assert found.attainable == pytest.approx(attainable + price)
+    assert (found.kind, found.T_base_target) == ("map", pose.T_base_target)
     np.testing.assert_array_equal(found.covariance, joint[:6, :6])
 
 
@@ -145,6 +145,28 @@ def test_more_agreement_is_never_less_evidence(pair):
     odds = [e.log_evidence for e in found]
     assert odds == sorted(odds)
     assert [e.n_good for e in found] == sorted(e.n_good for e in found)
+    misfits = [e.misfit for e in found]
+    assert misfits == sorted(misfits, reverse=True)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3e-6, 2e-6, 20e-6])
+@pytest.mark.parametrize("mode", ["none", "scale"])
+def test_no_pose_has_more_evidence_than_is_attainable(pair, size, mode):
+    """Whatever the residuals, sensors that must differ included; nearly all of it where nothing is left over."""
+    base, target = pair
+    null = null_model_of(base, target)
+    exact = FIELD.evaluate(target.samples).field
+    wrong = turn_about(np.zeros(3), np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0]))
+    read = replace(target, sample_field=exact + size * np.sin(4 * target.samples))
+    for T in (HERE, wrong):
+        pose = pose_at(base, read, T, mode)
+        if mode == "scale":
+            pose = replace(pose, sensor=pose.sensor.stepped(pose.sensor_sd * [0.5, -1.0, 2.0, 1.5]))
+        found = weigh_pose(base, read, pose, null, PRIOR)
+        assert found.log_evidence <= found.attainable
+    if size == 0.0 and mode == "none":
+        right = weigh_pose(base, read, pose_at(base, read), null, PRIOR)
+        assert right.log_evidence == pytest.approx(right.attainable, abs=0.1)
 
 
 def test_a_pose_off_the_map_has_neither_cells_nor_evidence(pair):
@@ -256,17 +278,3 @@ def test_beside_a_change_its_own_odds_stand_for_the_cells_and_its_field_is_taken
 def of_all(base, target, null):
     seen = compare_cells(base, target, HERE, target.sample_field, null)
     return seen.residual[seen.rows], seen.map_variance[seen.rows], seen.rows
-
-
-def test_the_whole_covariance_holds_the_drift_of_both_surveys():
-    blocks_of = np.diag(np.arange(1.0, 10.0))
-    base, target = pair_of(1)
-    pose = pose_at(base, target)
-    blocks = tuple(replace(b, drift=blocks_of) for b in pose.blocks)
-    pose = replace(pose, blocks=blocks)
-    C = np.eye(6)
-    e = PoseEvidence(pose, C, 1.0, 4, 3, 0.0, 0.1, 1.0, 1.0)
-    np.testing.assert_allclose(e.whole_covariance, C + drift_covariance(pose))
-    assert e.good_share == 0.75
-    assert replace(e, covariance=None).whole_covariance is None
-    assert isinstance(pose, RefinedPose)

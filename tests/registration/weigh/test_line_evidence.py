@@ -58,21 +58,20 @@ def outside(walk, n):
 
 def test_evidence_is_that_of_dense_normal_densities_and_laplaces_approximation(base, walk):
     found = weighed(base, walk)
-    T, x, n = found.T_base_walk, walk.positions, len(walk)
+    T, x, n = found.T_base_target, walk.positions, len(walk)
     seen = FIELD.evaluate(T.apply(x), 1).rotated(T.inv())
     d = cdist(x, x)
     C = NOISE.full(d, np.full(n, SD), seen.gradient, seen.field)
     r = (walk.field - seen.field).ravel()
     chi2 = r @ np.linalg.solve(C, r)
-    factor, log_likelihood = NOISE.most_likely_factor(chi2, 3 * n - 6)
+    factor, log_likelihood = NOISE.factor(chi2, 3 * n - 6)
     null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
     price = 0.5 * np.linalg.slogdet(2 * np.pi * found.covariance)[1] - np.log(20.0 * 8 * np.pi**2)
     expected = log_likelihood - 0.5 * np.linalg.slogdet(C)[1] - null + price
     # The last steps see the map's gradient through its raster's cells no more; its field they see exactly.
     assert found.log_evidence == pytest.approx(expected, abs=0.3)
-    assert found.residual == pytest.approx(np.sqrt(chi2 / (3 * n - 6)), rel=0.02)
-    assert found.coverage == 1.0
-    assert found.log_density == pytest.approx(found.log_evidence + null)
+    assert found.misfit == pytest.approx(np.sqrt(chi2 / (3 * n - 6)), rel=0.02)
+    assert found.overlap == 1.0
     assert factor == pytest.approx(1.0, abs=0.5)
 
 
@@ -82,12 +81,12 @@ def test_the_estimate_is_that_of_generalised_least_squares_and_its_covariance_to
     x, n, c = walk.positions, len(walk), found.center
 
     def residual(xi):
-        T = found.T_base_walk * turn_about(c, xi)
+        T = found.T_base_target * turn_about(c, xi)
         return (walk.field - FIELD.evaluate(T.apply(x)).field @ T.rotation.as_matrix()).ravel()
 
     steps = 1e-5 * np.eye(6)
     J = np.stack([(residual(e) - residual(-e)) / 2e-5 for e in steps], axis=1)
-    T = found.T_base_walk
+    T = found.T_base_target
     seen = FIELD.evaluate(T.apply(x), 1).rotated(T.inv())
     C = NOISE.full(cdist(x, x), np.full(n, SD), seen.gradient, seen.field)
     free = np.diag(np.repeat([0.5, 1.5 * LENGTH], 3) ** -2.0)
@@ -96,7 +95,7 @@ def test_the_estimate_is_that_of_generalised_least_squares_and_its_covariance_to
     xi = -np.linalg.solve(A, J.T @ np.linalg.solve(C, r))
     sd = np.sqrt(np.diag(np.linalg.inv(A)))
     assert np.abs(xi / sd).max() < 0.1
-    factor, _ = NOISE.most_likely_factor(r @ np.linalg.solve(C, r), 3 * n - 6)
+    factor, _ = NOISE.factor(r @ np.linalg.solve(C, r), 3 * n - 6)
     np.testing.assert_allclose(found.covariance, factor * np.linalg.inv(A), atol=0.03 * np.outer(sd, sd).max())
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), np.sqrt(factor) * sd, rtol=0.03)
     assert np.abs(np.concatenate([(T.apply(c) - c) / sd[3:], T.rotation.as_rotvec() / sd[:3]])).max() < 4
@@ -107,7 +106,7 @@ def test_path_outside_the_map_costs_its_length_and_nothing_else_is_known_of_it(b
     walk = outside(walk, n) if n else walk
     free, priced = (weighed(base, walk, config=LineConfig(price_outside=p)) for p in (0.0, 3.0))
     assert free.is_covered.sum() == len(walk) - n
-    assert free.coverage == pytest.approx(1 - n / len(walk))
+    assert free.overlap == pytest.approx(1 - n / len(walk))
     assert free.log_evidence - priced.log_evidence == pytest.approx(3.0 * n * walk.bin_length / LENGTH, rel=1e-9)
 
 
@@ -117,8 +116,8 @@ def test_bins_outside_the_map_change_neither_pose_nor_residual(base, walk):
     field = far.field.copy()
     field[-6:] += 3e-6 * rng.standard_normal((6, 3))
     one, other = (weighed(base, w) for w in (far, replace(far, field=field)))
-    np.testing.assert_allclose(one.T_base_walk.as_matrix(), other.T_base_walk.as_matrix(), atol=1e-6)
-    assert one.residual == pytest.approx(other.residual, rel=1e-3)
+    np.testing.assert_allclose(one.T_base_target.as_matrix(), other.T_base_target.as_matrix(), atol=1e-6)
+    assert one.misfit == pytest.approx(other.misfit, rel=1e-3)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=0.05, atol=1e-9)
 
 
@@ -128,10 +127,43 @@ def test_evidence_does_not_change_with_the_frames(base, walk):
     moved = replace(walk, positions=B.apply(walk.positions), field=B.rotation.apply(walk.field))
     here, there = weighed(base, walk), weighed(seen_from(base, A, spacing=0.05, sd=SD), moved, A * B.inv())
     assert there.log_evidence == pytest.approx(here.log_evidence, abs=0.01)
-    back = A.inv() * there.T_base_walk * B
-    np.testing.assert_allclose(back.as_matrix(), here.T_base_walk.as_matrix(), atol=1e-5)
+    back = A.inv() * there.T_base_target * B
+    np.testing.assert_allclose(back.as_matrix(), here.T_base_target.as_matrix(), atol=1e-5)
     Q = np.kron(np.eye(2), B.rotation.as_matrix())
     np.testing.assert_allclose(there.covariance, Q @ here.covariance @ Q.T, atol=1e-3 * np.abs(here.covariance).max())
+
+
+def test_evidence_does_not_change_with_the_unit_of_the_field(base, walk):
+    unit = 100.0
+    field = replace(FIELD, constant=unit * FIELD.constant, linear=unit * FIELD.linear, second=unit * FIELD.second)
+    names = ("misfit_sd", "nugget_sd", "constant_sd")
+    noise = replace(NOISE, **{name: unit * getattr(NOISE, name) for name in names})
+    there = prepared_map(field, base.samples, sd=unit * SD, noise_sd=unit * base.noise_sd, spacing=0.05)
+    found = weighed(there, replace(walk, field=unit * walk.field), noise=noise)
+    here = weighed(base, walk)
+    for name in ("log_evidence", "attainable"):
+        # The field's unit is that of the null's density too: 100^3 for each bin cancels.
+        assert getattr(found, name) == pytest.approx(getattr(here, name), abs=1e-4)
+    np.testing.assert_allclose(found.T_base_target.as_matrix(), here.T_base_target.as_matrix(), atol=1e-8)
+    np.testing.assert_allclose(found.covariance, here.covariance, rtol=1e-4, atol=1e-12)
+
+
+def test_attainable_is_the_evidence_of_residuals_no_larger_than_expected(base, walk):
+    exact, n_free = FIELD.evaluate(walk.positions).field, 3 * len(walk) - 6
+    wild = weighed(base, replace(walk, field=exact + 3.0 * (walk.field - exact)))
+    assert wild.misfit > 1
+    gain = NOISE.factor(n_free, n_free)[1] - NOISE.factor(wild.misfit**2 * n_free, n_free)[1]
+    assert wild.attainable - wild.log_evidence == pytest.approx(gain, abs=1e-6)
+    found = weighed(base, walk)
+    assert found.misfit < 1
+    assert found.attainable == found.log_evidence
+    assert (found.kind, wild.kind) == ("walk", "walk")
+
+
+def test_no_walk_has_more_evidence_than_is_attainable(base, walk):
+    exact = FIELD.evaluate(walk.positions).field
+    calm = weighed(base, replace(walk, field=exact + 0.2 * (walk.field - exact)))
+    assert calm.log_evidence <= calm.attainable
 
 
 def test_more_noise_than_expected_widens_the_covariance_and_less_narrows_it_only_where_it_was_learned(base, walk):
@@ -156,7 +188,7 @@ def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk)
     plain = LineConfig(max_strained_share=0.0)
     kept, strained = weighed(base, disturbed, config=plain), weighed(base, disturbed)
     assert strained.log_evidence > kept.log_evidence + 10
-    assert strained.residual < 0.7 * kept.residual
+    assert strained.misfit < 0.7 * kept.misfit
     free = weighed(base, disturbed, config=LineConfig(price_piece=0.0))
     n_strained = (free.log_evidence - strained.log_evidence) / (3.0 / 5)
     assert n_strained == pytest.approx(round(n_strained), abs=1e-6)
@@ -167,9 +199,9 @@ def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk)
 def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):
     found = weighed(base, walk)
     assert weighed(base, walk, prior=PosePrior(2.0)).log_evidence - found.log_evidence == pytest.approx(np.log(10))
-    tight = PosePrior(20.0, found.T_base_walk * turn_about(found.center, np.full(6, 0.01)), np.full(6, 1e-5))
+    tight = PosePrior(20.0, found.T_base_target * turn_about(found.center, np.full(6, 0.01)), np.full(6, 1e-5))
     held = weighed(base, walk, prior=tight)
-    step = held.T_base_walk.inv() * tight.T_base_target
+    step = held.T_base_target.inv() * tight.T_base_target
     assert np.abs(step.apply(found.center) - found.center).max() < 1e-4
 
 
@@ -179,7 +211,7 @@ def test_best_comes_first_and_poses_with_too_little_inside_are_left_out(base, wa
     found = weigh_walk(base, walk, [beside, away, HERE], NOISE, LENGTH, PRIOR, CONFIG)
     assert [e.log_evidence for e in found] == sorted((e.log_evidence for e in found), reverse=True)
     assert len(found) <= 2
-    assert found[0].T_base_walk.rotation.magnitude() < 0.05
+    assert found[0].T_base_target.rotation.magnitude() < 0.05
     assert weigh_walk(base, walk, [], NOISE, LENGTH, PRIOR, CONFIG) == []
     short = replace(walk, positions=walk.positions[:7], field=walk.field[:7], counts=walk.counts[:7])
     assert weigh_walk(base, short, [HERE], NOISE, LENGTH, PRIOR, CONFIG) == []

@@ -6,6 +6,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from magmatch.registration.weigh.null_model import (
@@ -17,6 +19,7 @@ from magmatch.registration.weigh.null_model import (
     average_cells,
     fit_null_model,
 )
+from magmatch.threads import one_blas_thread
 
 RNG = np.random.default_rng(0)
 
@@ -113,19 +116,78 @@ def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers(
     field = np.array([[6e-6, -2e-6, 1e-6], [-6e-6, 2e-6, -1e-6]])
     model = NullModel(cells, field, strong * np.eye(2), np.full(2, noise), 0.0)
     residual = np.array([[1e-7, 0, 0], [0, -1e-7, 0]])
-    found, share = model.log_ratio(residual, np.zeros(2), np.arange(2))
+    found = model.log_ratio(residual, np.zeros(2), np.arange(2))
     strengths, unexplained = np.geomspace(1e-3, 10, 17), np.geomspace(1e-4, 1, 17)
     # Modes of equal cells: any two that are orthogonal; their sum of squares is what counts.
     b2, r2 = (((v / np.sqrt(noise)) ** 2).sum(axis=1) for v in (field, residual))
     k_all = strong / noise * strengths[:, None] + 1
     k = strong / noise * strengths[np.argmax(-(b2 / (2 * k_all) + 1.5 * np.log(k_all)).sum(axis=1))] + 1
-    totals = []
-    for s in unexplained:
-        v = min(k, 1 + s * field.var(axis=0).mean() / noise)
-        L = np.minimum(b2, 9 * k) / (2 * k) - r2 / (2 * v) + 1.5 * np.log(k / v)
-        totals.append(np.log(0.1 + 0.9 * np.exp(L)).sum() if v < 0.8 * k else 0.0)
-    assert found == pytest.approx(max(totals), rel=1e-9)
-    assert share == pytest.approx(unexplained[int(np.argmax(totals))])
+    # All levels of what may stay unexplained are averaged over; with no residuals at all, the most is reached.
+    for odds, left in zip(found, (r2, 0 * r2), strict=True):
+        each = []
+        for s in unexplained:
+            v = min(k, 1 + s * field.var(axis=0).mean() / noise)
+            L = np.minimum(b2, 9 * k) / (2 * k) - left / (2 * v) + 1.5 * np.log(k / v)
+            each.append(np.prod(0.1 + 0.9 * np.exp(L)) if v < 0.8 * k else 1.0)
+        assert odds == pytest.approx(np.log(np.mean(each)), rel=1e-9)
+
+
+# From one mode to many, rough fields and smooth ones, faint ones and ones far above the noise.
+N_DRAWS = 400
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 12, 30])
+@pytest.mark.parametrize("length", [0.3, 1.5])
+@pytest.mark.parametrize("noise", [1e-14, 3e-12])
+def test_under_the_null_odds_are_one_at_most_on_average(n, length, noise):
+    """Fields drawn from the null model, against predictions that know nothing of them: E[ratio] <= 1.
+
+    The bound is three standard errors of the mean of 400 draws; by Markov's inequality, also a ratio above 20 comes
+    once in twenty draws at most.
+    """
+    cells, rng = cells_of(n), np.random.default_rng(n)
+    K = rational_quadratic(cells.centers, length, 2.5e-11)
+    root = np.linalg.cholesky(K + noise * np.eye(n))
+    exact = np.linalg.cholesky(K + 1e-9 * np.trace(K) / n * np.eye(n))
+    earth = np.array([18e-6, 3e-6, -45e-6])
+    predictions = {
+        "nothing": lambda: np.zeros((n, 3)),
+        "the constant": lambda: np.tile(earth, (n, 1)),
+        "another field": lambda: earth + exact @ rng.standard_normal((n, 3)),
+        "a faint one": lambda: earth + 0.3 * exact @ rng.standard_normal((n, 3)),
+    }
+    model = NullModel(cells, np.zeros((n, 3)), K, np.full(n, noise), 0.0)
+    with one_blas_thread():
+        for name, predict in predictions.items():
+            ratios = []
+            for _ in range(N_DRAWS):
+                field = earth + root @ rng.standard_normal((n, 3))
+                drawn = replace(model, field=field)
+                ratios.append(np.exp(drawn.log_ratio(field - predict(), np.zeros(n), np.arange(n))[0]))
+            error = np.std(ratios) / np.sqrt(N_DRAWS)
+            assert np.mean(ratios) + 3 * error <= 1, name
+            assert np.mean(np.array(ratios) > 20) <= 1 / 20, name
+
+
+def test_the_very_field_is_told_from_unrelated_ones():
+    """The other side of the same: of fields drawn alike, the right prediction is worth far more than chance."""
+    n, rng, noise = 12, np.random.default_rng(3), 1e-14
+    model = model_of(n, noise=noise)
+    right = []
+    for _ in range(50):
+        residual = np.sqrt(noise) * rng.standard_normal((n, 3))
+        right.append(model.log_ratio(residual, np.zeros(n), np.arange(n))[0])
+    assert min(right) > 20
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.floats(1e-9, 1e-4), extra=st.floats(0, 1e-11), n=st.integers(2, 15))
+def test_odds_never_exceed_those_without_residuals(seed, size, extra, n):
+    rng = np.random.default_rng(seed)
+    model = model_of(n, seed=seed % 1000)
+    residual = size * rng.standard_normal((n, 3))
+    odds, attainable = model.log_ratio(residual, np.full(n, extra), np.arange(n))
+    assert odds <= attainable
+    assert model.log_ratio(0 * residual, np.full(n, extra), np.arange(n)) == pytest.approx((attainable, attainable))
 
 
 def test_less_residual_is_never_less_odds_and_an_uncertain_base_counts_less():

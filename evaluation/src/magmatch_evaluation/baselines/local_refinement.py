@@ -7,13 +7,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
+from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.decide.answer import by_evidence
-from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prepared_map import prepare
+from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import refine
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.steps import settle_and_decide
+from magmatch.registration.strategy import Weighed
 from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
 from magmatch_evaluation.baselines.judged import judged
 from magmatch_evaluation.baselines.volume import level_points, magnitude_volume, shared_spacing
@@ -38,13 +40,14 @@ def register_by_refinement(
     base_map: FieldMap, target_map: FieldMap, start: RigidTransform, config: RegistrationConfig, seed: int
 ) -> RegistrationResult:
     """Refine one start against the field and judge it as this package's registration does: no search."""
-    rng = np.random.default_rng(seed)
-    base, target = (prepare(m, config.invariants.n_draws, rng) for m in (base_map, target_map))
-    T_model = base.T_map_model.inv() * start * target.T_map_model
-    prior = PosePrior(base.raster.volume)
-    pose = refine(base, target, T_model, prior, config.refinement, np.random.default_rng(seed))
-    evidence = weigh_pose(base, target, pose, null_model_of(base, target), prior)
-    return by_evidence(base, target, SearchResult((Candidate(T_model, 0.0),)), [evidence], config.decision)
+    clock = Clock()
+    strategy = MapStrategy.of(target_map, config, seed, clock)
+    pair = strategy.pair(prepare_index(base_map, config))
+    found = SearchResult((Candidate(pair.T_base_model.inv() * start * pair.T_target_model, 0.0),))
+    T_model, rng = found.candidates[0].T_base_target, np.random.default_rng(seed)
+    pose = refine(pair.base, pair.target, T_model, pair.prior, config.refinement, rng)
+    evidence = weigh_pose(pair.base, pair.target, pose, null_model_of(pair.base, pair.target), pair.prior)
+    return settle_and_decide(Weighed(strategy, pair, found, [evidence]), config.decision, clock)
 
 
 def register_by_gicp(

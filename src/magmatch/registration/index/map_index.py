@@ -29,6 +29,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, known_sampl
 from magmatch.registration.prepared.raster import Raster
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.pair_search import PairTable
+from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
@@ -186,7 +187,9 @@ def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapI
     """What any target will ask of a base map; whatever the seed, so that a kept index gives the same answer."""
     if isinstance(base, MapIndex):
         return base
-    prepared = prepare(base, config.invariants.n_draws, _base_rng())
+    # With more threads sums come in another order, and an index would give other bits than the map itself.
+    with one_blas_thread():
+        prepared = prepare(base, config.invariants.n_draws, _base_rng())
     return MapIndex(prepared, cache(lambda: index_walks(prepared, config.walks.search, _base_rng())))
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.special import logsumexp
 
 from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
@@ -87,19 +88,20 @@ class PathNoise:
         """Standard deviation of one component between two walks through one place, drift left out, T."""
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
 
-    def most_likely_factor(self, chi2: float, n_free: int) -> tuple[float, float]:
+    def factor(self, chi2: float, n_free: int) -> tuple[float, float]:
         """Factor on the covariance that explains one walk best, given how walks differ.
 
         Returns
         -------
         factor : float
         log_likelihood : float, nats
-            ``-chi2 / 2 k - n/2 ln k - (ln k)^2 / 2 spread^2`` at its maximum over k.
+            ``-chi2 / 2 k - n/2 ln k``, averaged over k, whose logarithm is normal with the spread.
         """
-        log_factor = np.linspace(-4, 4, 161) * self.spread
-        found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor - 0.5 * (log_factor / self.spread) ** 2
-        best = int(np.argmax(found))
-        return float(np.exp(log_factor[best])), float(found[best])
+        deviates = np.linspace(-4, 4, 161)
+        log_factor, log_prior = self.spread * deviates, -0.5 * deviates**2
+        found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor + log_prior
+        best = float(np.exp(log_factor[int(np.argmax(found))]))
+        return best, float(logsumexp(found) - logsumexp(log_prior))
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""

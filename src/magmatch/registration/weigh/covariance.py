@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far the refined pose may be off: a sandwich over independent cells, and the directions left free."""
+"""How far the refined pose may be off: a sandwich over independent cells."""
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import rotation_matrix, skew
 from magmatch.registration.prepared.cubes import sum_by_cube
 from magmatch.registration.refine.refinement import RefinedPose
-from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Covariance6, Matrix
 
 # Fewer independent cells than this give no covariance.
@@ -65,60 +62,6 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
         total += bread @ block.drift @ bread
     covariance: Covariance6 = ((total + total.T) / 2)[:6, :6]
     return covariance
-
-
-def to_survey_axes(covariance: Covariance6, center_model: np.ndarray, T_survey_model: RigidTransform) -> Covariance6:
-    """Covariance of xi in ``T_true = T_estimate Exp(xi)``, target's survey frame."""
-    R = rotation_matrix(T_survey_model)
-    center = T_survey_model.apply(center_model)
-    M = np.zeros((6, 6))
-    M[:3, :3] = M[3:, 3:] = R
-    # Turning about the origin instead of the centre moves the centre: rho = R rho_c - theta x c.
-    M[3:, :3] = skew(center[None])[0] @ R
-    moved = M @ covariance @ M.T
-    symmetric: Covariance6 = (moved + moved.T) / 2
-    return symmetric
-
-
-def free_directions(
-    covariance: Covariance6,
-    center_model: np.ndarray,
-    T_survey_model: RigidTransform,
-    R_base_target: Matrix,
-    max_sd_rotation: float,
-    max_sd_translation: float,
-) -> tuple[DegenerateDirection, ...]:
-    """Directions in which the pose is worse known than allowed, with words in base axes.
-
-    Returns
-    -------
-    tuple of DegenerateDirection
-    """
-    scale = np.array(3 * [max_sd_rotation] + 3 * [max_sd_translation])
-    power, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    R = rotation_matrix(T_survey_model)
-    center = T_survey_model.apply(center_model)
-    found = []
-    for k in np.flatnonzero(power > 1.0)[::-1]:
-        local = vectors[:, k] * scale
-        theta, rho = R @ local[:3], R @ local[3:]
-        xi = np.concatenate([theta, rho - np.cross(theta, center)])
-        is_turn = np.linalg.norm(vectors[:3, k]) > np.linalg.norm(vectors[3:, k])
-        words = (
-            ("turning about" if is_turn else "sliding along")
-            + " base "
-            + _axis_words(R_base_target @ (theta if is_turn else rho))
-        )
-        found.append(DegenerateDirection(xi / np.linalg.norm(xi), words))
-    return tuple(found)
-
-
-def _axis_words(v: np.ndarray) -> str:
-    v = v / np.linalg.norm(v)
-    k = int(np.argmax(np.abs(v)))
-    if abs(v[k]) > 0.9:
-        return "xyz"[k]
-    return "direction ({:+.2f}, {:+.2f}, {:+.2f})".format(*(v * np.sign(v[k])))
 
 
 def _regular(A: Matrix) -> Matrix:

@@ -12,9 +12,10 @@ from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
-from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
+from magmatch.registration.weigh.covariance import joint_covariance
+from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.registration.weigh.null_model import NullModel, average_cells, fit_null_model
-from magmatch.typing import Covariance6, Indices, Mask, Matrix, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Matrix, Scalars, Vector3, Vectors
 
 # Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
 CORRELATED_NOISE_SHARE = 0.1
@@ -38,8 +39,8 @@ class PoseEvidence:
     log_evidence : float, nats
         ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the odds of this pose after
         paying for the search over all poses.
-    unexplained : float
-        Share of the field's variance that the base leaves unexplained, at its most likely value.
+    attainable : float, nats
+        The same, had the base explained the cells to the last.
     residual : float
         Robust normalised rms residual over the overlap.
     misfit : float
@@ -56,21 +57,26 @@ class PoseEvidence:
     n_informative: int
     n_good: int
     log_evidence: float
-    unexplained: float
+    attainable: float
     residual: float
     misfit: float
     unchanged: float = 1.0
     is_beside_change: bool = False
 
     @property
-    def log_density(self) -> float:
-        """Comparable between bases, nats."""
-        return self.log_evidence
+    def kind(self) -> Kind:
+        """By cells."""
+        return "map"
 
     @property
-    def whole_covariance(self) -> Covariance6 | None:
-        """What the comparison leaves free, and how far the surveys' own drift may have taken the pose along."""
-        return None if self.covariance is None else self.covariance + drift_covariance(self.pose)
+    def T_base_target(self) -> RigidTransform:
+        """Model frame to model frame."""
+        return self.pose.T_base_target
+
+    @property
+    def center(self) -> Vector3:
+        """Point about which the covariance is stated, m, target's model frame."""
+        return self.pose.center
 
     @property
     def good_share(self) -> float:
@@ -141,10 +147,10 @@ def weigh_pose(
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
-        return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, 1.0, np.inf, np.inf)
+        return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
-    log_ratio, unexplained = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
+    log_ratio, attainable = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
     if change is not None:
         log_ratio = change.log_ratio
     r2, variance = (seen.residual[rows] ** 2).sum(axis=1), null_model.noise[rows] + seen.map_variance[rows]
@@ -155,14 +161,15 @@ def weigh_pose(
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
     is_informative = n2 > 9 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
+    price = _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center))
     return PoseEvidence(
         pose,
         covariance,
         overlap,
         int(is_informative.sum()),
         int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
-        log_ratio + _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center)),
-        unexplained,
+        log_ratio + price,
+        attainable + price,
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
         float(np.sqrt(np.mean(r2 / variance) / 3)),
         1.0 if change is None else change.unchanged,

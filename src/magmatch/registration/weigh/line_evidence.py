@@ -20,6 +20,7 @@ from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
 # Longest step: rad, and in correlation lengths.
@@ -63,38 +64,38 @@ class LineEvidence:
 
     Attributes
     ----------
-    T_base_walk : RigidTransform
+    T_base_target : RigidTransform
         Base model frame from the walk's frame.
     center : (3,) array, m
         Point of the walk about which the covariance is stated, walk's frame.
     covariance : (6, 6) array
         Of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes.
-    coverage : float
+    overlap : float
         Share of the bins inside the base map.
     log_evidence : float, nats
         ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, less the price of the path
         outside the map.
-    residual : float
+    attainable : float, nats
+        The same, had the residuals been no larger than expected.
+    misfit : float
         Normalised rms residual (1 when the covariance explains everything).
     is_covered : (n,) bool array
         Bins inside the base map.
-    log_unrelated : float, nats
-        Log density of the whole walk as an unrelated field, as this base's residuals would have it.
     """
 
-    T_base_walk: RigidTransform
+    T_base_target: RigidTransform
     center: Vector3
     covariance: Covariance6
-    coverage: float
+    overlap: float
     log_evidence: float
-    residual: float
+    attainable: float
+    misfit: float
     is_covered: Mask
-    log_unrelated: float
 
     @property
-    def log_density(self) -> float:
-        """Log density of the walk's field under this pose, comparable between bases (same bins), nats."""
-        return self.log_evidence + self.log_unrelated
+    def kind(self) -> Kind:
+        """Along a walk."""
+        return "walk"
 
 
 def weigh_walk(
@@ -255,34 +256,35 @@ class _LeastSquares:
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
     """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
     found = []
-    log_unrelated = null.log_likelihood(np.ones(len(squares.walk), dtype=bool))
     price_per_bin = config.price_outside * squares.walk.bin_length / squares.length
     for k in range(len(fits.chi2)):
         known = fits.known[k]
-        inflation, log_likelihood = squares.noise.most_likely_factor(fits.chi2[k], 3 * int(known.sum()) - 6)
+        n_free = 3 * int(known.sum()) - 6
+        inflation, log_likelihood = squares.noise.factor(fits.chi2[k], n_free)
         # A walk that fits better than a guess expects may still share its frame's errors.
         least = 0.0 if squares.noise.is_learned else 1.0
         covariance = max(inflation, least) * np.linalg.inv(fits.information[k])
         _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
         T = squares.pose(fits.rotations[k], fits.centers[k])
+        log_evidence = float(
+            log_likelihood
+            - fits.half_log_det[k]
+            - null.log_likelihood(known)
+            + 0.5 * log_det
+            + squares.prior.log_density(T, squares.center)
+            - price_per_bin * (~known).sum()
+            - config.price_piece / config.piece_bins * (fits.strain[k] > 1).sum()
+        )
         found.append(
             LineEvidence(
-                T_base_walk=T,
+                T_base_target=T,
                 center=squares.center,
                 covariance=(covariance + covariance.T) / 2,
-                coverage=float(known.mean()),
-                log_evidence=float(
-                    log_likelihood
-                    - fits.half_log_det[k]
-                    - null.log_likelihood(known)
-                    + 0.5 * log_det
-                    + squares.prior.log_density(T, squares.center)
-                    - price_per_bin * (~known).sum()
-                    - config.price_piece / config.piece_bins * (fits.strain[k] > 1).sum()
-                ),
-                residual=float(np.sqrt(fits.chi2[k] / (3 * known.sum() - 6))),
+                overlap=float(known.mean()),
+                log_evidence=log_evidence,
+                attainable=log_evidence + max(squares.noise.factor(n_free, n_free)[1] - log_likelihood, 0.0),
+                misfit=float(np.sqrt(fits.chi2[k] / n_free)),
                 is_covered=known,
-                log_unrelated=log_unrelated,
             )
         )
     return found

@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
+from scipy.special import logsumexp
 
 from magmatch.registration.prepared.cubes import cube_keys
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
@@ -94,13 +95,15 @@ class NullModel:
 
         The cells' field and residual are taken apart into the independent modes of the unrelated field, smooth ones
         first. A mode counts by how far its residual stays below what the unrelated field would have there, and
-        never less than an outlier does; modes too faint to rise above the residuals count nothing.
+        never less than an outlier does; modes too faint to rise above the residuals count nothing. How much of the
+        field the base may leave unexplained is not known: all levels are averaged over, so that none is chosen to
+        suit the data, and under the null model the ratio is 1 at most on average.
 
         Returns
         -------
         log_ratio : float, nats
-        unexplained : float
-            Variance of the residuals that explains them best, as a share of the cells' field's.
+        attainable : float, nats
+            The same, were there no residuals.
         """
         # Cells in units of their own uncertainty: where the base map is unsure, little is asked of it.
         W = 1 / np.sqrt(self.noise[rows] + extra)
@@ -115,12 +118,12 @@ class NullModel:
         found = []
         for share in UNEXPLAINED:
             v = np.minimum(k, 1.0 + share * variance)
-            L = np.minimum(b2, 9 * k) / (2 * k) - r2 / (2 * v) + 1.5 * np.log(k / v)
+            L = np.minimum(b2, 9 * k) / (2 * k) - np.stack([r2, np.zeros_like(r2)]) / (2 * v) + 1.5 * np.log(k / v)
             L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
             # A mode that the residuals' level drowns is no evidence for or against.
-            found.append(float(L[v < 0.8 * k].sum()))
-        best = int(np.argmax(found))
-        return found[best], UNEXPLAINED[best]
+            found.append(L[:, v < 0.8 * k].sum(axis=1))
+        log_ratio, attainable = logsumexp(found, axis=0) - np.log(len(found))
+        return float(log_ratio), float(attainable)
 
 
 def _strength_here(power: Scalars, b2: Scalars) -> float:

@@ -22,10 +22,12 @@ from magmatch.viz.verdict import percent
 MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500
 # What the numbers of a result's evidence are called; others by their own names.
 EVIDENCE = {
-    "log_odds": "log odds of the best pose (nats)",
-    "lead": "lead over the best pose elsewhere (nats)",
-    "decoy_log_odds": "log odds of the best decoy (nats)",
-    "unexplained": "share of the field's variance left unexplained",
+    "log_odds": "evidence for the best pose over unrelated surveys (nats)",
+    "effective": "of that, independent (nats)",
+    "lead": "log odds over the best other pose (nats)",
+    "misfit": "residuals over what noise and maps explain",
+    "probability_elsewhere": "probability of all other poses",
+    "probability_unrelated": "probability of unrelated surveys",
     "agreeing_share": "share of informative cells that agree",
     "n_informative": "informative cells",
     "unchanged": "share of cells taken as unchanged",

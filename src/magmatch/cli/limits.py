@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How sure an answer must be, as the command line says it, as settings of the registration."""
+
+from math import radians
+from typing import TYPE_CHECKING, Any
+
+from magmatch.cli.option_values import numbers, refuse
+from magmatch.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from magmatch.registration.config import RegistrationConfig
+
+
+def with_limits(
+    config: "RegistrationConfig", min_probability: float | None, max_sd: str | None
+) -> "RegistrationConfig":
+    """Put the least probability and the largest standard deviation into the settings."""
+    said: dict[str, Any] = {}
+    if min_probability is not None:
+        if not 0 < min_probability < 1:
+            refuse("--min-probability", "a number between 0 and 1, such as 0.99", f"{min_probability:g}")
+        said["min_probability"] = min_probability
+    if max_sd is not None:
+        metres, degrees = numbers("--max-sd", max_sd, 2, "metres,degrees, both above 0, such as 0.1,2")
+        if metres <= 0 or not 0 < degrees <= 180:
+            refuse("--max-sd", "metres above 0 and degrees from 0 to 180", max_sd)
+        said |= {"max_sd_translation": metres, "max_sd_rotation": radians(degrees)}
+    if not said:
+        return config
+    if config.search == "keypoints":
+        msg = "--min-probability and --max-sd: the published method decides by its fitness, which knows neither"
+        raise ConfigurationError(msg)
+    return type(config).model_validate(config.model_dump() | {"decision": config.decision.model_dump() | said})

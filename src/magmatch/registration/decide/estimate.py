@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A pose with its covariance in the surveys' own frames, and the directions in which it is not known well enough."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import rotation_matrix, skew
+from magmatch.registration.result import DegenerateDirection
+from magmatch.registration.weigh.hypothesis import Hypothesis
+from magmatch.typing import Covariance6, Vector3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Estimate:
+    """A pose between surveys.
+
+    Attributes
+    ----------
+    T_base_target : RigidTransform
+        Survey frame to survey frame.
+    center : (3,) array, m
+        Point of the target about which the covariance is stated, target's survey frame.
+    covariance : (6, 6) array or None
+        Of xi in ``T_true = T_estimate Exp(xi)`` about the centre, rotation first (rad, m), target's survey axes.
+    """
+
+    T_base_target: RigidTransform
+    center: Vector3
+    covariance: Covariance6 | None
+
+    @classmethod
+    def of(cls, pose: Hypothesis, T_base_model: RigidTransform, T_target_model: RigidTransform) -> "Estimate":
+        """A pose between model frames as one between survey frames."""
+        T = T_base_model * pose.T_base_target * T_target_model.inv()
+        estimate = cls(T, T_target_model.apply(pose.center), None)
+        if pose.covariance is None:
+            return estimate
+        M = np.kron(np.eye(2), rotation_matrix(T_target_model))
+        return replace(estimate, covariance=M @ pose.covariance @ M.T)
+
+    @property
+    def covariance_about_origin(self) -> Covariance6 | None:
+        """Of xi about the origin of the target's survey frame, as results state it."""
+        if self.covariance is None:
+            return None
+        # Turning about the origin instead of the centre moves the centre: rho = rho_c - theta x c.
+        M = np.eye(6)
+        M[3:, :3] = skew(self.center[None])[0]
+        moved = M @ self.covariance @ M.T
+        symmetric: Covariance6 = (moved + moved.T) / 2
+        return symmetric
+
+    @property
+    def worst_sd(self) -> tuple[float, float]:
+        """Standard deviation in the worst direction, of the place (m) and of the turn (rad); inf where not known."""
+        if self.covariance is None:
+            return np.inf, np.inf
+        turn, shift = (float(np.linalg.eigvalsh(C)[-1]) for C in (self.covariance[:3, :3], self.covariance[3:, 3:]))
+        return np.sqrt(max(shift, 0.0)), np.sqrt(max(turn, 0.0))
+
+    def free_directions(self, max_sd: tuple[float, float]) -> tuple[DegenerateDirection, ...]:
+        """Directions in which the pose is worse known than allowed (m, rad), worst first, with words in base axes."""
+        if self.covariance is None or all(sd <= limit for sd, limit in zip(self.worst_sd, max_sd, strict=True)):
+            return ()
+        scale = np.repeat([max_sd[1], max_sd[0]], 3)
+        power, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        R, found = rotation_matrix(self.T_base_target), []
+        for k in np.flatnonzero(power > 1.0)[::-1]:
+            theta, rho = np.split(vectors[:, k] * scale, 2)
+            xi = np.concatenate([theta, rho - np.cross(theta, self.center)])
+            is_turn = np.linalg.norm(vectors[:3, k]) > np.linalg.norm(vectors[3:, k])
+            motion, along = ("turning about", theta) if is_turn else ("sliding along", rho)
+            found.append(DegenerateDirection(xi / np.linalg.norm(xi), f"{motion} base {_axis_words(R @ along)}"))
+        return tuple(found)
+
+
+def _axis_words(v: np.ndarray) -> str:
+    v = v / np.linalg.norm(v)
+    k = int(np.argmax(np.abs(v)))
+    if abs(v[k]) > 0.9:
+        return "xyz"[k]
+    return "direction ({:+.2f}, {:+.2f}, {:+.2f})".format(*(v * np.sign(v[k])))

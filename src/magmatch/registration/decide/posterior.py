@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How probable each pose is, and how probable that the two surveys have nothing to do with each other.
+
+Evidence takes its models at face value: as if residuals were no larger than expected, and as if errors of the models
+were independent. Residuals that exceed the expected ones are fewer independent samples than they seem, so evidence is
+divided by a power of their dispersion (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974). Errors that all
+samples share let evidence say less the more there is of it, so log odds grow with its logarithm. Of this law,
+
+    log odds = scale * asinh(effective evidence / saturation) - offset,
+
+the numbers are fitted to pairs of known truth; they lie in ``fitted.json`` with the script that fits them.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Generic, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.special import logsumexp
+
+from magmatch.geometry import transform_error
+from magmatch.registration.weigh.hypothesis import Hypothesis, Kind
+
+H = TypeVar("H", bound=Hypothesis)
+
+
+class Fitted(BaseModel):
+    """The numbers of the law above.
+
+    Attributes
+    ----------
+    scale : float
+    saturation : float, nats
+        Evidence from which on it counts by its logarithm.
+    dispersion : float
+        Power of the residuals' dispersion by which evidence is divided.
+    offset : dict of float
+        For each kind of evidence, how readily unrelated surveys gain it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    scale: float = Field(gt=0)
+    saturation: float = Field(gt=0)
+    dispersion: float = Field(ge=0)
+    offset: dict[Kind, float]
+
+
+@cache
+def fitted() -> Fitted:
+    """The numbers as they are packaged."""
+    return Fitted.model_validate(json.loads(files(__package__).joinpath("fitted.json").read_text(encoding="utf-8")))
+
+
+def effective_evidence(log_evidence: float, misfit: float, numbers: Fitted | None = None) -> float:
+    """Evidence of as many samples as the residuals' dispersion leaves independent, nats.
+
+    Evidence against a pose is kept whole: residuals that are too large are no excuse.
+    """
+    power = (numbers or fitted()).dispersion
+    return log_evidence / max(misfit, 1.0) ** power if log_evidence > 0 else log_evidence
+
+
+def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | None = None) -> float:
+    """Log odds of one pose over unrelated surveys, at prior odds of one, nats."""
+    numbers = numbers or fitted()
+    if not np.isfinite(log_evidence):
+        return -np.inf
+    effective = effective_evidence(log_evidence, misfit, numbers)
+    return float(numbers.scale * np.arcsinh(effective / numbers.saturation) - numbers.offset[kind])
+
+
+def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> float:
+    """Effective evidence with which a pose without rivals has a probability, nats."""
+    numbers = fitted()
+    wanted = np.log(probability / (1 - probability)) - np.log(prior_odds) + numbers.offset[kind]
+    return float(numbers.saturation * np.sinh(wanted / numbers.scale))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Posterior(Generic[H]):
+    """Probabilities of poses that exclude each other and of unrelated surveys; together they are one.
+
+    Attributes
+    ----------
+    poses : tuple
+        Most probable first.
+    probabilities : tuple of float
+        One a pose.
+    elsewhere : float
+        Of the best pose in another base.
+    null : float
+        That base and target are unrelated.
+    """
+
+    poses: tuple[H, ...]
+    probabilities: tuple[float, ...]
+    elsewhere: float
+    null: float
+
+    @property
+    def best(self) -> float:
+        """Probability of the most probable pose; 0 where there is none."""
+        return self.probabilities[0] if self.probabilities else 0.0
+
+    @property
+    def rivals(self) -> float:
+        """Probability of all other poses together."""
+        return sum(self.probabilities[1:]) + self.elsewhere
+
+    @property
+    def lead(self) -> float | None:
+        """Log odds of the most probable pose over any other, nats; None where there is none."""
+        rival = max([*self.probabilities[1:], self.elsewhere])
+        return float(np.log(self.best / rival)) if rival > 0 and self.best > 0 else None
+
+
+def posterior_over(
+    hypotheses: Sequence[H], tolerance: tuple[float, float], prior_odds: float = 1.0, elsewhere: float = -np.inf
+) -> Posterior[H]:
+    """Weigh poses against each other and against unrelated surveys.
+
+    Parameters
+    ----------
+    hypotheses : sequence
+        Of one target in one base.
+    tolerance : (float, float), m and rad
+        Poses no farther apart than this, at the target's centre, are one answer; the more probable is kept.
+    prior_odds : float
+        That both surveys saw one place, before the fields were compared.
+    elsewhere : float, nats
+        Log odds of the best pose in another base, on the scale of `log_odds`.
+
+    Returns
+    -------
+    Posterior
+    """
+    odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind) for h in hypotheses}
+    ranked = sorted((h for h in hypotheses if np.isfinite(odds[id(h)])), key=lambda h: -odds[id(h)])
+    kept: list[H] = []
+    for h in ranked:
+        if not any(is_same_answer(h, other, tolerance) for other in kept):
+            kept.append(h)
+    terms = np.array([*(odds[id(h)] for h in kept), elsewhere, -np.log(prior_odds)])
+    shares = np.exp(terms - logsumexp(terms))
+    return Posterior(tuple(kept), tuple(map(float, shares[:-2])), float(shares[-2]), float(shares[-1]))
+
+
+def is_same_answer(one: Hypothesis, other: Hypothesis, tolerance: tuple[float, float]) -> bool:
+    """Whether two poses of a target are one answer."""
+    apart, angle = transform_error(one.T_base_target, other.T_base_target, one.center)
+    return apart <= tolerance[0] and angle <= tolerance[1]

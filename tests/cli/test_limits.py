@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How sure an answer must be, said on the command line: what is taken, what is refused, what it does."""
+
+import json
+from math import radians
+
+import pytest
+
+from magmatch.cli.limits import with_limits
+from magmatch.errors import ConfigurationError
+from magmatch.registration.config import PRESETS
+
+DEFAULT = PRESETS["default"]
+
+
+def test_what_is_said_becomes_settings_and_nothing_else_changes():
+    decision = with_limits(DEFAULT, 0.95, "0.1,2").decision
+    assert decision.min_probability == 0.95
+    assert (decision.max_sd_translation, decision.max_sd_rotation) == (0.1, pytest.approx(radians(2)))
+    plain = DEFAULT.decision.model_dump()
+    changed = {"min_probability", "max_sd_translation", "max_sd_rotation"}
+    assert {k: v for k, v in decision.model_dump().items() if k not in changed} == {
+        k: v for k, v in plain.items() if k not in changed
+    }
+    assert with_limits(DEFAULT, None, None) is DEFAULT
+    assert with_limits(DEFAULT, None, "0.1,2").decision.min_probability == DEFAULT.decision.min_probability
+    assert with_limits(DEFAULT, 0.5, None).decision.max_sd_translation is None
+
+
+@pytest.mark.parametrize("probability", [1e-9, 0.5, 1 - 1e-12])
+def test_any_probability_between_none_and_certainty_is_taken(probability):
+    assert with_limits(DEFAULT, probability, None).decision.min_probability == probability
+
+
+@pytest.mark.parametrize("text", ["0.001,0.01", "100,180", " 0.1 , 2 ", "1e-2,5"])
+def test_any_spread_above_nothing_is_taken(text):
+    metres, degrees = map(float, text.split(","))
+    decision = with_limits(DEFAULT, None, text).decision
+    assert decision.max_sd(1.0) == pytest.approx((metres, radians(degrees)))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--min-probability", "0"), "--min-probability: expected a number between 0 and 1"),
+        (("--min-probability", "1"), "--min-probability: expected a number between 0 and 1"),
+        (("--min-probability", "99"), "found '99'"),
+        (("--min-probability", "-0.5"), "--min-probability"),
+        (("--min-probability", "nan"), "--min-probability"),
+        (("--min-probability", "sure"), "--min-probability"),
+        (("--max-sd", "0.1"), "--max-sd: expected metres,degrees"),
+        (("--max-sd", "0.1,2,3"), "--max-sd"),
+        (("--max-sd", "0.1;2"), "--max-sd"),
+        (("--max-sd", "a,b"), "--max-sd"),
+        (("--max-sd", ""), "--max-sd"),
+        (("--max-sd", "0,2"), "--max-sd: expected metres above 0"),
+        (("--max-sd", "-1,2"), "--max-sd"),
+        (("--max-sd", "0.1,0"), "--max-sd"),
+        (("--max-sd", "0.1,181"), "degrees from 0 to 180"),
+        (("--max-sd", "inf,2"), "--max-sd"),
+        (("--max-sd", "0.1,nan"), "--max-sd"),
+        (("--max-sd", "0.1,2", "--preset", "paper"), "the published method decides by its fitness"),
+        (("--min-probability", "0.9", "--preset", "paper"), "the published method decides by its fitness"),
+    ],
+)
+def test_a_limit_that_cannot_be_is_one_line_and_code_2(words, said, place, run, tmp_path):
+    outcome = run("register", place / "base.map", place / "target.map", *words, "--out", tmp_path / "r.json")
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert said in outcome.err
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_the_published_method_refuses_limits_it_does_not_know():
+    with pytest.raises(ConfigurationError, match="knows neither"):
+        with_limits(PRESETS["paper"], None, "0.1,2")
+    assert with_limits(PRESETS["paper"], None, None) is PRESETS["paper"]
+
+
+def registered(run, place, *words):
+    outcome = run("register", place / "base.map", place / "target.map", *words, "--json")
+    return outcome.code, json.loads(outcome.out)
+
+
+def test_a_tight_spread_makes_a_found_place_degenerate(place, run):
+    before = json.loads((place / "result.json").read_text())
+    code, result = registered(run, place, "--max-sd", "0.0001,0.001")
+    assert (code, result["status"]) == (3, "degenerate")
+    assert result["T_base_target"] is None
+    assert result["degenerate_directions"]
+    assert "0.0001 m and 0.001 deg allow" in result["reason"]
+    assert result["probability"] == pytest.approx(before["probability"], abs=1e-3)
+    assert result["config"]["decision"]["max_sd_translation"] == 0.0001
+    # Found all the same: the best candidate is the answer of before.
+    for row, expected in zip(result["alternatives"][0]["T_base_target"], before["T_base_target"], strict=True):
+        assert row == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_wide_spread_and_a_modest_probability_accept_what_was_accepted(place, run):
+    code, result = registered(run, place, "--max-sd", "10,90", "--min-probability", "0.5")
+    assert (code, result["status"]) == (0, "accepted")
+    before = json.loads((place / "result.json").read_text())
+    assert result["T_base_target"] == before["T_base_target"]
+
+
+def test_a_probability_beyond_what_is_reached_refuses(place, run):
+    code, result = registered(run, place, "--min-probability", "0.9999999999999999")
+    assert code == 3
+    assert result["T_base_target"] is None
+    assert result["status"] in ("inconsistent", "uninformative", "no_overlap", "ambiguous")

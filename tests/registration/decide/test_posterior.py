@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Laws of the probabilities: one mass, shared; more evidence is more of it, and nothing excuses evidence against."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform
+
+from hand_made import WeighedPose, turn_about
+from magmatch.geometry import random_transform
+from magmatch.registration.decide.posterior import (
+    Fitted,
+    effective_evidence,
+    fitted,
+    log_odds,
+    needed_evidence,
+    posterior_over,
+)
+
+KINDS = ("map", "walk")
+# m and rad
+TOLERANCE = (0.5, 0.2)
+
+evidences, misfits, kinds = st.floats(-300, 3000), st.floats(0.05, 50), st.sampled_from(KINDS)
+prior_odds = st.floats(1e-6, 1e6)
+laws = st.builds(
+    Fitted,
+    scale=st.floats(0.1, 20),
+    saturation=st.floats(0.1, 200),
+    dispersion=st.floats(0, 3),
+    offset=st.fixed_dictionaries({kind: st.floats(-10, 10) for kind in KINDS}),
+)
+
+
+def shifted(metres, **changes):
+    return WeighedPose(RigidTransform.from_translation([metres, 0.0, 0.0]), **changes)
+
+
+# Far apart from each other, one metre each.
+many_apart = st.lists(st.tuples(evidences, misfits, kinds), max_size=6).map(
+    lambda rows: [shifted(k, log_evidence=e, misfit=m, kind=kind) for k, (e, m, kind) in enumerate(rows)]
+)
+elsewheres = st.one_of(st.just(-np.inf), st.floats(-30, 60))
+
+
+@given(poses=many_apart, odds=prior_odds, elsewhere=elsewheres)
+def test_probabilities_of_poses_of_elsewhere_and_of_unrelated_surveys_add_to_one(poses, odds, elsewhere):
+    posterior = posterior_over(poses, TOLERANCE, odds, elsewhere)
+    every = [*posterior.probabilities, posterior.elsewhere, posterior.null]
+    assert sum(every) == pytest.approx(1, abs=1e-12)
+    assert min(every) >= 0
+    assert posterior.best + posterior.rivals + posterior.null == pytest.approx(1, abs=1e-12)
+    assert list(posterior.probabilities) == sorted(posterior.probabilities, reverse=True)
+    assert posterior.best == max(posterior.probabilities, default=0.0)
+    assert len(posterior.poses) == len(poses)
+
+
+@given(e=st.floats(-60, 60), misfit=misfits, kind=kinds, odds=prior_odds)
+def test_prior_odds_act_as_odds(e, misfit, kind, odds):
+    """Of one pose alone: what it has over the null scales with them, from what the evidence says by itself."""
+    posterior = posterior_over([WeighedPose(log_evidence=e, misfit=misfit, kind=kind)], TOLERANCE, odds)
+    assert posterior.best / posterior.null == pytest.approx(odds * np.exp(log_odds(e, misfit, kind)), rel=1e-9)
+    assert posterior.rivals == 0
+
+
+@given(many_apart, prior_odds, prior_odds, elsewheres)
+def test_what_was_believed_before_takes_no_side_between_poses(poses, one, other, elsewhere):
+    first, second = (posterior_over(poses, TOLERANCE, odds, elsewhere) for odds in (one, other))
+    for a, b in zip(first.probabilities, second.probabilities, strict=True):
+        assert a * second.best == pytest.approx(b * first.best, rel=1e-9, abs=1e-200)
+
+
+@given(low=evidences, high=evidences, misfit=misfits, worse=misfits, kind=kinds, numbers=laws)
+def test_more_evidence_and_less_misfit_are_never_less_probable(low, high, misfit, worse, kind, numbers):
+    low, high = sorted((low, high))
+    misfit, worse = sorted((misfit, worse))
+    assert log_odds(low, misfit, kind, numbers) <= log_odds(high, misfit, kind, numbers)
+    assert log_odds(high, worse, kind, numbers) <= log_odds(high, misfit, kind, numbers)
+
+
+@given(poses=many_apart.filter(bool), gain=st.floats(0, 500), relief=st.floats(0.1, 1), elsewhere=elsewheres)
+def test_more_agreement_never_lowers_a_poses_probability(poses, gain, relief, elsewhere):
+    """Among rivals too: of the first pose before and after its residuals become smaller."""
+    one, *others = poses
+    better = replace(one, log_evidence=one.log_evidence + gain, misfit=relief * one.misfit)
+    before, after = (posterior_over([pose, *others], TOLERANCE, 1.0, elsewhere) for pose in (one, better))
+    share = dict(zip(map(id, before.poses), before.probabilities, strict=True))[id(one)]
+    improved = dict(zip(map(id, after.poses), after.probabilities, strict=True))[id(better)]
+    assert improved >= share * (1 - 1e-12)
+    assert after.null <= before.null * (1 + 1e-12)
+
+
+@given(poses=many_apart.filter(bool), elsewhere=elsewheres)
+def test_a_further_pose_takes_from_all_and_gives_to_none(poses, elsewhere):
+    fewer, more = (posterior_over(p, TOLERANCE, 1.0, elsewhere) for p in (poses[:-1], poses))
+    share = dict(zip(map(id, more.poses), more.probabilities, strict=True))
+    for pose, probability in zip(fewer.poses, fewer.probabilities, strict=True):
+        assert share[id(pose)] <= probability * (1 + 1e-12)
+    assert more.null <= fewer.null * (1 + 1e-12)
+
+
+@given(e=st.floats(-1e4, 0), misfit=misfits, kind=kinds, numbers=laws)
+def test_evidence_against_a_pose_is_never_excused_by_misfit(e, misfit, kind, numbers):
+    assert effective_evidence(e, misfit, numbers) == e
+    assert log_odds(e, misfit, kind, numbers) == log_odds(e, 1.0, kind, numbers)
+
+
+@given(e=evidences, misfit=misfits, numbers=laws)
+def test_residuals_as_expected_cost_nothing_and_smaller_ones_bring_nothing(e, misfit, numbers):
+    effective = effective_evidence(e, misfit, numbers)
+    assert effective <= e
+    if misfit <= 1:
+        assert effective == e
+    assert np.sign(effective) == np.sign(e)
+
+
+@given(e=st.floats(1, 1000), misfit=st.floats(1, 50), numbers=laws)
+def test_odds_are_those_of_the_law(e, misfit, numbers):
+    """In the law's own words: scale * asinh(evidence / misfit^dispersion / saturation) - offset."""
+    x = e / misfit**numbers.dispersion / numbers.saturation
+    expected = numbers.scale * np.log(x + np.sqrt(x * x + 1)) - numbers.offset["walk"]
+    assert log_odds(e, misfit, "walk", numbers) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@given(p=st.floats(1e-4, 1 - 1e-9), kind=kinds, odds=prior_odds)
+def test_needed_evidence_is_that_with_which_a_lone_pose_has_the_probability(p, kind, odds):
+    needed = needed_evidence(p, kind, odds)
+    posterior = posterior_over([WeighedPose(log_evidence=needed, kind=kind)], TOLERANCE, odds)
+    assert posterior.best / posterior.null == pytest.approx(p / (1 - p), rel=1e-6)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    order=st.permutations(range(7)),
+    values=st.lists(st.integers(-300, 3000), min_size=7, max_size=7, unique=True),
+)
+def test_the_order_of_hypotheses_does_not_matter(seed, order, values):
+    """Some of one answer, some not; only odds alike to the bit would leave it to the order."""
+    at = np.random.default_rng(seed).uniform(-0.5, 0.5, 7)
+    poses = [shifted(x, log_evidence=float(e)) for x, e in zip(at, values, strict=True)]
+    one, other = (posterior_over(given_so, TOLERANCE) for given_so in (poses, [poses[k] for k in order]))
+    assert [id(h) for h in one.poses] == [id(h) for h in other.poses]
+    assert (one.probabilities, one.null) == (other.probabilities, other.null)
+
+
+@pytest.mark.parametrize(
+    ("xi", "is_one_answer"),
+    [
+        ([0, 0, 0, 0.499, 0, 0], True),
+        ([0, 0, 0, 0.501, 0, 0], False),
+        ([0, 0, 0.199, 0, 0, 0], True),
+        ([0, 0, 0.201, 0, 0, 0], False),
+        ([0, 0.199, 0, 0, 0.499, 0], True),
+    ],
+)
+def test_poses_within_tolerance_are_one_answer_and_the_most_probable_is_kept(xi, is_one_answer):
+    """At the target's centre, which may lie far from its frame's origin."""
+    T, center = random_transform(np.random.default_rng(0)), np.array([40.0, -20.0, 5.0])
+    best = WeighedPose(T, log_evidence=100.0, center=center)
+    other = WeighedPose(T * turn_about(center, np.array(xi, float)), log_evidence=90.0, center=center)
+    for given_so in ([best, other], [other, best]):
+        posterior = posterior_over(given_so, TOLERANCE)
+        assert posterior.poses[0] is best
+        assert len(posterior.poses) == (1 if is_one_answer else 2)
+    alone = posterior_over([best], TOLERANCE)
+    assert (posterior_over([best, other], TOLERANCE).best == alone.best) == is_one_answer
+
+
+def test_what_is_kept_is_the_more_probable_not_the_one_of_more_evidence():
+    strained = shifted(0.0, log_evidence=120.0, misfit=20.0)
+    plain = shifted(0.1, log_evidence=100.0)
+    assert posterior_over([strained, plain], TOLERANCE).poses == (plain,)
+
+
+def test_a_pose_near_a_rival_that_is_one_answer_with_the_best_is_a_rival_itself():
+    best, near, beyond = shifted(0.0), shifted(0.4, log_evidence=190.0), shifted(0.8, log_evidence=180.0)
+    assert posterior_over([beyond, near, best], TOLERANCE).poses == (best, beyond)
+
+
+def test_equal_rooms_share_what_there_is():
+    posterior = posterior_over([shifted(k, log_evidence=900.0) for k in range(3)], TOLERANCE)
+    np.testing.assert_allclose(posterior.probabilities, 1 / 3, rtol=1e-6)
+    there = posterior_over([WeighedPose(log_evidence=900.0)], TOLERANCE, 1.0, log_odds(900.0, 1.0, "map"))
+    assert there.best == pytest.approx(0.5)
+    assert there.elsewhere == there.rivals == there.best
+
+
+def test_without_a_pose_the_surveys_are_unrelated():
+    for poses in ([], [WeighedPose(log_evidence=-np.inf, misfit=np.inf)]):
+        posterior = posterior_over(poses, TOLERANCE)
+        assert (posterior.poses, posterior.best, posterior.rivals, posterior.null) == ((), 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_chance_is_improbable_and_clear_evidence_is_not(kind):
+    """The ends of the scale, whatever is fitted between them."""
+
+    def probability(e, misfit=1.0):
+        return posterior_over([WeighedPose(log_evidence=e, misfit=misfit, kind=kind)], TOLERANCE).best
+
+    assert probability(-20.0) < 0.01
+    assert probability(0.0) < 0.9
+    assert probability(15.0, misfit=30.0) < 0.99
+    assert probability(60.0) > 0.99
+    assert probability(150.0, misfit=0.6) > 0.9999
+
+
+def test_what_is_fitted_knows_every_kind_and_saturates():
+    numbers = fitted()
+    assert set(numbers.offset) == set(KINDS)
+    # Twice as much of clear evidence is less than twice the log odds.
+    for kind in KINDS:
+        assert log_odds(400.0, 1.0, kind) < 2 * log_odds(200.0, 1.0, kind)
+    with pytest.raises(ValueError, match="saturation"):
+        Fitted(scale=1.0, saturation=0.0, dispersion=1.0, offset={"map": 0.0, "walk": 0.0})

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Each remedy where it helps, and none where the answer needs none."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.registration.advice import remedy, with_advice
+from magmatch.registration.prepared.pose_prior import PosePriorConfig
+from magmatch.registration.result import RegistrationResult, Status
+
+EARTH = np.array([18e-6, 3e-6, -45e-6])
+ANY_POSE, UPRIGHT = PosePriorConfig(), PosePriorConfig(is_gravity_aligned=True)
+
+
+def survey(height=2.0, wild=5e-6, n=200, seed=0):
+    """Of a box so high, 4 m by 3 m."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-0.5, 0.5, (n, 3)) * [4.0, 3.0, height]
+    return Survey(x, EARTH + wild * rng.standard_normal((n, 3)))
+
+
+def turning(one):
+    """The same, read in the axes of a sensor that turns."""
+    turns = Rotation.random(len(one), random_state=np.random.default_rng(1))
+    return replace(one, field=turns.apply(one.field))
+
+
+ROOM, FLAT = survey(), survey(height=0.02)
+
+
+@pytest.mark.parametrize("side", ["base", "target"])
+@pytest.mark.parametrize("plain", [ROOM, FLAT])
+def test_vectors_that_point_every_way_ask_for_the_sensors_axes_of_the_side_they_are_of(side, plain):
+    pair = {"base": plain, "target": plain} | {side: turning(plain)}
+    said = remedy(pair["base"], pair["target"], ANY_POSE)
+    assert f"--{side}-field-frame sensor" in said
+    assert f"the {side}'s vectors" in said
+    assert "--gravity-aligned" not in said
+
+
+def test_of_two_such_surveys_the_base_is_named_first():
+    assert "--base-field-frame sensor" in remedy(turning(ROOM), turning(ROOM), ANY_POSE)
+
+
+def test_two_flat_surveys_ask_whether_z_is_up_where_that_is_not_said():
+    assert "--gravity-aligned" in remedy(FLAT, FLAT, ANY_POSE)
+    assert "both surveys are flat" in remedy(FLAT, FLAT, ANY_POSE)
+    for base, target, prior in ((FLAT, FLAT, UPRIGHT), (ROOM, FLAT, ANY_POSE), (FLAT, ROOM, ANY_POSE)):
+        assert "flat" not in remedy(base, target, prior)
+
+
+def test_flatness_is_of_the_survey_and_not_of_its_axes():
+    T = RigidTransform.from_components([30.0, -5.0, 2.0], Rotation.from_rotvec([0.4, 0.9, -0.3]))
+    assert remedy(FLAT.transformed(T), FLAT, ANY_POSE) == remedy(FLAT, FLAT, ANY_POSE)
+    assert remedy(ROOM.transformed(T), ROOM, ANY_POSE) == remedy(ROOM, ROOM, ANY_POSE)
+
+
+def test_else_more_survey_or_a_better_known_pose_helps():
+    said = remedy(ROOM, ROOM, ANY_POSE)
+    assert "survey more" in said
+    # What a disturbed place does to vectors is no turning sensor.
+    assert remedy(survey(wild=15e-6), ROOM, ANY_POSE) == said
+
+
+def test_an_inconsistent_answer_gets_one_clause_more_and_three_sentences_at_most():
+    reason = "probably different places: the best pose has probability 0.2 (3 nats of evidence, 18 are needed)"
+    answer = RegistrationResult(Status.INCONSISTENT, reason, None, probability=0.2)
+    for base, prior in ((ROOM, ANY_POSE), (FLAT, ANY_POSE), (turning(ROOM), ANY_POSE), (FLAT, UPRIGHT)):
+        advised = with_advice(answer, base, base, prior)
+        assert advised.reason == f"{reason}; {remedy(base, base, prior)}"
+        assert len([s for s in re.split(r"[.;!?](?:\s|$)", advised.reason) if s]) <= 3
+        assert (advised.status, advised.probability) == (answer.status, answer.probability)
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.INCONSISTENT])
+def test_any_other_answer_is_left_as_it_is(status):
+    answer = RegistrationResult(status, "so it is", None)
+    assert with_advice(answer, turning(ROOM), ROOM, ANY_POSE) is answer

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a walk's pose is stated with: the whole of its frame may be off, whatever its residuals show."""
+
+import numpy as np
+
+from hand_made import prepared_map, some_field
+from magmatch.geometry import random_transform
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.walk_index import WalkIndex
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.strategy import Pair
+from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch.registration.weigh.line_evidence import LineEvidence
+
+RNG = np.random.default_rng(0)
+T_BASE, T_WALK, T_POSE = (random_transform(RNG) for _ in range(3))
+POSITIONS = RNG.normal(size=(20, 3))
+WALK = Walk(T_WALK, POSITIONS, np.ones((20, 3)), np.ones(20), pose_sd=0.02)
+LEARNED = PathNoise(0.4e-6, 0.8, 0.2e-6, 0.2e-6, 1.0, 0.8, 0.005, 0.01, 3.0, spread=0.4, n_stretches=9)
+SD = np.array([0.01, 0.012, 0.008, 0.05, 0.04, 0.06])
+BEST = LineEvidence(
+    T_POSE, POSITIONS.mean(axis=0), np.diag(SD**2), overlap=0.75, log_evidence=60.0, attainable=80.0, misfit=1.3,
+    is_covered=np.arange(20) < 15,
+)  # fmt: skip
+STRATEGY = WalkStrategy(None, None, RegistrationConfig(), 0, lambda: None)
+PAIR = Pair(
+    WalkIndex(prepared_map(some_field(1), POSITIONS), 2.0, LEARNED, None), WALK, PosePrior(1.0), 2.0, T_BASE, T_WALK
+)
+
+
+def test_a_walks_pose_is_said_between_the_surveys_frames_and_is_as_unsure_as_its_frame():
+    estimate, support = STRATEGY.state(PAIR, BEST)
+    T = T_BASE * T_POSE * T_WALK.inv()
+    np.testing.assert_allclose(estimate.T_base_target.as_matrix(), T.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(estimate.center, T_WALK.apply(BEST.center), atol=1e-12)
+    whole = np.diag(SD**2 + [0, 0, 0, 0.02**2, 0.02**2, 0.02**2])
+    R = np.kron(np.eye(2), T_WALK.rotation.as_matrix())
+    np.testing.assert_allclose(estimate.covariance, R @ whole @ R.T, atol=1e-12)
+    assert (support.residual, support.n_inliers) == (1.3, 15)
+    np.testing.assert_allclose(support.links.base, T.apply(support.links.target), atol=1e-12)
+
+
+def test_along_a_path_settling_leaves_a_pose_as_it_was_weighed():
+    stated, settled = STRATEGY.state(PAIR, BEST)[0], STRATEGY.settle(PAIR, BEST)[0]
+    np.testing.assert_array_equal(settled.covariance, stated.covariance)
+    np.testing.assert_array_equal(settled.T_base_target.as_matrix(), stated.T_base_target.as_matrix())
