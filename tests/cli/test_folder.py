@@ -87,6 +87,7 @@ def test_a_rough_pose_of_a_result_is_taken_and_kept_in_the_settings(place, run):
         (("--prior-pose-sd", "1,10"), "--prior-pose"),
         (("--gravity-sd", "1"), "--gravity-aligned"),
         (("--gravity-aligned", "--preset", "paper"), "keypoints"),
+        (("--planar", "--preset", "paper"), "keypoints"),
     ],
 )
 def test_priors_that_say_nothing_are_refused_in_one_line(place, run, words, named):

@@ -12,7 +12,12 @@ if TYPE_CHECKING:
 
 
 def with_prior(
-    config: "RegistrationConfig", pose: str | None, pose_sd: str | None, is_aligned: bool, gravity_sd: float | None
+    config: "RegistrationConfig",
+    pose: str | None,
+    pose_sd: str | None,
+    is_aligned: bool,
+    gravity_sd: float | None,
+    is_planar: bool,
 ) -> "RegistrationConfig":
     """Put what is known of the pose into the settings."""
     from math import radians
@@ -28,15 +33,17 @@ def with_prior(
         if metres <= 0 or not 0 < degrees <= 180:
             refuse("--prior-pose-sd", "metres above 0 and degrees from 0 to 180", pose_sd)
         said |= {"sd_translation": metres, "sd_rotation": radians(degrees)}
-    if gravity_sd is not None and not (is_aligned or config.prior.is_gravity_aligned):
-        msg = "--gravity-sd: say --gravity-aligned too"
+    known = is_aligned or is_planar or config.prior.is_gravity_aligned or config.prior.is_planar
+    if gravity_sd is not None and not known:
+        msg = "--gravity-sd: say --gravity-aligned or --planar too"
         raise ConfigurationError(msg)
     said |= {"is_gravity_aligned": True} if is_aligned else {}
+    said |= {"is_planar": True} if is_planar else {}
     said |= {} if gravity_sd is None else {"gravity_sd": radians(gravity_sd)}
     if not said:
         return config
     if config.search == "keypoints":
-        msg = "--prior-pose and --gravity-aligned: these settings search by keypoints, which take no prior"
+        msg = "--prior-pose, --gravity-aligned and --planar: these settings search by keypoints, which take no prior"
         raise ConfigurationError(msg)
     return type(config).model_validate(config.model_dump() | {"prior": config.prior.model_dump() | said})
 

@@ -32,6 +32,7 @@ EXAMPLES = (
     "magmatch register monday.bag tuesday.mcap --target-pose-topic /slam/pose",
     "magmatch register room.map target.csv --preset paper --json > result.json",
     "magmatch register hall.map robot.csv --gravity-aligned --prior-pose 3,1.5,0,0,0,0,1 --prior-pose-sd 2,30",
+    "magmatch register floor.map robot.csv --planar",
     "magmatch register base.csv target.csv --min-probability 0.999 --max-sd 0.05,1",
     "magmatch register buildings/ walk.csv   # which of the maps in this folder, and where in it",
 )
@@ -62,6 +63,12 @@ def register(
     gravity_aligned: Annotated[
         bool, typer.Option("--gravity-aligned", help="z points up in both surveys: search position and heading only.")
     ] = False,
+    planar: Annotated[
+        bool,
+        typer.Option(
+            "--planar", help="As --gravity-aligned, and heights are the same: search x, y and heading only."
+        ),
+    ] = False,
     gravity_sd: Annotated[
         float | None, typer.Option(help="Accuracy of that, degrees.  [default: 0.6]", min=0.001, max=45)
     ] = None,
@@ -88,7 +95,7 @@ def register(
     """
     with_help()
     settings = registration_config(preset, config, sensor)
-    settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd)
+    settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd, planar)
     settings = with_limits(settings, min_probability, max_sd)
     check_outputs((out, report), inputs=[path for path in (base, target, config) if path])
     if report is not None:

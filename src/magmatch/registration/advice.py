@@ -32,8 +32,10 @@ def remedy(base: Survey, target: Survey, prior: PosePriorConfig) -> str:
                 f"the {side}'s vectors point every way, as those of a sensor do that turns: if they are in its axes, "
                 f"say --{side}-field-frame sensor and give orientations"
             )
-    if not prior.is_gravity_aligned and _is_flat(base) and _is_flat(target):
-        return "both surveys are flat: if z is up in both, say --gravity-aligned, which leaves less to chance"
+    if not (prior.is_gravity_aligned or prior.is_planar) and _is_flat(base) and _is_flat(target):
+        return (
+            "both surveys are flat: if z is up in both, say --gravity-aligned (--planar if heights are the same too)"
+        )
     return "if they do share a region, survey more of it, or say what is known of the pose (--gravity-aligned)"
 
 

@@ -15,7 +15,7 @@ from magmatch.registration.decide.support import Support, support_of_map
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import as_map
 from magmatch.registration.prepared.pose_prior import pose_prior
-from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, prepare
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range, prepare
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.strategy import Pair, Weighed
@@ -59,7 +59,7 @@ class MapStrategy:
     def pair_with(self, base: PreparedMap, volume: float) -> MapPair:
         """Pair the target with a base that was prepared; the prior covers a volume, m^3."""
         frames = base.T_map_model, self.prepared.T_map_model
-        prior = pose_prior(self.config.prior, *frames, volume)
+        prior = pose_prior(self.config.prior, *frames, volume, height_range(base))
         return Pair(base, self.prepared, prior, common_length(base, self.prepared), *frames)
 
     def search(self, pair: MapPair) -> SearchResult:
@@ -75,8 +75,12 @@ class MapStrategy:
         return Weighed(self, pair, found, ranked)
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:
-        """As its cells show it."""
+        """As its cells show it, and what is known beforehand."""
         estimate = pair.estimate(pose)
+        if pose.covariance is not None and not pair.prior.is_flat:
+            T, covariance = pair.prior.combined(pose.T_base_target, pose.center, pose.covariance)
+            pose = replace(pose, pose=replace(pose.pose, T_base_target=T), covariance=covariance)
+            estimate = pair.estimate(pose)
         return estimate, support_of_map(pair.base, pair.target, pose, estimate.T_base_target)
 
     def settle(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:

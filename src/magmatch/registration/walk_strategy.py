@@ -17,6 +17,7 @@ from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.pose_prior import pose_prior
+from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.pair_search import pair_search
@@ -49,7 +50,8 @@ class WalkStrategy:
         walk = walk_of(self.samples, self.length or walks.length)
         volume = index.base.raster.volume if volume is None else volume
         frames = index.base.T_map_model, walk.T_survey_walk
-        return Pair(walks, walk, pose_prior(self.config.prior, *frames, volume), walks.length, *frames)
+        prior = pose_prior(self.config.prior, *frames, volume, height_range(index.base))
+        return Pair(walks, walk, prior, walks.length, *frames)
 
     def search(self, pair: WalkPair) -> SearchResult:
         """Poses under which pairs of points agree."""

@@ -190,3 +190,73 @@ def test_densities_pay_for_all_poses_for_turns_about_the_vertical_or_for_a_rough
     leaning = T * RigidTransform.from_rotation(Rotation.from_rotvec([0.02, 0.0, 0.0]))
     chi2 = np.sum((leaning.rotation.inv().apply(upright.up_base) - upright.up_target) ** 2) / 0.02**2
     assert upright.log_density(leaning, CENTER) == pytest.approx(at_best - 0.5 * chi2)
+
+
+def planar_prior(seed):
+    rng = np.random.default_rng(seed)
+    A, B = random_transform(rng), random_transform(rng)
+    T = RigidTransform.from_components([1.0, 2.0, 0.0], Rotation.from_euler("z", 0.7))
+    config = PosePriorConfig(is_planar=True, height_sd=0.1, gravity_sd=0.02)
+    return A.inv() * T * B, pose_prior(config, A, B, 20.0, 3.0), B.inv()
+
+
+def test_planar_surveys_share_their_heights_and_their_vertical_whatever_their_model_frames():
+    for seed in range(3):
+        T, prior, to_model = planar_prior(seed)
+        center = to_model.apply(CENTER)
+        assert prior.rows(T, center)[2] == pytest.approx(0.0, abs=1e-18)
+        raised = T * to_model * RigidTransform.from_translation([0.3, -0.4, 0.2]) * to_model.inv()
+        assert prior.rows(raised, center)[2] == pytest.approx((0.2 / 0.1) ** 2)
+        assert not prior.admits(raised.rotation.as_matrix()[None], raised.apply(center)[None] + 9, center, (0.1, 0.1))
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_the_gradient_knows_of_heights(seed):
+    T, prior, _ = planar_prior(seed)
+    T = T * about(np.random.default_rng(seed), turn=0.01, shift=0.1)
+    slope, step = prior.rows(T, CENTER)[1], 1e-6
+    half = [
+        [prior.rows(T * perturbation(sign * step * e, CENTER), CENTER)[2] / 2 for sign in (1, -1)] for e in np.eye(6)
+    ]
+    found = [(up - down) / (2 * step) for up, down in half]
+    np.testing.assert_allclose(slope, found, rtol=0.01, atol=0.01 * max(1.0, np.abs(slope).max()))
+
+
+@pytest.mark.parametrize("kind", ["pose", "gravity", "planar"])
+def test_the_mean_density_over_a_pose_s_spread_is_that_of_many_draws(kind):
+    rng = np.random.default_rng(8)
+    T, prior = planar_prior(3)[:2] if kind == "planar" else some_prior(7, has_pose=kind == "pose", is_aligned=True)
+    if kind == "gravity":
+        T = RigidTransform.from_rotation(_upright(prior))
+    T = T * about(rng, turn=0.01, shift=0.05)
+    sd = np.array([0.012, 0.02, 0.015, 0.06, 0.1, 0.08])
+    M = np.linalg.qr(rng.standard_normal((6, 6)))[0] * 0.2 + np.eye(6)
+    C = (M * sd) @ (M * sd).T
+    draws = rng.multivariate_normal(np.zeros(6), C, 20_000)
+    at = [prior.log_density(T * perturbation(xi, CENTER), CENTER) for xi in draws]
+    assert prior.log_density(T, CENTER, C) == pytest.approx(np.log(np.mean(np.exp(at))), abs=0.1)
+    assert prior.log_density(T, CENTER, 1e-12 * C) == pytest.approx(prior.log_density(T, CENTER), abs=1e-6)
+
+
+def test_data_and_prior_meet_where_their_information_says():
+    """Against a dense Gaussian product: the data's mean is xi = 0, the prior's where its residual vanishes."""
+    T, prior, _ = planar_prior(5)
+    T = T * about(np.random.default_rng(1), turn=0.004, shift=0.02)
+    C = np.diag([0.02, 0.01, 0.03, 0.1, 0.2, 0.15]) ** 2
+    A, v, _ = prior.rows(T, CENTER)
+    both, spread = prior.combined(T, CENTER, C)
+    np.testing.assert_allclose(spread, np.linalg.inv(np.linalg.inv(C) + A), rtol=1e-8, atol=1e-14)
+    xi = -np.linalg.inv(np.linalg.inv(C) + A) @ v
+    np.testing.assert_allclose(both.as_matrix(), (T * perturbation(xi, CENTER)).as_matrix(), atol=1e-12)
+    assert prior.rows(both, CENTER)[2] < prior.rows(T, CENTER)[2]
+
+
+def test_what_is_known_of_the_vertical_reaches_pose_and_covariance(pair):
+    """A vertical known to a hundredth of a degree leaves no more tilt than that, and the covariance says so."""
+    base, target, _ = pair
+    free, tight = registered(base, target), registered(base, target, is_gravity_aligned=True, gravity_sd=1e-5)
+    tilts = [float(np.arccos(np.clip(r.T_base_target.rotation.apply([0, 0, 1])[2], -1, 1))) for r in (free, tight)]
+    assert tilts[1] < 5e-5 < tilts[0]
+    assert np.sqrt(np.diag(tight.covariance)[:2]).max() < 2e-5
+    assert tight.probability >= free.probability

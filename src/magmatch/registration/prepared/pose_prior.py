@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import rotation_matrix, skew
-from magmatch.typing import Indices, Mask, Matrix, Points, Tensors, Vector3
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Tensors, Vector3
 
 # Standard deviations within which a pose must lie to be searched.
 REACH = 3.5
@@ -40,6 +40,9 @@ class PosePriorConfig(BaseModel):
     is_gravity_aligned: bool = False
     # How well it does, per axis (rad): a good accelerometer at rest, or a robot's floor.
     gravity_sd: float = Field(default=0.01, gt=0)
+    # Whether heights are the same in both surveys' frames too, as on one floor, and how well (m).
+    is_planar: bool = False
+    height_sd: float = Field(default=0.05, gt=0)
 
     @field_validator("pose")
     @classmethod
@@ -71,6 +74,11 @@ class PosePrior:
     up_base, up_target : (3,) arrays or None
         The vertical in either model frame.
     gravity_sd : float, rad
+    height : float or None, m
+        By how much more a point's coordinate along the vertical is in the base's model frame than in the target's,
+        where heights are the same in the surveys' frames.
+    height_sd, height_range : float, m
+        How well it is, and over what heights the target might lie were it not known.
     """
 
     volume: float
@@ -79,14 +87,17 @@ class PosePrior:
     up_base: Vector3 | None = None
     up_target: Vector3 | None = None
     gravity_sd: float = 0.01
+    height: float | None = None
+    height_sd: float = 0.05
+    height_range: float = 1.0
 
     @property
     def is_flat(self) -> bool:
         """Whether any pose in the region is as likely as any other."""
         return self.T_base_target is None and self.up_base is None
 
-    def log_density(self, T: RigidTransform, center: Vector3) -> float:
-        """Natural logarithm of the prior at a pose, per m^3 and rad^3.
+    def log_density(self, T: RigidTransform, center: Vector3, covariance: Covariance6 | None = None) -> float:
+        """Natural logarithm of the prior, per m^3 and rad^3, at a pose or on average over its covariance.
 
         Parameters
         ----------
@@ -94,6 +105,8 @@ class PosePrior:
             Model frame to model frame.
         center : (3,) array, m
             Middle of the target.
+        covariance : (6, 6) array, optional
+            Of xi in ``T Exp(xi)`` about the centre; none where not given.
 
         Returns
         -------
@@ -102,10 +115,30 @@ class PosePrior:
         volume = max(self.volume, np.finfo(float).tiny)
         if self.is_flat:
             return float(-np.log(volume * 8 * np.pi**2))
-        A, _, chi2 = self.rows(T, center)
+        A, v, chi2 = self.rows(T, center)
         if self.T_base_target is not None:
-            return float(0.5 * np.linalg.slogdet(A / (2 * np.pi))[1] - 0.5 * chi2)
-        return float(-np.log(volume * 2 * np.pi) - np.log(2 * np.pi * self.gravity_sd**2) - 0.5 * chi2)
+            log_norm = 0.5 * np.linalg.slogdet(A / (2 * np.pi))[1]
+        else:
+            log_norm = -np.log(volume * 2 * np.pi) - np.log(2 * np.pi * self.gravity_sd**2)
+            if self.height is not None:
+                log_norm += np.log(self.height_range / self.height_sd) - 0.5 * np.log(2 * np.pi)
+        if covariance is not None:
+            # The mean of exp(-chi^2 / 2) over the estimate's spread.
+            spread = np.eye(6) + covariance @ A
+            chi2 -= float(v @ np.linalg.solve(spread, covariance @ v))
+            log_norm -= 0.5 * np.linalg.slogdet(spread)[1]
+        return float(log_norm - 0.5 * chi2)
+
+    def combined(
+        self, T: RigidTransform, center: Vector3, covariance: Covariance6
+    ) -> tuple[RigidTransform, Covariance6]:
+        """A pose that the data alone give, with its covariance, and what is known beforehand: the mean of both."""
+        A, v, _ = self.rows(T, center)
+        both = np.linalg.solve(np.eye(6) + covariance @ A, covariance)
+        both = (both + both.T) / 2
+        xi = -both @ v
+        turn = Rotation.from_rotvec(xi[:3])
+        return T * RigidTransform.from_components(center + xi[3:] - turn.apply(center), turn), both
 
     def rows(self, T: RigidTransform, center: Vector3) -> tuple[Matrix, np.ndarray, float]:
         """Information of the prior on the perturbation ``T Exp(xi)`` about a centre.
@@ -133,6 +166,12 @@ class PosePrior:
             A[:3, :3] += J.T @ J
             v[:3] += J.T @ r / self.gravity_sd
             chi2 += float(r @ r) / self.gravity_sd**2
+            if self.height is not None:
+                h = (float(T.apply(center) @ self.up_base - center @ self.up_target) - self.height) / self.height_sd
+                slope = np.concatenate([np.zeros(3), seen]) / self.height_sd
+                A += np.outer(slope, slope)
+                v += slope * h
+                chi2 += h * h
         if self.T_base_target is not None and self.sd is not None:
             difference = self.T_base_target.inv() * T
             turn = difference.rotation.as_rotvec()
@@ -169,6 +208,9 @@ class PosePrior:
         if self.up_base is not None:
             tilt = np.arccos(np.clip((R @ self.up_target) @ self.up_base, -1.0, 1.0))
             is_admitted &= tilt < REACH * np.hypot(self.gravity_sd, slack[0])
+            if self.height is not None:
+                off = np.abs(moved @ self.up_base - center @ self.up_target - self.height)
+                is_admitted &= off < REACH * np.hypot(self.height_sd, slack[1])
         if self.T_base_target is not None and self.sd is not None:
             turn = self.T_base_target.rotation.inv() * Rotation.from_matrix(R)
             apart = np.abs(moved - self.T_base_target.apply(center)).max(axis=1)
@@ -239,10 +281,16 @@ class PosePrior:
 
 
 def pose_prior(
-    config: PosePriorConfig, T_base_model: RigidTransform, T_target_model: RigidTransform, volume: float
+    config: PosePriorConfig,
+    T_base_model: RigidTransform,
+    T_target_model: RigidTransform,
+    volume: float,
+    height_range: float = 1.0,
 ) -> PosePrior:
     """State a prior between the model frames of two surveys."""
-    T, is_aligned = config.transform(), config.is_gravity_aligned
+    T, is_aligned = config.transform(), config.is_gravity_aligned or config.is_planar
+    # The same height between survey frames: h_base + z_base = h_target + z_target.
+    height = float(T_target_model.translation[2] - T_base_model.translation[2]) if config.is_planar else None
     return PosePrior(
         volume=volume,
         T_base_target=None if T is None else T_base_model.inv() * T * T_target_model,
@@ -250,4 +298,7 @@ def pose_prior(
         up_base=T_base_model.rotation.inv().apply(UP) if is_aligned else None,
         up_target=T_target_model.rotation.inv().apply(UP) if is_aligned else None,
         gravity_sd=config.gravity_sd,
+        height=height,
+        height_sd=config.height_sd,
+        height_range=height_range,
     )

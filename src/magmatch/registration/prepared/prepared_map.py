@@ -141,6 +141,11 @@ def common_length(base: PreparedMap, target: PreparedMap) -> float:
     return min(base.correlation_length, target.correlation_length)
 
 
+def height_range(base: PreparedMap) -> float:
+    """Over what heights of its survey frame a map knows the field, m."""
+    return float(np.ptp(base.T_map_model.apply(base.samples)[:, 2]) + base.correlation_length)
+
+
 def correlation_length_of(values: FieldValues) -> float:
     """Distance over which a field changes by as much as it varies: its spread over its gradient."""
     deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)

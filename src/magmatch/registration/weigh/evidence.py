@@ -2,7 +2,7 @@
 """What a pose is judged by: cells of the target that agree or disagree with the base's field."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -30,7 +30,7 @@ class PoseEvidence:
     Attributes
     ----------
     covariance : (6, 6) array or None
-        About the pose's centre, target's model axes: as far as the fields' comparison leaves the pose free.
+        About the pose's centre, target's model axes: as far as the fields' comparison alone leaves the pose free.
     overlap : float
         Share of the target's samples where the base knows the field.
     n_informative, n_good : int
@@ -143,7 +143,9 @@ def weigh_pose(
     if change is not None:
         field = field - change.field
     seen = compare_cells(base, target, pose.T_base_target, field, null_model)
-    joint = joint_covariance(pose, 2 * common_length(base, target))
+    # What the fields say alone: correlated residuals would outweigh in the curvature what is known beforehand.
+    side, alone = 2 * common_length(base, target), replace(pose, prior_information=np.zeros((6, 6)))
+    joint = joint_covariance(alone, side)
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
@@ -161,7 +163,7 @@ def weigh_pose(
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
     is_informative = n2 > 9 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
-    price = _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center))
+    price = _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center, covariance))
     return PoseEvidence(
         pose,
         covariance,
