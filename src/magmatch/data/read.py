@@ -14,12 +14,12 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.mat import read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import Sensor
-from magmatch.data.formats.phones.read import read_phone_recording
+from magmatch.data.formats.phones.read import read_phone_log, read_phone_recording
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
 from magmatch.data.survey import Survey
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, SurveyError
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
@@ -79,6 +79,22 @@ def read_survey_and_channels(
     survey, used = _joined(recording, layout)
     survey = _checked(path, replace(survey, name=Path(path).name), used)
     return survey, recording.channels.at(survey.times, len(survey))
+
+
+def read_raw_magnetometer(path: str | Path, format: SurveyFormat | None = None) -> Survey | None:
+    """Read what a phone's magnetometer says without the phone's own calibration; None unless a log holds both."""
+    layout = format or SurveyFormat()
+    if sniff(path) != "phone" or layout.columns:
+        return None
+    if len(read_phone_log(path, ("field", "raw_field"), recover=layout.recover).streams) < 2:
+        return None
+    survey, used = _read_phone(path, layout, "raw_field")
+    try:
+        check_survey(replace(survey, name=str(path)), used)
+    except SurveyError as error:
+        logger.warning("%s; its readings without the phone's own calibration are left aside", error)
+        return None
+    return replace(survey, name=Path(path).name)
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:

@@ -93,12 +93,13 @@ def _column(path: Path, name: str, array: np.ndarray) -> Scalars:
         raise DataFormatError(path, message, column=what)
     if not mark and array.size == max(array.shape, default=1):
         return array.reshape(-1).astype(np.float64)
-    rows = np.atleast_2d(array) if array.ndim == 2 else array.reshape(1, -1)
+    rows = array if array.ndim == 2 else array.reshape(1, -1)
     rows = rows if rows.shape[0] <= rows.shape[1] else rows.T
     if not number.isdecimal() or not 1 <= int(number) <= len(rows):
         example = f"{what}:1" + (f" to {what}:{len(rows)}" if len(rows) > 1 else "")
         raise DataFormatError(path, f"expected one column of {_shape(array)}, {example}; found '{name}'", column=what)
-    return rows[int(number) - 1].astype(np.float64)
+    column: Scalars = rows[int(number) - 1].astype(np.float64)
+    return column
 
 
 def _shape(array: np.ndarray) -> str:

@@ -26,9 +26,9 @@ def attitude(rate: Vectors, acceleration: Vectors, config: OdometryConfig) -> Ro
 
     Notes
     -----
-    VQF without its magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of the
-    gyroscope is learned at rest only: learned while walking it took in the swing of the arm, which made the paths of the
-    IPIN logs two to four times worse.
+    VQF without its magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of
+    the gyroscope is learned at rest only: learned while walking it takes in the swing of the arm, which made paths of
+    the IPIN logs two to four times worse.
     """
     vqf = import_extra("vqf", "dead reckoning", "odometry")
     settings = {

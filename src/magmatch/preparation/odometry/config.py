@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Settings of dead reckoning; those with a number from data were chosen on routes 1 to 3 of the IPIN 2023 training logs."""
+"""Settings of dead reckoning; those marked IPIN were chosen on routes 1 to 3 of its training logs of 2023."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -11,8 +11,8 @@ class OdometryConfig(BaseModel):
 
     # Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.
     rate: float = Field(default=100.0, ge=20, le=1000)
-    # Rest, at which the gyroscope's bias is learned: turning and acceleration within these (deg/s, m/s^2) of their slow
-    # parts. A phone held still in a hand trembles by 2 to 4 deg/s (IPIN), so that VQF's 2 deg/s never hold.
+    # Rest, at which the gyroscope's bias is learned: turning and acceleration within these (deg/s, m/s^2) of their
+    # slow parts. A phone held still in a hand trembles by 2 to 4 deg/s (IPIN), so that VQF's 2 deg/s never hold.
     rest_turning_deg: float = Field(default=6.0, gt=0)
     rest_acceleration: float = Field(default=1.0, gt=0)
     # How well one such rest tells the bias, deg/s: the hand itself turns (IPIN; VQF's 0.03 are for a table).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The tables of a phone's export, in a folder or a zip archive: nothing is unpacked to the disk, sizes are bounded."""
+"""Tables of a phone's export in a folder or a zip archive: sizes are bounded, nothing is unpacked to the disk."""
 
 import zipfile
 from collections.abc import Callable, Collection, Iterable, Iterator

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Text logs of GetSensorData (LOPSI, CAR-CSIC): rows such as ``MAGN;app s;sensor s;x;y;z;accuracy`` under ``%`` lines."""
+"""Text logs of GetSensorData (LOPSI, CAR-CSIC): rows ``MAGN;app s;sensor s;x;y;z;accuracy`` under ``%`` lines."""
 
 import re
 from collections.abc import Collection, Mapping

@@ -92,7 +92,7 @@ class PhoneLog:
         return self.streams[sensor]
 
     def acceleration(self, what_for: str) -> Stream:
-        """What the accelerometer feels, gravity with it, m/s^2; put together from parts where the app took it apart."""
+        """What the accelerometer feels, gravity with it, m/s^2; the sum of both where the app took them apart."""
         found = self.streams.get("acceleration")
         if found is None and {"linear_acceleration", "gravity"} <= self.streams.keys():
             linear, gravity = self.streams["linear_acceleration"], self.streams["gravity"]

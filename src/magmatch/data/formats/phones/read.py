@@ -11,7 +11,7 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.phones.containers import opened_tables
 from magmatch.data.formats.phones.getsensordata import APP, is_getsensordata, read_getsensordata
-from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor
+from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import BROKEN_ZIP
@@ -49,7 +49,8 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
     """
     try:
         with opened_tables(path) as tables:
-            streams, apps = {}, []
+            streams: dict[Sensor, Stream] = {}
+            apps = []
             for place, read in tables.items():
                 hint = MEMBERS.get(stem_of(place.name))
                 if (hint and hint not in wanted) or set(wanted) <= streams.keys():
@@ -73,14 +74,17 @@ def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor 
     log = read_phone_log(path, (sensor or "field",), recover=layout.recover)
     if sensor is None and "field" not in log.streams:
         raw = read_phone_log(path, recover=layout.recover)
-        sensor, log = ("raw_field", raw) if "raw_field" in raw.streams else (None, raw)
-    if sensor == "raw_field":
-        logger.warning("%s: read without the phone's own calibration; expect an offset ('magmatch prepare')", path)
+        if "raw_field" in raw.streams:
+            sensor = "raw_field"
+            logger.warning(
+                "%s: read without the phone's own calibration; expect an offset ('magmatch prepare')", path
+            )
+        log = raw
     stream = log.require(sensor or "field", "a survey")
     if layout.trajectory is None:
         message = (
-            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum "
-            "('magmatch odometry' makes one from accelerometer and gyroscope)"
+            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"
+            " ('magmatch odometry' makes one from accelerometer and gyroscope)"
         )
         raise DataFormatError(path, message)
     return Recording(

@@ -90,8 +90,8 @@ def read_table_streams(
 def columns_of(names: list[str], stem: str) -> Columns | None:
     """What the columns of a table are, by their names (lower case) and the table's; None if it is no phone's."""
     if "seconds_elapsed" in names and "time" in names:
-        sensor = MEMBERS.get(stem) or ("linear_acceleration" if stem == "accelerometer" else "field")
-        return Columns("Sensor Logger", "time", {sensor: AXES})
+        of_table: Sensor = MEMBERS.get(stem) or ("linear_acceleration" if stem == "accelerometer" else "field")
+        return Columns("Sensor Logger", "time", {of_table: AXES})
     if _ANDROID_TIME in names:
         return _android(names, stem)
     sensors: dict[Sensor, tuple[str, ...]] = {}
@@ -139,7 +139,7 @@ def _variant(sensor: Sensor, words: str) -> Sensor:
 
 
 def ticks_per_second(app: str, times: Scalars) -> float:
-    """Unit of a table's times; Android's is told by how far apart they are (sensors read 1 to 1000 times a second)."""
+    """Unit of a table's times; Android's is told by how far apart they are, sensors reading at 1 to 1000 Hz."""
     if app == "phyphox" or len(times) < 2:
         return 1.0
     if app == "Sensor Logger":
