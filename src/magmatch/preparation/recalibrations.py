@@ -4,7 +4,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from magmatch.preparation.blocks import CHANNEL, PIECE
 from magmatch.preparation.calibration import Calibration
@@ -15,7 +15,8 @@ from magmatch.typing import Indices, Scalars, Vector3, Vectors
 
 # Readings to either side that a jump is held against, how many times it exceeds the largest change among them, and
 # the least of it. Phones waved about change by up to 12 uT from one reading to the next, and by as much beside it. In
-# the 20 IPIN logs three are found, of 58, 7 and 120 uT, each where the phone's own figure of accuracy changed too.
+# the 20 IPIN logs five are found, of 120, 58, 7, 6 and 5 uT: all but the fourth where the phone's own figure of
+# accuracy changed, which it did nine times.
 NEIGHBOURS, TIMES_LARGER, SMALLEST = 8, 3.0, 3e-6
 # How much of it must still be there after those readings: a spike goes back.
 LASTING = 0.5
@@ -69,8 +70,10 @@ def find_recalibrations(log: SensorLog) -> Recalibrations:
     n = len(log)
     if log.times is None or n < 4 * NEIGHBOURS:
         return NO_CUTS
-    # In the survey's frame, so that turning is no change of the field.
-    change = np.linalg.norm(np.diff(log.orientations.apply(log.readings), axis=0), axis=1)
+    # In the survey's frame, so that turning is no change of the field; walking changes it evenly.
+    changes = np.diff(log.orientations.apply(log.readings), axis=0)
+    changes = changes - median_filter(changes, size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
+    change = np.linalg.norm(changes, axis=1)
     before = maximum_filter1d(change, NEIGHBOURS, origin=NEIGHBOURS // 2 - 1, mode="constant", cval=np.inf)
     after = maximum_filter1d(change, NEIGHBOURS, origin=-(NEIGHBOURS // 2), mode="constant", cval=np.inf)
     beside = np.full(n - 1, np.inf)

@@ -1,37 +1,25 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""MATLAB files: named arrays of numbers as the columns of a survey (version 5 by SciPy, 7.3 by h5py)."""
+"""MATLAB files: named arrays of numbers as the columns of a survey (version 7.3 by h5py)."""
 
 import logging
-import math
-import struct
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
 
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.mat5 import FREE, MAX_BYTES, MAX_RATIO, Mat5
 from magmatch.data.survey import COLUMNS
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.text_rows import listed
-from magmatch.errors import DataFormatError, import_extra
+from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
-# Bounds, stated in docs/formats.md.
-MAX_BYTES, MAX_RATIO, FREE = 2 << 30, 200, 16 << 20
-PIECE = 1 << 20
-_HEADER, _TAG, _COMPRESSED = 128, 8, 15
-# All that SciPy and h5py raise over damaged files.
-_BROKEN = (
-    scipy.io.matlab.MatReadError, NotImplementedError, ValueError, TypeError, KeyError, IndexError, EOFError, OSError,
-    OverflowError, MemoryError, AttributeError, RuntimeError, struct.error, zlib.error,
-)  # fmt: skip
 _HINT = "say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 
 
@@ -46,9 +34,9 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
     with plain_file(path) as place:
         try:
             arrays = (_arrays_of_v5 if is_v5 else _arrays_of_hdf5)(place, {name.partition(":")[0] for name in known})
-        except _BROKEN as error:
-            if isinstance(error, DataFormatError):
-                raise
+        except MagmatchError:
+            raise
+        except Exception as error:  # h5py raises whatever it stumbles over
             words = " ".join(str(error).split())[:150]
             raise DataFormatError(place, f"is a damaged MATLAB file ({words})") from None
         lower = {name.lower(): name for name in arrays}
@@ -108,23 +96,13 @@ def _shape(array: np.ndarray) -> str:
 
 def _arrays_of_v5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
     """Arrays by the names by which they are wanted (dots lead into structures)."""
-    _bound_v5(path)
-    tops = {name.partition(".")[0] for name in wanted}
-    found = {name: math.prod(shape) for name, shape, _ in scipy.io.whosmat(path) if name.lower() in tops}
-    if not found:
-        return {}
-    for name, size in found.items():
-        _bound_array(path, name, size)
-    content = scipy.io.loadmat(path, variable_names=list(found), chars_as_strings=False)
-    return _walked(wanted, content, _v5_child)
+    content = dict(Mat5(path).variables({name.partition(".")[0] for name in wanted}))
 
+    def child(parent: Any, name: str) -> Any:
+        fields = parent if isinstance(parent, dict) else {}
+        return next((value for key, value in fields.items() if key.lower() == name), None)
 
-def _v5_child(parent: Any, name: str) -> Any:
-    """A variable, or a field of a structure."""
-    if isinstance(parent, dict):
-        return next((value for key, value in parent.items() if key.lower() == name), None)
-    field = next((key for key in parent.dtype.names or () if key.lower() == name), None)
-    return None if field is None or parent.size != 1 else parent[field].flat[0]
+    return _walked(wanted, content, child)
 
 
 def _walked(wanted: set[str], root: Any, child: Callable[[Any, str], Any]) -> dict[str, np.ndarray]:
@@ -162,10 +140,10 @@ def _names(path: Path, *, is_v5: bool) -> tuple[str, ...]:
     """What is there, for a message."""
     try:
         if is_v5:
-            return tuple(name for name, _, _ in scipy.io.whosmat(path))
+            return tuple(name for name, _ in Mat5(path).variables(()))
         with import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab").File(path, "r") as file:
             return tuple(file)
-    except _BROKEN:
+    except Exception:  # as above
         return ()
 
 
@@ -175,23 +153,3 @@ def _bound_array(path: Path, name: str, n_numbers: int) -> None:
     if n_numbers > most:
         message = f"declares {n_numbers} numbers in {path.stat().st_size} bytes, expected at most {most}"
         raise DataFormatError(path, message, column=name)
-
-
-def _bound_v5(path: Path) -> None:
-    """Refuse a file whose compressed variables unpack to more than such a file may hold."""
-    limit, total = min(MAX_BYTES, MAX_RATIO * path.stat().st_size + FREE), 0
-    with path.open("rb") as file:
-        order = ">" if file.read(_HEADER)[126:128] == b"MI" else "<"
-        while len(tag := file.read(_TAG)) == _TAG:
-            kind, n_bytes = struct.unpack(f"{order}II", tag)
-            start = file.tell()
-            if kind == _COMPRESSED:
-                unpacker, left = zlib.decompressobj(), n_bytes
-                while left > 0 and (piece := file.read(min(PIECE, left))):
-                    left -= len(piece)
-                    while piece and total <= limit:
-                        total += len(unpacker.decompress(piece, PIECE))
-                        piece = unpacker.unconsumed_tail
-                    if total > limit:
-                        raise DataFormatError(path, f"unpacks to more than {limit} bytes: refused as a zip bomb")
-            file.seek(start + n_bytes)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from magmatch.data.formats.phones.tables import MEMBERS, is_phone_header, stem_of
+from magmatch.data.formats.phones.tables import MEMBERS, says_its_sensor, stem_of
 from magmatch.data.tables.text import is_folder, read_bytes
 from magmatch.errors import DataFormatError
 
@@ -44,11 +44,11 @@ def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[
     tables = [name for name in names if name.lower().endswith((".csv", ".csv.gz")) and not is_hidden(name)]
     known = sorted((name for name in tables if stem_of(name) in MEMBERS), key=lambda n: (order.index(stem_of(n)), n))
     others = [name for name in tables if stem_of(name) not in MEMBERS and "meta" not in Path(name).parts]
-    return known + [name for name in others[:MAX_LOOKED_INTO] if _has_phone_header(head_of(name))]
+    return known + [name for name in others[:MAX_LOOKED_INTO] if _says_its_sensor(name, head_of(name))]
 
 
-def _has_phone_header(head: bytes) -> bool:
-    return is_phone_header(head.decode("utf-8-sig", "replace").partition("\n")[0].strip())
+def _says_its_sensor(name: str, head: bytes) -> bool:
+    return says_its_sensor(head.decode("utf-8-sig", "replace").partition("\n")[0].strip(), stem_of(name))
 
 
 def is_hidden(name: str) -> bool:

@@ -60,6 +60,12 @@ def is_phone_header(line: str) -> bool:
     return bool(line) and columns_of(_cells(line), "") is not None
 
 
+def says_its_sensor(line: str, stem: str) -> bool:
+    """Whether header and name of a table among others say that it is one of a sensor known here."""
+    columns = columns_of(_cells(line), stem) if line else None
+    return columns is not None and bool(columns.app == "phyphox" or columns.tag or sensor_named(stem))
+
+
 def read_table_streams(
     place: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool
 ) -> tuple[str, dict[Sensor, Stream]]:
@@ -90,7 +96,9 @@ def read_table_streams(
 def columns_of(names: list[str], stem: str) -> Columns | None:
     """What the columns of a table are, by their names (lower case) and the table's; None if it is no phone's."""
     if "seconds_elapsed" in names and "time" in names:
-        of_table: Sensor = MEMBERS.get(stem) or ("linear_acceleration" if stem == "accelerometer" else "field")
+        of_table: Sensor = MEMBERS.get(stem) or (
+            "linear_acceleration" if stem == "accelerometer" else sensor_named(stem) or "field"
+        )
         return Columns("Sensor Logger", "time", {of_table: AXES})
     if _ANDROID_TIME in names:
         return _android(names, stem)
