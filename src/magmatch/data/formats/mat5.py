@@ -40,16 +40,16 @@ class Mat5:
                 if len(tag) < 8:
                     self._refuse("ends within a variable: cut off?")
                 kind, size = struct.unpack(self._order + "II", tag)
-                data = file.read(size)
+                data = memoryview(file.read(size))
                 if len(data) < size:
                     self._refuse("ends within a variable: cut off?")
                 if kind == _COMPRESSED:
                     kind, data = self._element(memoryview(self._expanded(data)), 0)[:2]
                 if kind == _MATRIX:
-                    name, content = self._matrix(memoryview(data), 0, wanted)
+                    name, content = self._matrix(data, 0, wanted)
                     yield name, content
 
-    def _expanded(self, data: bytes) -> bytes:
+    def _expanded(self, data: memoryview) -> bytes:
         """A compressed variable."""
         unpacker = zlib.decompressobj()
         try:
