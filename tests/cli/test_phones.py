@@ -73,12 +73,17 @@ def test_odometry_then_prepare_makes_a_survey(export, tmp_path, run):
     assert len(read_survey(tmp_path / "walk.csv")) > 1000
 
 
-def test_info_of_a_phone_without_poses_says_where_they_come_from(export, run):
+def test_info_names_the_sensors_and_says_where_poses_come_from(export, run):
     outcome = run("info", export)
-    assert outcome.code == 2
-    assert outcome.err.count("\n") == 1
-    assert "--trajectory" in outcome.err
-    assert "magmatch odometry" in outcome.err
+    assert outcome.code == 0
+    assert "Sensor Logger" in outcome.out
+    for line in ("Magnetometer.csv  magnetometer  1200 messages, 50 Hz", "Gyroscope.csv  gyroscope"):
+        assert line in outcome.out
+    assert "magmatch odometry" in outcome.out
+    mapped = run("map", export, "--out", export.parent / "walk.map")
+    assert mapped.code == 2
+    assert mapped.err.count("\n") == 1
+    assert "--trajectory" in mapped.err
 
 
 BAD = {

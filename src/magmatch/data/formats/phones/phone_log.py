@@ -29,8 +29,6 @@ MAX_STEP_BACK = 1.0
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # Median lengths of accelerations with gravity, in units of g: a phone in a hand is not in free fall.
 WITH_GRAVITY = (0.7, 1.3)
-# A gap between readings across which none is interpolated, s.
-LONGEST_GAP = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,12 +56,6 @@ class Stream:
         """Values interpolated to other times, held at the ends: (k, 3)."""
         return np.column_stack([np.interp(times, self.times, axis) for axis in self.values.T])
 
-    def facts(self) -> dict[str, Any]:
-        """Count, span and rate, ready for JSON."""
-        span = float(self.times[-1] - self.times[0])
-        rate = float(1 / np.median(np.diff(self.times))) if len(self) > 1 else None
-        return {"source": self.source, "count": len(self), "first": float(self.times[0]), "span": span, "rate": rate}
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PhoneLog:
@@ -82,6 +74,17 @@ class PhoneLog:
     path: Path
     app: str
     streams: Mapping[Sensor, Stream]
+
+    def facts(self) -> list[dict[str, Any]]:
+        """Source, sensor, count, rate and span of each stream, ready for JSON, as of the topics of a log."""
+        return [
+            {
+                "name": stream.source, "type": WORDS[sensor], "count": len(stream),
+                "rate": float(1 / np.median(np.diff(stream.times))) if len(stream) > 1 else None,
+                "span": [float(stream.times[0]), float(stream.times[-1])],
+            }
+            for sensor, stream in self.streams.items()
+        ]  # fmt: skip
 
     def require(self, sensor: Sensor, what_for: str) -> Stream:
         """Readings of a sensor; DataFormatError where there are none."""
