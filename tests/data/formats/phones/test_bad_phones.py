@@ -60,6 +60,15 @@ def test_rows_at_fault_are_left_out_where_asked_for(case, tmp_path, caplog):
     assert "left out 1 rows" in caplog.text
 
 
+@pytest.mark.parametrize(("row", "words"), [("1;6;1e300;3;-45", "column 'x'"), ("1;1e200;20;3;-45", "column 'time'")])
+def test_numbers_that_no_phone_reads_are_refused(row, words, tmp_path):
+    (tmp_path / "log.txt").write_text(f"{HEAD}{ROWS}MAGN;{row};3\n")
+    said = refusal(tmp_path / "log.txt")
+    assert "line 22" in said
+    assert words in said
+    assert "expected numbers of phones" in said
+
+
 def test_a_sensor_that_is_missing_is_named_beside_those_that_are_there(tmp_path):
     (tmp_path / "log.txt").write_text(HEAD + ROWS)
     with pytest.raises(DataFormatError, match="expected readings of the gyroscope for a test; found sensors: magnet"):

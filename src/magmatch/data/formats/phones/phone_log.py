@@ -26,6 +26,9 @@ WORDS: dict[Sensor, str] = {
 }  # fmt: skip
 # s; a clock set back further than this is no matter of late rows.
 MAX_STEP_BACK = 1.0
+# Readings (T, m/s^2, rad/s) and times (s) beyond these are damage, stated in docs/formats.md; phones read up to 5 mT,
+# 160 m/s^2 and 35 rad/s.
+LARGEST, LATEST = 1e5, 1e12
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # Median lengths of accelerations with gravity, in units of g: a phone in a hand is not in free fall.
 WITH_GRAVITY = (0.7, 1.3)
@@ -114,6 +117,11 @@ class PhoneLog:
 
 def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: Indices) -> Stream:
     """Readings in the order of their times; of equal times the first stays."""
+    for name, column, bound in (("time", times, LATEST), *(("xyz"[k], v, LARGEST) for k, v in enumerate(values.T))):
+        row = int(np.argmax(np.abs(column)))
+        if abs(column[row]) > bound:
+            message = f"expected numbers of phones (below {bound:g} in SI units), found {column[row]:.4g}"
+            raise DataFormatError(path, message, line=int(lines[row]), column=name)
     behind = np.maximum.accumulate(times) - times
     if len(times) and behind.max() > MAX_STEP_BACK:
         row = int(np.argmax(behind > MAX_STEP_BACK))
