@@ -10,7 +10,13 @@ import zlib
 from pathlib import Path
 from typing import Literal
 
-from magmatch.data.formats.phones.containers import head_of_member, opened_tables, phone_tables, refuse_strays
+from magmatch.data.formats.phones.containers import (
+    head_of_member,
+    opened_tables,
+    phone_tables,
+    plain_names,
+    refuse_strays,
+)
 from magmatch.data.formats.phones.getsensordata import is_getsensordata
 from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.tables.gzipped import is_gzip
@@ -133,7 +139,7 @@ def _sniff_archive(path: str | Path) -> FileKind:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.namelist()
-            has_tables = bool(phone_tables(members, lambda name: head_of_member(archive, name)))
+            has_tables = bool(phone_tables(plain_names(archive), lambda name: head_of_member(archive, name)))
     except BROKEN_ZIP:
         raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
     if "[Content_Types].xml" in members or any(name.lower().endswith((".xls", ".xlsx")) for name in members):

@@ -31,11 +31,16 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
     else:
         with zipfile.ZipFile(path) as archive:
             refuse_strays(place, archive.namelist())
-            found = phone_tables(archive.namelist(), lambda name: head_of_member(archive, name))
+            found = phone_tables(plain_names(archive), lambda name: head_of_member(archive, name))
             total = sum(archive.getinfo(name).file_size for name in found)
             if total > MAX_TOTAL:
                 raise DataFormatError(path, f"holds tables of {total} bytes, expected at most {MAX_TOTAL}")
             yield {place / name: _reader_of_member(place, archive, name) for name in found}
+
+
+def plain_names(archive: zipfile.ZipFile) -> list[str]:
+    """Names of members; none that is packed once more, which no app does."""
+    return [name for name in archive.namelist() if not name.lower().endswith(".gz")]
 
 
 def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[str]:
