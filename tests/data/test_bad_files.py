@@ -118,13 +118,14 @@ def npz():
 
 
 FOREIGN_CASES = {
-    "gzip": (gzip.compress(table(*rows()).encode()), ["gzip", "gunzip"]),
+    "gzip, cut off": (gzip.compress(table(*rows()).encode())[:-20], ["damaged gzip", "cut off"]),
+    "gzip of a zip": (gzip.compress(zipped(a="b")), ["gzip", "gunzip"]),
     "bzip2": (b"BZh91AY", ["bzip2"]),
     "ROS 1 bag": (b"#ROSBAG V2.0\n" + bytes(100), ["damaged bag", "near byte", "--recover"]),
     "MCAP": (b"\x89MCAP0\r\n" + bytes(20), ["MCAP", "--recover"]),
     "ULog": (b"ULog\x01\x12\x35" + bytes(20), ["ULog"]),
-    "HDF5": (b"\x89HDF\r\n\x1a\n" + bytes(20), ["HDF5"]),
-    "MATLAB": (b"MATLAB 5.0 MAT-file, Platform: X" + bytes(99), ["MATLAB"]),
+    "HDF5": (b"\x89HDF\r\n\x1a\n" + bytes(20), ["damaged MATLAB file"]),
+    "MATLAB": (b"MATLAB 5.0 MAT-file, Platform: X" + bytes(99), ["damaged MATLAB file"]),
     "PNG": (b"\x89PNG\r\n\x1a\n" + bytes(20), ["PNG picture"]),
     "PDF": (b"%PDF-1.7\n", ["PDF"]),
     "pickle": (b"\x80\x04\x95" + bytes(20), ["pickle"]),

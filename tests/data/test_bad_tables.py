@@ -128,16 +128,19 @@ LOGGERS = {
     "NaN": (logger(*rows(3), "1700000001000000000,2,nan,3,4"), "column 'z': expected a finite number"),
     "an empty cell": (logger(*rows(3), "1700000001000000000,2,,3,4"), "column 'z'"),
     "header only": (HEADER + "\n", "no samples"),
-    "no z": (logger(header="time,seconds_elapsed,a,y,x"), "missing bz"),
+    "no z": (logger(header="time,seconds_elapsed,a,y,x"), "missing z"),
     "no time": (logger(header="a,seconds_elapsed,z,y,x"), "missing t"),
-    "time that repeats": (logger(*rows(3), *rows(3)), "line 5, column 't': time runs backward"),
+    "a clock set back": (logger(*rows(3), *rows(3, start=1_699_999_990_000_000_000)), "line 5: time runs backward"),
     "NUL bytes": (logger(*rows(3)) + "\0\0", "NUL"),
     "another clock": (logger(*rows(start=5)), "both need the same clock"),
     "phyphox with commas and points": (
         'Time (s);"Magnetic field x (µT)";"Magnetic field y (µT)";"Magnetic field z (µT)"\n0,1;2.5;3,0;4,0\n',
         "with a point",
     ),
-    "phyphox without z": ('"Time (s)","Magnetic field x (µT)","Magnetic field y (µT)"\n0,1,2\n', "missing bz"),
+    "phyphox without z": (
+        '"Time (s)","Magnetic field x (µT)","Magnetic field y (µT)"\n0,1,2\n',
+        "missing magnetic field z",
+    ),
 }
 
 

@@ -39,19 +39,34 @@ def info(
         result = read_result(file)
         put(as_json({"kind": "registration"} | result.to_dict()) if json else tell_result(result))
         return
-    facts = {"kind": {"tum": "trajectory", "map": "map", "log": "log"}.get(kind, "survey"), "file": str(file)}
-    facts |= {"map": _of_map, "tum": _of_trajectory, "log": _of_log}.get(kind, _of_survey)(file, layouts)
+    kind = "csv" if kind == "phone" and layouts.of().columns else kind
+    names = {"tum": "trajectory", "map": "map", "log": "log", "phone": "phone log"}
+    facts = {"kind": names.get(kind, "survey"), "file": str(file)}
+    of_kind = {"map": _of_map, "tum": _of_trajectory, "log": _of_log, "phone": _of_phone}
+    facts |= of_kind.get(kind, _of_survey)(file, layouts)
     put(as_json(facts) if json else info_table(facts))
 
 
 def _of_log(path: Path, layouts: Layouts) -> dict[str, Any]:
     """Topics of a recorder log, and the survey in it where there is one."""
     from magmatch.data.logs.read import list_topics
+
+    topics, chosen = list_topics(path, layouts.of())
+    return _with_survey({"topics": [topic.facts() for topic in topics], "chosen": chosen}, path, layouts)
+
+
+def _of_phone(path: Path, layouts: Layouts) -> dict[str, Any]:
+    """Sensors of a phone's log, and the survey that it makes with poses."""
+    from magmatch.data.formats.phones.read import read_phone_log
+
+    log = read_phone_log(path, recover=layouts.of().recover)
+    return _with_survey({"app": log.app, "topics": log.facts()}, path, layouts)
+
+
+def _with_survey(facts: dict[str, Any], path: Path, layouts: Layouts) -> dict[str, Any]:
+    """What a log holds, with its survey or why there is none."""
     from magmatch.errors import MagmatchError
 
-    layout = layouts.of()
-    topics, chosen = list_topics(path, layout)
-    facts: dict[str, Any] = {"topics": [topic.facts() for topic in topics], "chosen": chosen}
     try:
         return facts | _of_survey(path, layouts)
     except MagmatchError as error:

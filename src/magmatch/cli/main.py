@@ -19,6 +19,7 @@ from magmatch.cli.index import index
 from magmatch.cli.info import info
 from magmatch.cli.map import build
 from magmatch.cli.narration import narrated, put
+from magmatch.cli.odometry import odometry
 from magmatch.cli.prepare import prepare
 from magmatch.cli.query import query
 from magmatch.cli.register import register
@@ -44,6 +45,7 @@ Exit codes:
 COMMANDS = (
     register,
     transform,
+    odometry,
     prepare,
     build,
     index,

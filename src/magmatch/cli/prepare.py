@@ -22,6 +22,7 @@ EXAMPLES = (
     "magmatch prepare log.csv --field-unit uT --field-frame sensor --trajectory poses.tum --out survey.csv",
     "magmatch prepare log.csv --out survey.csv --place 48.14,11.58,520 --date 2024-05-01",
     "magmatch prepare log.csv --out survey.csv --config steps.yaml",
+    "magmatch prepare phone.zip --trajectory odometry.tum --out survey.csv",
     "magmatch prepare robot.csv --out survey.csv --sensor-from turned_by_hand.csv",
 )
 
@@ -35,7 +36,8 @@ def prepare(
         Path | None, typer.Option(help="Write the report here (JSON); beside the survey by default.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(help="YAML file: time_offset, calibration, currents, disturbances, resampling.")
+        Path | None,
+        typer.Option(help="YAML file: recalibration, time_offset, calibration, currents, disturbances, resampling."),
     ] = None,
     sensor_from: Annotated[
         Path | None,
@@ -55,9 +57,9 @@ def prepare(
     removed only where the configuration says so.
     """
     from magmatch.data.formats.load_trajectory import load_trajectory
-    from magmatch.data.read import read_survey_and_channels
+    from magmatch.data.read import read_raw_magnetometer, read_survey_and_channels
+    from magmatch.preparation.choose_magnetometer import prepare_either
     from magmatch.preparation.config import PreparationConfig
-    from magmatch.preparation.prepare import prepare as run
 
     if report is None and out.parent != Path("/dev"):  # nothing lies beside a pipe
         report = out.with_suffix(".json")
@@ -72,7 +74,10 @@ def prepare(
     survey, channels = read_survey_and_channels(log, layout)
     trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
-    prepared, done = run(survey, settings, trajectory=trajectory, channels=channels, place=where, sensor=known)
+    raw = None if known is not None else read_raw_magnetometer(log, layout)  # a known correction is of one of them
+    prepared, done = prepare_either(
+        survey, raw, settings, trajectory=trajectory, channels=channels, place=where, sensor=known
+    )
     prepared.save(out)
     if report is not None:
         done.save(report)

@@ -160,7 +160,8 @@ def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
         yield f"the positions span {size / 1e3:.3g} km, read as {layout.length_unit}: millimetres (--length-unit mm)?"
     if survey.times is not None:
         steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
-        speed = float(np.median(steps / np.diff(survey.times)))
+        with np.errstate(over="ignore"):  # absurd times make it infinite, and odd
+            speed = float(np.median(steps / np.diff(survey.times)))
         if speed > ODD_SPEED:
             yield f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
 

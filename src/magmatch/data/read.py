@@ -11,13 +11,15 @@ from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.formats.euroc import read_euroc_field
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.mat import read_mat
 from magmatch.data.formats.parquet import read_parquet
-from magmatch.data.formats.phone import PHONE_DEFAULTS, read_phone
+from magmatch.data.formats.phones.phone_log import Sensor
+from magmatch.data.formats.phones.read import read_phone_log, read_phone_recording
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
 from magmatch.data.survey import Survey
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, SurveyError
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
@@ -79,6 +81,22 @@ def read_survey_and_channels(
     return survey, recording.channels.at(survey.times, len(survey))
 
 
+def read_raw_magnetometer(path: str | Path, format: SurveyFormat | None = None) -> Survey | None:
+    """Read what a phone's magnetometer says without the phone's own calibration; None unless a log holds both."""
+    layout = format or SurveyFormat()
+    if sniff(path) != "phone" or layout.columns:
+        return None
+    if len(read_phone_log(path, ("field", "raw_field"), recover=layout.recover).streams) < 2:
+        return None
+    survey, used = _read_phone(path, layout, "raw_field")
+    try:
+        check_survey(replace(survey, name=str(path)), used)
+    except SurveyError as error:
+        logger.warning("%s; its readings without the phone's own calibration are left aside", error)
+        return None
+    return replace(survey, name=Path(path).name)
+
+
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
     """The survey itself; doubts are logged."""
     for warning in check_survey(replace(survey, name=str(path)), layout):
@@ -89,6 +107,8 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 def read_unchecked(path: str | Path, format: SurveyFormat | None = None) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
     kind = sniff(path)
+    if kind == "phone" and (format or SurveyFormat()).columns and Path(path).is_file():
+        kind = "csv"  # the user knows the columns better
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
     survey, layout = READERS[kind](path, format or SurveyFormat())
@@ -101,10 +121,10 @@ def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyF
     return replace(survey, pose_sd=layout.pose_sd or 0.0), layout.settled(field_frame=recording.field_frame)
 
 
-def _read_phone(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
-    """A phone's magnetometer, in microtesla and the phone's frame."""
-    layout = layout.settled(**PHONE_DEFAULTS)
-    return _joined(recording_of_table(read_phone(path), layout), layout)
+def _read_phone(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> tuple[Survey, SurveyFormat]:
+    """A phone's magnetometer: microtesla in the phone's axes, unless stated otherwise."""
+    layout = layout.settled(field_unit="uT", field_frame="sensor")
+    return _joined(read_phone_recording(path, layout, sensor), layout)
 
 
 def _recording_of_euroc(path: str | Path, layout: SurveyFormat) -> Recording:
@@ -119,6 +139,7 @@ READERS: Mapping[FileKind, Reader] = {
     "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
     "euroc": lambda path, layout: _joined(_recording_of_euroc(path, layout), layout),
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
+    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout), layout),
     "phone": _read_phone,
     "log": lambda path, layout: _joined(read_log(path, layout), layout),
 }

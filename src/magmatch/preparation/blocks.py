@@ -10,6 +10,8 @@ from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASI
 from magmatch.typing import Scalars, Tensors, Vectors
 
 CHANNEL = "channel "
+# Channels that stand for pieces of a log, between jumps of its sensor's own calibration, begin with this.
+PIECE = "recalibrated piece "
 
 
 def sensor_blocks(R: Tensors, readings: Vectors, sizes: Mapping[str, float]) -> dict[str, Block]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.preparation.blocks import CHANNEL, channel_blocks, model_of, sensor_blocks
+from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, held_out_error
 from magmatch.preparation.least_squares import Block, Solution, System
@@ -140,6 +140,7 @@ def switches_of(
         switches["time_offset"] = config.time_offset.mode
     if config.currents.mode == "remove":
         switches |= {CHANNEL + name: "auto" for name, values in channels.items() if np.ptp(values) > 0}
+    switches |= {CHANNEL + name: "auto" for name in channels if name.startswith(PIECE)}
     return {name: switch for name, switch in switches.items() if switch != "off"}
 
 
@@ -190,7 +191,7 @@ class _Estimator:
 
     def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
         """What was kept and one more channel at a time, so that channels change no other estimate."""
-        names = [CHANNEL + name for name in self.channels]
+        names = [CHANNEL + name for name in self.channels if not name.startswith(PIECE)]
         if not names:
             return {}
         system = self._linearised(model, active | set(names))

@@ -68,6 +68,10 @@ class DisturbancesConfig(BaseModel):
     spike_threshold: float = Field(default=10.0, gt=0)
 
 
+# off: not looked for. auto: the log is cut where its sensor's own calibration jumped.
+CutSwitch = Literal["off", "auto"]
+
+
 class ResamplingConfig(BaseModel):
     """One sample per distance walked."""
 
@@ -83,6 +87,8 @@ class PreparationConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Jumps of the sensor's own calibration, as phones have them.
+    recalibration: CutSwitch = "auto"
     time_offset: TimeOffsetConfig = TimeOffsetConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     currents: CurrentsConfig = CurrentsConfig()

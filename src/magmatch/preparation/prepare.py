@@ -17,6 +17,7 @@ from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
 from magmatch.preparation.earth_field import Place
 from magmatch.preparation.preparation_report import PreparationReport
+from magmatch.preparation.recalibrations import NO_CUTS, find_recalibrations, recalibration_step
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.survey_steps import earth_step, find_disturbances, resampling_step
@@ -70,13 +71,20 @@ def prepare(
             msg = f"{survey.name}: a known correction of the sensor needs orientations to be made"
             raise SurveyError(msg)
         sensor_log = replace(sensor_log, readings=sensor.corrected(sensor_log.readings))
-    calibration = None
+    calibration, cuts, every = None, NO_CUTS, dict(channels)
     if sensor_log is not None:
-        calibration = calibrate(sensor_log, config, channels, trusted(sensor_log, config))
+        if config.recalibration == "auto":
+            cuts = find_recalibrations(sensor_log)
+        if len(cuts):
+            sensor_log = cuts.joined(sensor_log)
+            every |= cuts.channels(len(sensor_log))
+        calibration = calibrate(sensor_log, config, every, trusted(sensor_log, config))
     steps = [known_sensor_step(sensor)]
+    steps += [recalibration_step(cuts, sensor_log, calibration)] if config.recalibration == "auto" else []
     steps += calibration_steps(survey, sensor_log, calibration, config, channels)
     model = SensorModel() if calibration is None else calibration.model
-    corrected, rows = apply_model(survey, sensor_log, model, channels, is_changed=sensor is not None)
+    is_changed = sensor is not None or len(cuts) > 0
+    corrected, rows = apply_model(survey, sensor_log, model, every, is_changed=is_changed)
     readings = survey.field[rows] if sensor_log is None else sensor_log.readings[rows]
     kept, found = find_disturbances(corrected, readings, calibration, config)
     steps += found

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Mutated files of every format: a survey or one of our errors, in bounded time and memory. `make fuzz` runs many."""
 
+import gzip
 import logging
 import shutil
 import sqlite3
 import zipfile
 import zlib
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -69,6 +72,23 @@ def seeds(made, tmp_path_factory):
     (folder / "survey.csv").write_text("\n".join(["t,x,y,z,bx,by,bz,qx,qy,qz,qw", *table]))
     commas = (folder / "survey.csv").read_text().replace(",", ";").replace(".", ",")
     (folder / "commas.csv").write_text(commas)
+    (folder / "survey.csv.gz").write_bytes(gzip.compress((folder / "survey.csv").read_bytes()))
+    (folder / "log.mcap.gz").write_bytes(gzip.compress((folder / "log.mcap").read_bytes()))
+    rows = [f"MAGN;{0.02 * i:.3f};{9 + 0.02 * i:.3f};20;{3 + i};-45;3" for i in range(24)]
+    (folder / "getsensordata.txt").write_text("\n".join(["% GetSensorData", *rows, ""]))
+    rows = [f"{20_000_000 * i},2,20,{3 + i},-45" for i in range(24)]
+    (folder / "android.csv").write_text("\n".join(["event.timestamp,sensor,x,y,z", *rows, ""]))
+    columns = dict(
+        zip(["t", "x", "y", "z", "bx", "by", "bz"], np.array([r.split(",")[:7] for r in table], float).T, strict=True)
+    )
+    scipy.io.savemat(folder / "survey.mat", columns)
+    scipy.io.savemat(folder / "survey-packed.mat", columns, do_compression=True)
+    if find_spec("h5py"):
+        import h5py
+
+        with h5py.File(folder / "survey-hdf5.mat", "w") as file:
+            for name, values in columns.items():
+                file.create_dataset(name, data=values[None], compression="gzip")
     if _has_pyarrow():
         import pandas as pd
 
@@ -92,7 +112,8 @@ FILES = [
     "logc.mcap", "logs.mcap", "free.mcap", "free-z.mcap", "numbers.mcap", "numbers.bag", "log-db3/log-db3.db3",
     "log-db3z/metadata.yaml", "log-mcap/metadata.yaml",
     "survey.csv", "commas.csv", "survey.parquet", "survey-plain.parquet", "sensor-logger.csv", "phyphox.csv",
-    "logger.zip", "phyphox.zip", "euroc.csv",
+    "logger.zip", "phyphox.zip", "euroc.csv", "survey.csv.gz", "log.mcap.gz", "getsensordata.txt", "android.csv",
+    "survey.mat", "survey-packed.mat", "survey-hdf5.mat",
 ]  # fmt: skip
 
 
@@ -103,7 +124,7 @@ def test_mutated_files_end_in_a_survey_or_a_known_error(name, seeds, tmp_path, n
     caplog.set_level(logging.CRITICAL, logger="magmatch")
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     raw = (seeds / name).read_bytes()
-    needs_poses = name.endswith((".zip", "logger.csv", "phyphox.csv", "euroc.csv"))
+    needs_poses = name.endswith((".zip", "logger.csv", "phyphox.csv", "euroc.csv", "data.txt", "android.csv"))
     layout = SurveyFormat(trajectory=seeds / "poses.tum" if needs_poses else None)
     target = tmp_path / Path(name).name
     if "/" in name:
@@ -136,6 +157,11 @@ MAGIC = [
     b"PAR1",
     b"PK\x03\x04",
     b"#timestamp [ns],x\n",
+    b"\x1f\x8b\x08\0\0\0\0\0\0\0",
+    b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
+    b"\x89HDF\r\n\x1a\n",
+    b"% a\nMAGN;1;1;1;1;1;3\n",
+    b"event.timestamp,sensor,x,y,z\n",
     b"",
 ]
 
@@ -202,7 +228,9 @@ def test_rows_of_any_type_in_a_database_end_in_a_known_error(tmp_path):
 def test_whole_seeds_are_read(seeds):
     """Else mutating them would test little."""
     for name in FILES:
-        if not (seeds / name).exists() or name.endswith((".zip", "logger.csv", "phyphox.csv", "euroc.csv")):
+        if not (seeds / name).exists() or name.endswith(
+            (".zip", "logger.csv", "phyphox.csv", "euroc.csv", ".txt", "android.csv")
+        ):
             continue
         path = (seeds / name).parent if "/" in name else seeds / name
         assert len(read_survey(path)) >= 10

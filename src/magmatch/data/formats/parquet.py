@@ -12,6 +12,7 @@ import numpy as np
 from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import COLUMNS, SCHEMA, Survey
+from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
@@ -72,9 +73,8 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
     pa, pq = (import_extra(name, "reading Parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     read_bytes(path, 4)
     try:
-        with pq.ParquetFile(
-            path, thrift_string_size_limit=MAX_THRIFT, thrift_container_size_limit=MAX_THRIFT, pre_buffer=False
-        ) as file:
+        limits = {"thrift_string_size_limit": MAX_THRIFT, "thrift_container_size_limit": MAX_THRIFT}
+        with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False, **limits) as file:
             yield file, pa
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
         if isinstance(error, DataFormatError):

@@ -10,26 +10,35 @@ import zlib
 from pathlib import Path
 from typing import Literal
 
+from magmatch.data.formats.phones.containers import (
+    head_of_member,
+    opened_tables,
+    phone_tables,
+    plain_names,
+    refuse_strays,
+)
+from magmatch.data.formats.phones.getsensordata import is_getsensordata
+from magmatch.data.formats.phones.tables import is_phone_header
+from magmatch.data.tables.gzipped import is_gzip
 from magmatch.data.tables.text import is_folder, read_bytes, text_lines
 from magmatch.errors import DataFormatError
 
-FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "phone"]
+FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone"]
 
+_NO_WORKBOOKS = "export the sheet as CSV (phyphox: choose CSV, not Excel, under 'Export Data')"
 # How files begin that people hand over by mistake, what they are, and what to do about it.
 _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
-    (b"\x1f\x8b", "gzip", "decompress it first (gunzip)"),
+    (b"\x1f\x8b", "twice compressed gzip", "decompress it first (gunzip)"),
     (b"BZh", "bzip2", "decompress it first (bunzip2)"),
     (b"\xfd7zXZ\0", "xz", "decompress it first (unxz)"),
     (b"\x28\xb5\x2f\xfd", "Zstandard", "decompress it first (unzstd)"),
     (b"7z\xbc\xaf\x27\x1c", "7-Zip", "unpack it first"),
     (b"ULog\x01\x12\x35", "PX4 ULog", "export the field and the poses as text"),
-    (b"\x89HDF\r\n\x1a\n", "HDF5 (or MATLAB 7.3)", "export it as CSV"),
-    (b"MATLAB 5.0 MAT-file", "MATLAB", "export it as CSV"),
     (b"\x93NUMPY", "NumPy", "export it as CSV"),
     (b"\x89PNG", "PNG picture", "expected samples, not a picture"),
     (b"\xff\xd8\xff", "JPEG picture", "expected samples, not a picture"),
     (b"%PDF", "PDF document", "expected samples, not a document"),
-    (b"\xd0\xcf\x11\xe0", "old Excel workbook", "export the sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", "old Excel workbook", _NO_WORKBOOKS),
     (b"\x80\x04\x95", "Python pickle", "pickles are never read, since they can run code; export it as CSV"),
     (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
     (b"<!DOCTYPE", "web page", "download the raw file instead"),
@@ -43,9 +52,10 @@ _SIGNATURES: dict[bytes, FileKind] = {
     b"#ROSBAG V": "log",
     b"\x89MCAP0\r\n": "log",
     b"PAR1": "parquet",
+    b"MATLAB 5.0 MAT-file": "mat",
+    b"MATLAB 7.3 MAT-file": "mat",
+    b"\x89HDF\r\n\x1a\n": "mat",
 }
-# In the order in which they are looked for.
-PHONE_MEMBERS = ("magnetometer.csv", "raw data.csv", "magnetometeruncalibrated.csv")
 # All that zipfile raises over a damaged archive.
 BROKEN_ZIP = (
     zipfile.BadZipFile,
@@ -74,13 +84,21 @@ def sniff(path: str | Path) -> FileKind:
     if kind is not None:
         return kind
     if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        _refuse_gzip(path, "a zip archive")
         return _sniff_archive(path)
     for signature, what, advice in _FOREIGN:
         if head.startswith(signature):
             raise DataFormatError(path, f"is a {what} file, expected a survey (CSV) or a saved map; {advice}")
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in {b"{", b"["}:
+        _refuse_gzip(path, "JSON")
         return _sniff_json(path)
-    return _sniff_text(path, head)
+    return "phone" if is_getsensordata(head) else _sniff_text(path, head)
+
+
+def _refuse_gzip(path: str | Path, content: str) -> None:
+    """Only logs and tables are read through gzip."""
+    if is_gzip(Path(path)):
+        raise DataFormatError(path, f"is a gzip file of {content}; decompress it first (gunzip)")
 
 
 def _sniff_text(path: str | Path, head: bytes) -> FileKind:
@@ -106,8 +124,9 @@ def _sniff_folder(path: str | Path) -> FileKind:
         raise DataFormatError(path, "no permission to read it") from None
     if "metadata.yaml" in names or any(name.endswith((".db3", ".mcap", ".db3.zstd", ".mcap.zstd")) for name in names):
         return "log"
-    if any(is_phone_member(name) for name in names):
-        return "phone"
+    with opened_tables(path) as tables:
+        if tables:
+            return "phone"
     message = (
         "is a folder, expected a file, a ROS 2 bag (metadata.yaml), a phone log (Magnetometer.csv) or, as the base "
         "of 'magmatch register', saved maps"
@@ -120,11 +139,13 @@ def _sniff_archive(path: str | Path) -> FileKind:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.namelist()
+            has_tables = bool(phone_tables(plain_names(archive), lambda name: head_of_member(archive, name)))
     except BROKEN_ZIP:
         raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
-    if "[Content_Types].xml" in members:
-        raise DataFormatError(path, "is an Excel workbook or Office document; export the sheet as CSV")
-    if any(is_phone_member(name) for name in members):
+    if "[Content_Types].xml" in members or any(name.lower().endswith((".xls", ".xlsx")) for name in members):
+        raise DataFormatError(path, f"is an Excel workbook or Office document, or holds one; {_NO_WORKBOOKS}")
+    if has_tables:
+        refuse_strays(Path(path), members)
         return "phone"
     if all(name.lower().endswith((".csv", ".txt", "/")) for name in members):
         raise DataFormatError(path, f"is a zip archive of {len(members)} text files or none; unpack it first")
@@ -153,17 +174,6 @@ def _sniff_json(path: str | Path) -> FileKind:
         f"is JSON with schema {schema!r}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
     )
     raise DataFormatError(path, message)
-
-
-def is_phone_member(name: str) -> bool:
-    """Whether a file's name is one that Sensor Logger or phyphox gives to the samples of the magnetometer."""
-    return name.replace("\\", "/").rsplit("/", 1)[-1].lower() in PHONE_MEMBERS
-
-
-def is_phone_header(line: str) -> bool:
-    """Whether a header is that of Sensor Logger (``time, seconds_elapsed``) or phyphox (``Magnetic field x``)."""
-    text = line.lower()
-    return "seconds_elapsed" in text or "magnetic field x (" in text
 
 
 def is_euroc_header(line: str) -> bool:

@@ -3,7 +3,7 @@
 
 import logging
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from magmatch.data.logs.messages import Entries, Frames
 from magmatch.data.logs.numbers import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
+from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -62,10 +63,10 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
     DataFormatError
         Damaged, or without the topics that a survey needs.
     """
-    with closing(open_log(path, recover=layout.recover)) as log:
+    with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
         recording = _read(log, layout, with_channels=with_channels)
         _tell_losses(log)
-    return recording
+    return replace(recording, path=Path(path))
 
 
 def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
@@ -188,7 +189,7 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
     chosen : dict
         Names of the ``field`` and the ``poses`` topic; None where there is no such topic.
     """
-    with closing(open_log(path, recover=layout.recover)) as log:
+    with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
         topics = log.topics()
         _tell_losses(log)
         try:

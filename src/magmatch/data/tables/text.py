@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Files as bytes and as lines of text: what is no regular file is refused, and long ones are read in blocks."""
+"""Files as bytes and as lines of text: gzip is read as its content, what is no regular file is refused."""
 
 import errno
 import stat
@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Protocol
 
+from magmatch.data.tables.gzipped import MAGIC, GzipContent
 from magmatch.errors import DataFormatError
 
 # Faults of the name that was given; others are faults of the machine.
@@ -27,6 +28,13 @@ class Block:
     is_last: bool
 
 
+class Readable(Protocol):
+    """What can be read from its beginning on."""
+
+    def read(self, size: int = -1, /) -> bytes:
+        """The next bytes; fewer than asked for only at the end."""
+
+
 def is_folder(path: str | Path) -> bool:
     """Whether this is a folder; impossible names are none, and are refused where they are read."""
     try:
@@ -36,13 +44,13 @@ def is_folder(path: str | Path) -> bool:
 
 
 def read_bytes(path: str | Path, limit: int = -1) -> bytes:
-    """The first `limit` bytes of a regular file, all by default; anything else is refused with a reason."""
+    """The first `limit` bytes of a regular file (of what it holds, where that is gzip), all by default."""
     with _opened(path) as stream:
         return stream.read(limit)
 
 
 @contextmanager
-def _opened(path: str | Path) -> Iterator[BinaryIO]:
+def _opened(path: str | Path) -> Iterator[Readable]:
     """A regular file, open for reading; faults of its name in words."""
     place = Path(path)
     if "\0" in str(path):
@@ -54,7 +62,9 @@ def _opened(path: str | Path) -> Iterator[BinaryIO]:
         if stat.S_ISDIR(mode):
             raise DataFormatError(path, "is a folder, expected a file")
         with place.open("rb") as stream:
-            yield stream
+            is_packed = stream.read(len(MAGIC)) == MAGIC
+            stream.seek(0)
+            yield GzipContent(path, stream, place.stat().st_size) if is_packed else stream
     except FileNotFoundError:
         raise DataFormatError(path, "no such file") from None
     except PermissionError:

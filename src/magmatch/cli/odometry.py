@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch odometry``: poses of a walk from a phone's accelerometer and gyroscope."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import command
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import check_outputs
+from magmatch.errors import DataFormatError
+
+EXAMPLES = (
+    "magmatch odometry walk.zip --out walk.tum",
+    "magmatch prepare walk.zip --trajectory walk.tum --out walk.csv",
+)
+
+
+@command("odometry", EXAMPLES)
+def odometry(
+    log: Annotated[
+        Path, typer.Argument(help="Phone's log: phyphox, Sensor Logger, GetSensorData, Android.", metavar="LOG")
+    ],
+    out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
+    step_scale: Annotated[
+        float, typer.Option(help="Your steps over those of the average walker: true length of a path over ours.")
+    ] = 1.0,
+    recover: Annotated[
+        bool, typer.Option("--recover", help="Leave out rows that hold no numbers, instead of refusing them.")
+    ] = False,
+) -> None:
+    """Dead reckoning for a LOG without poses.
+
+    Attitude from gyroscope and accelerometer, one step after the other along the phone's heading; z = 0, from the
+    origin. It drifts: by some percent of the way in length, and in heading with the gyroscope.
+    """
+    from magmatch.cli.option_values import refuse
+    from magmatch.data.formats.phones.read import read_phone_log
+    from magmatch.data.formats.sniff import sniff
+    from magmatch.preparation.odometry.config import OdometryConfig
+    from magmatch.preparation.odometry.dead_reckon import dead_reckon
+
+    check_outputs((out,), inputs=(log,))
+    if not 0.3 <= step_scale <= 3:
+        refuse("--step-scale", "a number from 0.3 to 3", f"{step_scale:g}")
+    if (kind := sniff(log)) != "phone":
+        words = f"is a {kind} file, expected a phone's log (phyphox, Sensor Logger, GetSensorData, Android)"
+        raise DataFormatError(log, words)
+    config = OdometryConfig()
+    config = config.model_copy(update={"weinberg_factor": step_scale * config.weinberg_factor})
+    walk = dead_reckon(
+        read_phone_log(log, ("acceleration", "linear_acceleration", "gravity", "rate"), recover=recover), config
+    )
+    walk.trajectory.save(out)
+    span = walk.trajectory.times[-1] - walk.trajectory.times[0]
+    say(f"{len(walk.steps)} steps in {span:.0f} s, {walk.length:.1f} m (sd {walk.length_sd:.1f})\nWrote {out}")

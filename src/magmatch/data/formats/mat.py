@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""MATLAB files: named arrays of numbers as the columns of a survey (version 7.3 by h5py)."""
+
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.mat5 import FREE, MAX_BYTES, MAX_RATIO, Mat5
+from magmatch.data.survey import COLUMNS
+from magmatch.data.tables.gzipped import plain_file
+from magmatch.data.tables.table import Table
+from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.text_rows import listed
+from magmatch.errors import DataFormatError, MagmatchError, import_extra
+from magmatch.typing import Scalars
+
+logger = logging.getLogger(__name__)
+
+_HINT = "say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
+
+
+def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
+    """Read the columns of a survey from the arrays of a MATLAB file; rows count from 1 as lines in messages.
+
+    An array is named as it is, ``data.mag`` within a structure; ``mag:2`` is the second column of one with several.
+    """
+    theirs = layout.column_names()
+    known = theirs | {name: name for name in COLUMNS if name not in theirs.values()}
+    is_v5 = read_bytes(path, 19) == b"MATLAB 5.0 MAT-file"
+    with plain_file(path) as place:
+        try:
+            arrays = (_arrays_of_v5 if is_v5 else _arrays_of_hdf5)(place, {name.partition(":")[0] for name in known})
+        except MagmatchError:
+            raise
+        except Exception as error:  # h5py raises whatever it stumbles over
+            words = " ".join(str(error).split())[:150]
+            raise DataFormatError(place, f"is a damaged MATLAB file ({words})") from None
+        lower = {name.lower(): name for name in arrays}
+        columns = {
+            ours: _column(place, name, arrays[lower[name.partition(":")[0]]])
+            for name, ours in known.items()
+            if name.partition(":")[0] in lower
+        }
+        missing = [name for name in theirs if known[name] not in columns]
+        if missing or not columns:
+            wanted = ", ".join(missing) or "x, y, z, bx, by, bz"
+            raise DataFormatError(
+                place, f"expected arrays {wanted}; found {listed(_names(place, is_v5=is_v5))}. {_HINT}"
+            )
+        return _table(place, columns, recover=layout.recover)
+
+
+def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Table:
+    """Columns of one length, all finite."""
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise DataFormatError(path, f"expected arrays of one length, found {told}")
+    is_finite = np.isfinite(np.column_stack(list(columns.values()))).all(axis=1)
+    if not is_finite.all():
+        row = int(np.argmin(is_finite))
+        name = next(name for name, values in columns.items() if not np.isfinite(values[row]))
+        found = DataFormatError(path, "expected a finite number, found NaN or infinity", line=row + 1, column=name)
+        if not recover or not is_finite.any():
+            message = f"{found.message}; --recover leaves such rows out"
+            raise DataFormatError(path, message, line=found.line, column=name)
+        logger.warning("%s: left out %d rows that cannot be read, the first: %s", path, (~is_finite).sum(), found)
+    numbers = np.flatnonzero(is_finite)
+    return Table(path, tuple(columns), {k: v[numbers] for k, v in columns.items()}, numbers + 1, ())
+
+
+def _column(path: Path, name: str, array: np.ndarray) -> Scalars:
+    """One column of an array as float64."""
+    what, mark, number = name.partition(":")
+    if array.dtype.kind not in "iuf" or array.ndim > 2 or array.size == 0:
+        message = f"expected an array of numbers, found {array.dtype.name[:20]} of {_shape(array)}"
+        raise DataFormatError(path, message, column=what)
+    if not mark and array.size == max(array.shape, default=1):
+        return array.reshape(-1).astype(np.float64)
+    rows = array if array.ndim == 2 else array.reshape(1, -1)
+    rows = rows if rows.shape[0] <= rows.shape[1] else rows.T
+    if not number.isdecimal() or not 1 <= int(number) <= len(rows):
+        example = f"{what}:1" + (f" to {what}:{len(rows)}" if len(rows) > 1 else "")
+        raise DataFormatError(path, f"expected one column of {_shape(array)}, {example}; found '{name}'", column=what)
+    column: Scalars = rows[int(number) - 1].astype(np.float64)
+    return column
+
+
+def _shape(array: np.ndarray) -> str:
+    return " x ".join(map(str, array.shape)) or "one number"
+
+
+def _arrays_of_v5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
+    """Arrays by the names by which they are wanted (dots lead into structures)."""
+    content = dict(Mat5(path).variables({name.partition(".")[0] for name in wanted}))
+
+    def child(parent: Any, name: str) -> Any:
+        fields = parent if isinstance(parent, dict) else {}
+        return next((value for key, value in fields.items() if key.lower() == name), None)
+
+    return _walked(wanted, content, child)
+
+
+def _walked(wanted: set[str], root: Any, child: Callable[[Any, str], Any]) -> dict[str, np.ndarray]:
+    found = {}
+    for name in wanted:
+        place = root
+        for part in name.split("."):
+            place = child(place, part) if place is not None else None
+        if isinstance(place, np.ndarray):
+            found[name] = place
+    return found
+
+
+def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
+    """The same of MATLAB 7.3 and any HDF5, read in MATLAB's order of axes; links out of the file are not followed."""
+    h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
+
+    def child(parent: Any, name: str) -> Any:
+        key = next((key for key in parent if key.lower() == name), None) if isinstance(parent, h5py.Group) else None
+        if key is None or not isinstance(parent.get(key, getlink=True), h5py.HardLink):
+            return None
+        found = parent[key]
+        if not isinstance(found, h5py.Dataset):
+            return found
+        if found.external or found.is_virtual:
+            raise DataFormatError(path, "the array lies in other files; expected one file", column=key)
+        _bound_array(path, key, found.size * found.dtype.itemsize // 8 if found.size else 0)
+        return np.asarray(found).T
+
+    with h5py.File(path, "r") as file:
+        return _walked(wanted, file, child)
+
+
+def _names(path: Path, *, is_v5: bool) -> tuple[str, ...]:
+    """What is there, for a message."""
+    try:
+        if is_v5:
+            return tuple(name for name, _ in Mat5(path).variables(()))
+        with import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab").File(path, "r") as file:
+            return tuple(file)
+    except Exception:  # as above
+        return ()
+
+
+def _bound_array(path: Path, name: str, n_numbers: int) -> None:
+    """Refuse an array that declares more numbers than its file could hold."""
+    most = min(MAX_BYTES, MAX_RATIO * path.stat().st_size + FREE) // 8
+    if n_numbers > most:
+        message = f"declares {n_numbers} numbers in {path.stat().st_size} bytes, expected at most {most}"
+        raise DataFormatError(path, message, column=name)

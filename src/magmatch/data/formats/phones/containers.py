@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables of a phone's export in a folder or a zip archive: sizes are bounded, nothing is unpacked to the disk."""
+
+import zipfile
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from magmatch.data.formats.phones.tables import MEMBERS, says_its_sensor, stem_of
+from magmatch.data.tables.text import is_folder, read_bytes
+from magmatch.errors import DataFormatError
+
+# Bounds, stated in docs/formats.md: hours of samples are some 10 MB, and text packs 3 to 20 times.
+MAX_MEMBER = 256 << 20  # bytes
+MAX_RATIO, FREE = 200, 1 << 20
+MAX_TOTAL = 1 << 30
+# Tables with other names are looked into: so many bytes of so many.
+MAX_HEADER, MAX_LOOKED_INTO = 4096, 64
+
+
+@contextmanager
+def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]:
+    """Tables of phones in a folder, an archive, or the file itself: where each stands, and how to read it."""
+    place = Path(path)
+    if is_folder(path):
+        names = sorted(entry.name for entry in place.iterdir())
+        found = phone_tables(names, lambda name: head_of_file(place / name))
+        yield {place / name: _reader_of_file(place / name) for name in found}
+    elif not zipfile.is_zipfile(path):
+        yield {place: _reader_of_file(place)}
+    else:
+        with zipfile.ZipFile(path) as archive:
+            refuse_strays(place, archive.namelist())
+            found = phone_tables(plain_names(archive), lambda name: head_of_member(archive, name))
+            total = sum(archive.getinfo(name).file_size for name in found)
+            if total > MAX_TOTAL:
+                raise DataFormatError(path, f"holds tables of {total} bytes, expected at most {MAX_TOTAL}")
+            yield {place / name: _reader_of_member(place, archive, name) for name in found}
+
+
+def plain_names(archive: zipfile.ZipFile) -> list[str]:
+    """Names of members; none that is packed once more, which no app does."""
+    return [name for name in archive.namelist() if not name.lower().endswith(".gz")]
+
+
+def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[str]:
+    """Names of the tables of a phone's sensors, the preferred first: by name, else by header."""
+    order = list(MEMBERS)
+    tables = [name for name in names if name.lower().endswith((".csv", ".csv.gz")) and not is_hidden(name)]
+    known = sorted((name for name in tables if stem_of(name) in MEMBERS), key=lambda n: (order.index(stem_of(n)), n))
+    others = [name for name in tables if stem_of(name) not in MEMBERS and "meta" not in Path(name).parts]
+    return known + [name for name in others[:MAX_LOOKED_INTO] if _says_its_sensor(name, head_of(name))]
+
+
+def _says_its_sensor(name: str, head: bytes) -> bool:
+    return says_its_sensor(head.decode("utf-8-sig", "replace").partition("\n")[0].strip(), stem_of(name))
+
+
+def is_hidden(name: str) -> bool:
+    """Whether this is what a system keeps beside a file (``__MACOSX``, ``._name``)."""
+    parts = Path(name.replace("\\", "/")).parts
+    return "__MACOSX" in parts or (bool(parts) and parts[-1].startswith("."))
+
+
+def head_of_file(place: Path) -> bytes:
+    """The first bytes of a file; nothing where they cannot be had."""
+    try:
+        return read_bytes(place, MAX_HEADER)
+    except DataFormatError:
+        return b""
+
+
+def head_of_member(archive: zipfile.ZipFile, name: str) -> bytes:
+    """The first bytes of a member; nothing where they cannot be had."""
+    if archive.getinfo(name).flag_bits & 1:
+        return b""
+    with _damage_told(Path(archive.filename or "")), archive.open(name) as stream:
+        return stream.read(MAX_HEADER)
+
+
+@contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
+    """Some decompressors report damage as if it were the machine's."""
+    try:
+        yield
+    except OSError as error:
+        raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
+
+
+def refuse_strays(path: Path, names: Collection[str]) -> None:
+    """Refuse an archive with a name that would leave it."""
+    for name in names:
+        parts = name.replace("\\", "/").split("/")
+        if ".." in parts or not parts[0] or parts[0].endswith(":"):
+            raise DataFormatError(path, f"holds a name that leaves the archive: {name[:60]!r}")
+
+
+def _reader_of_file(place: Path) -> Callable[[], bytes]:
+    def read() -> bytes:
+        raw = read_bytes(place, MAX_MEMBER + 1)
+        if len(raw) > MAX_MEMBER:
+            raise DataFormatError(place, f"is larger than {MAX_MEMBER} bytes, more than a phone logs")
+        return raw
+
+    return read
+
+
+def _reader_of_member(path: Path, archive: zipfile.ZipFile, name: str) -> Callable[[], bytes]:
+    def read() -> bytes:
+        info = archive.getinfo(name)
+        if info.flag_bits & 1:
+            raise DataFormatError(path, f"{name} is encrypted; unpack it first")
+        if info.file_size > min(MAX_MEMBER, MAX_RATIO * info.compress_size + FREE):
+            sizes = f"{info.file_size} bytes out of {info.compress_size}"
+            raise DataFormatError(path, f"{name} declares {sizes}: refused as a zip bomb")
+        with _damage_told(path), archive.open(info) as stream:
+            return stream.read(info.file_size + 1)
+
+    return read

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The noun of this sub-room: what the sensors of a phone read, each at its own times, whichever app wrote it."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from magmatch.errors import DataFormatError
+from magmatch.typing import Indices, Scalars, Vectors
+
+logger = logging.getLogger(__name__)
+
+# field: the magnetometer with the phone's own calibration; raw_field: without it. acceleration includes gravity.
+Sensor = Literal["field", "raw_field", "acceleration", "linear_acceleration", "gravity", "rate"]
+# What each is in, as apps write it, and how much of ours that is (T, m/s^2, rad/s).
+PER_UNIT: dict[Sensor, float] = {
+    "field": 1e-6, "raw_field": 1e-6, "acceleration": 1.0, "linear_acceleration": 1.0, "gravity": 1.0, "rate": 1.0,
+}  # fmt: skip
+WORDS: dict[Sensor, str] = {
+    "field": "magnetometer", "raw_field": "uncalibrated magnetometer", "acceleration": "accelerometer with gravity",
+    "linear_acceleration": "accelerometer without gravity", "gravity": "gravity", "rate": "gyroscope",
+}  # fmt: skip
+# s; a clock set back further than this is no matter of late rows.
+MAX_STEP_BACK = 1.0
+# Readings (T, m/s^2, rad/s) and times (s) beyond these are damage, stated in docs/formats.md; phones read up to 5 mT,
+# 160 m/s^2 and 35 rad/s.
+LARGEST, LATEST = 1e5, 1e12
+STANDARD_GRAVITY = 9.80665  # m/s^2
+# Median lengths of accelerations with gravity, in units of g: a phone in a hand is not in free fall.
+WITH_GRAVITY = (0.7, 1.3)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stream:
+    """Readings of one sensor.
+
+    Attributes
+    ----------
+    times : (n,) array, s
+        Strictly increasing, on the log's clock.
+    values : (n, 3) array, T, m/s^2 or rad/s
+        In the phone's axes: x to the right, y up the screen, z out of it.
+    source : str
+        The table or the kind of row it came from.
+    """
+
+    times: Scalars
+    values: Vectors
+    source: str
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def at(self, times: Scalars) -> Vectors:
+        """Values interpolated to other times, held at the ends: (k, 3)."""
+        return np.column_stack([np.interp(times, self.times, axis) for axis in self.values.T])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PhoneLog:
+    """Readings of a phone's sensors on one clock.
+
+    Attributes
+    ----------
+    path : Path
+        Where it came from.
+    app : str
+        What wrote it.
+    streams : dict of Sensor to Stream
+        Those that are there, of those that were asked for.
+    """
+
+    path: Path
+    app: str
+    streams: Mapping[Sensor, Stream]
+
+    def facts(self) -> list[dict[str, Any]]:
+        """Source, sensor, count, rate and span of each stream, ready for JSON, as of the topics of a log."""
+        return [
+            {
+                "name": stream.source, "type": WORDS[sensor], "count": len(stream),
+                "rate": float(1 / np.median(np.diff(stream.times))) if len(stream) > 1 else None,
+                "span": [float(stream.times[0]), float(stream.times[-1])],
+            }
+            for sensor, stream in self.streams.items()
+        ]  # fmt: skip
+
+    def require(self, sensor: Sensor, what_for: str) -> Stream:
+        """Readings of a sensor; DataFormatError where there are none."""
+        if sensor not in self.streams:
+            found = ", ".join(WORDS[name] for name in self.streams) or "none that is known"
+            message = f"expected readings of the {WORDS[sensor]} for {what_for}; found sensors: {found}"
+            raise DataFormatError(self.path, message)
+        return self.streams[sensor]
+
+    def acceleration(self, what_for: str) -> Stream:
+        """What the accelerometer feels, gravity with it, m/s^2; the sum of both where the app took them apart."""
+        found = self.streams.get("acceleration")
+        if found is None and {"linear_acceleration", "gravity"} <= self.streams.keys():
+            linear, gravity = self.streams["linear_acceleration"], self.streams["gravity"]
+            found = replace(linear, values=linear.values + gravity.at(linear.times))
+        found = found or self.streams.get("linear_acceleration") or self.require("acceleration", what_for)
+        length = float(np.median(np.linalg.norm(found.values, axis=1)))
+        for unit in (1.0, STANDARD_GRAVITY):  # iPhones may write multiples of g
+            if WITH_GRAVITY[0] < length * unit / STANDARD_GRAVITY < WITH_GRAVITY[1]:
+                return found if unit == 1 else replace(found, values=found.values * unit)
+        message = (
+            f"expected accelerations with gravity (9.8 m/s^2 long) for {what_for}; {found.source} holds such of "
+            f"{length:.3g}; record the accelerometer with gravity ('TotalAcceleration' or 'Gravity' too)"
+        )
+        raise DataFormatError(self.path, message)
+
+
+def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: Indices) -> Stream:
+    """Readings in the order of their times; of equal times the first stays."""
+    for name, column, bound in (("time", times, LATEST), *(("xyz"[k], v, LARGEST) for k, v in enumerate(values.T))):
+        row = int(np.argmax(np.abs(column)))
+        if abs(column[row]) > bound:
+            message = f"expected numbers of phones (below {bound:g} in SI units), found {column[row]:.4g}"
+            raise DataFormatError(path, message, line=int(lines[row]), column=name)
+    behind = np.maximum.accumulate(times) - times
+    if len(times) and behind.max() > MAX_STEP_BACK:
+        row = int(np.argmax(behind > MAX_STEP_BACK))
+        message = (
+            f"time runs backward by {behind[row]:.4g} s: {times[row]:.9g} s; was the clock set, or two logs joined?"
+        )
+        raise DataFormatError(path, message, line=int(lines[row]))
+    distinct, kept = np.unique(times, return_index=True)
+    n_late, n_equal = int((behind > 0).sum()), len(times) - len(distinct)
+    if n_late or n_equal:
+        words = "%s: of the rows of %s %d stand after later ones (sorted) and %d repeat a time (left out)"
+        logger.warning(words, path, source, n_late, n_equal)
+    return Stream(distinct, values[kept], source)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this sub-room: a phone's log in, its sensors out."""
+
+import logging
+from collections.abc import Collection
+from pathlib import Path
+from typing import get_args
+
+from magmatch.data.formats.extrinsic import read_extrinsic
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.phones.containers import opened_tables
+from magmatch.data.formats.phones.getsensordata import APP, is_getsensordata, read_getsensordata
+from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
+from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
+from magmatch.data.formats.recording import Recording
+from magmatch.data.formats.sniff import BROKEN_ZIP
+from magmatch.data.units import TESLA_PER_UNIT
+from magmatch.errors import DataFormatError
+
+logger = logging.getLogger(__name__)
+
+EVERY: tuple[Sensor, ...] = get_args(Sensor)
+# What the apps write, whatever the phone: microtesla, in the phone's own axes.
+MICROTESLA = 1e-6
+
+
+def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, recover: bool = False) -> PhoneLog:
+    """Read the sensors of a phone's log.
+
+    Parameters
+    ----------
+    path : path
+        What an app wrote, told by content: a table, a text log, or a folder or zip archive of tables.
+    wanted : collection of Sensor
+        Those to read; others cost no time.
+    recover : bool
+        Leave out rows that hold no numbers, and say how many, instead of refusing.
+
+    Returns
+    -------
+    PhoneLog
+        In tesla, m/s^2, rad/s and seconds.
+
+    Raises
+    ------
+    DataFormatError
+        With the place at fault.
+    """
+    try:
+        with opened_tables(path) as tables:
+            streams: dict[Sensor, Stream] = {}
+            apps = []
+            for place, read in tables.items():
+                hint = MEMBERS.get(stem_of(place.name))
+                if (hint and hint not in wanted) or set(wanted) <= streams.keys():
+                    continue
+                raw = read()
+                if is_getsensordata(raw[:1_000_000]):
+                    app, found = APP, read_getsensordata(place, raw, wanted, recover=recover)
+                else:
+                    app, found = read_table_streams(place, raw, wanted, recover=recover)
+                streams = found | streams
+                apps.append(app)
+    except BROKEN_ZIP as error:
+        if isinstance(error, DataFormatError):
+            raise
+        raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
+    return PhoneLog(Path(path), apps[0] if apps else "unknown", streams)
+
+
+def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> Recording:
+    """Join a magnetometer of a phone with the poses of a trajectory file; by default its calibrated one."""
+    log = read_phone_log(path, (sensor or "field",), recover=layout.recover)
+    if sensor is None and "field" not in log.streams:
+        raw = read_phone_log(path, recover=layout.recover)
+        if "raw_field" in raw.streams:
+            sensor = "raw_field"
+            logger.warning(
+                "%s: read without the phone's own calibration; expect an offset ('magmatch prepare')", path
+            )
+        log = raw
+    stream = log.require(sensor or "field", "a survey")
+    if layout.trajectory is None:
+        message = (
+            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"
+            " ('magmatch odometry' makes one from accelerometer and gyroscope)"
+        )
+        raise DataFormatError(path, message)
+    return Recording(
+        path=Path(path),
+        times=stream.times,
+        field=stream.values / MICROTESLA * TESLA_PER_UNIT[layout.field_unit],
+        trajectory=load_trajectory(layout.trajectory, layout),
+        field_frame=layout.field_frame,
+        poses_from=layout.trajectory,
+    ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))

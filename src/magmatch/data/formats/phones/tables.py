@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables of phone apps, told by their headers: phyphox, Sensor Logger, and Android's own ``event.timestamp``."""
+
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from magmatch.data.formats.phones.phone_log import PER_UNIT, WORDS, Sensor, Stream, stream_of
+from magmatch.data.formats.phones.tagged_rows import TaggedRows
+from magmatch.data.tables.table import read_table
+from magmatch.data.tables.text import text_lines
+from magmatch.data.tables.text_rows import delimiter_of, listed, split_row
+from magmatch.errors import DataFormatError
+from magmatch.typing import Scalars
+
+# What the tables are called, in the order in which they are preferred where two hold one sensor.
+MEMBERS: Mapping[str, Sensor | None] = {
+    "magnetometer": "field",
+    "raw data": None,
+    "totalacceleration": "acceleration",
+    "accelerometer": None,  # without gravity where Sensor Logger wrote it
+    "accelerometeruncalibrated": "acceleration",
+    "gyroscope": "rate",
+    "gravity": "gravity",
+    "linear accelerometer": "linear_acceleration",
+    "linear acceleration": "linear_acceleration",
+    "magnetometeruncalibrated": "raw_field",
+    "magnetometer uncalibrated": "raw_field",
+}
+AXES = ("x", "y", "z")
+# Names of phyphox: the sensor, an axis and the unit ("Magnetic field x (uT)", or "X (uT)").
+_PHYPHOX = re.compile(r"(?P<what>.*?)\s*\b(?P<axis>[xyz]) \((?P<unit>[^()]*)\)")
+_UNITS: Mapping[str, Sensor] = {
+    "µt": "field", "μt": "field", "ut": "field", "m/s^2": "acceleration", "m/s²": "acceleration", "rad/s": "rate",
+}  # fmt: skip
+_ANDROID_TIME = "event.timestamp"
+_ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
+_ANDROID_VALUE = re.compile(r"(?:event\.)?values?[\[_.]?([0-2])\]?|(?:event\.)?([xyz])")
+# Numbers of sensors in Android.
+_ANDROID_TYPES: Mapping[str, Sensor] = {
+    "1": "acceleration", "2": "field", "4": "rate", "9": "gravity", "10": "linear_acceleration", "14": "raw_field",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """What the columns of a table are: `sensors` holds the names of x, y and z, `tag` that of a sensor's name."""
+
+    app: str
+    time: str
+    sensors: dict[Sensor, tuple[str, ...]]
+    tag: str = ""
+
+
+def is_phone_header(line: str) -> bool:
+    """Whether a header is that of a phone's table."""
+    return bool(line) and columns_of(_cells(line), "") is not None
+
+
+def says_its_sensor(line: str, stem: str) -> bool:
+    """Whether header and name of a table among others say that it is one of a sensor known here."""
+    columns = columns_of(_cells(line), stem) if line else None
+    return columns is not None and bool(columns.app == "phyphox" or columns.tag or sensor_named(stem))
+
+
+def read_table_streams(
+    place: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool
+) -> tuple[str, dict[Sensor, Stream]]:
+    """Name the app and read the sensors of a table that are wanted."""
+    lines = text_lines(place, raw)
+    first = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), 0)
+    names = _cells(lines[first])
+    columns = columns_of(names, stem_of(place.name))
+    if columns is None:
+        message = f"expected a phone's table (phyphox, Sensor Logger, Android); found columns {listed(names)}"
+        raise DataFormatError(place, message, line=first + 1)
+    if columns.tag:
+        return columns.app, _tagged(place, lines, first, columns, wanted, recover=recover)
+    streams = {}
+    for sensor, axes in columns.sensors.items():
+        if sensor not in wanted:
+            continue
+        # One table of several sensors has cells without a number wherever one of them is slower.
+        table = read_table(place, [columns.time, *axes], raw=raw, recover=recover or len(columns.sensors) > 1)
+        table.require([columns.time, *axes])
+        times = table.columns[columns.time]
+        times = times / ticks_per_second(columns.app, times)
+        values = table.stack(*axes) * PER_UNIT[sensor]
+        streams[sensor] = stream_of(place, place.name, times, values, table.line_numbers)
+    return columns.app, streams
+
+
+def columns_of(names: list[str], stem: str) -> Columns | None:
+    """What the columns of a table are, by their names (lower case) and the table's; None if it is no phone's."""
+    if "seconds_elapsed" in names and "time" in names:
+        of_table: Sensor = MEMBERS.get(stem) or (
+            "linear_acceleration" if stem == "accelerometer" else sensor_named(stem) or "field"
+        )
+        return Columns("Sensor Logger", "time", {of_table: AXES})
+    if _ANDROID_TIME in names:
+        return _android(names, stem)
+    sensors: dict[Sensor, tuple[str, ...]] = {}
+    for name in names:
+        found = _PHYPHOX.fullmatch(name)
+        sensor = _UNITS.get(found["unit"]) if found else None
+        if found and sensor:
+            what, unit = found["what"], found["unit"]
+            sensors.setdefault(
+                _variant(sensor, f"{what} {stem}"), tuple(f"{what} {a} ({unit})".strip() for a in AXES)
+            )
+    return Columns("phyphox", "time (s)", sensors) if sensors and "time (s)" in names else None
+
+
+def _android(names: list[str], stem: str) -> Columns | None:
+    """Columns named after the fields of Android's SensorEvent."""
+    axes: dict[str, str] = {}
+    for name in names:
+        if found := _ANDROID_VALUE.fullmatch(name):
+            axes.setdefault(found[2] or AXES[int(found[1])], name)
+    if len(axes) < len(AXES):
+        return None
+    tag = next((name for name in _ANDROID_SENSOR if name in names), "")
+    sensor = sensor_named(stem) or "field"
+    return Columns("Android", _ANDROID_TIME, {sensor: tuple(axes[a] for a in AXES)}, tag)
+
+
+def sensor_named(text: str) -> Sensor | None:
+    """Which sensor a word, or Android's number, stands for."""
+    word = text.strip().strip("'\"").lower()
+    kinds: Mapping[str, Sensor] = {
+        "mag": "field", "linear": "linear_acceleration", "gravity": "gravity", "acc": "acceleration", "gyr": "rate",
+    }  # fmt: skip
+    plain = next((sensor for part, sensor in kinds.items() if part in word), None)
+    if plain == "rate" and "uncal" in word:
+        return None
+    return _ANDROID_TYPES.get(word) or (plain and _variant(plain, word))
+
+
+def _variant(sensor: Sensor, words: str) -> Sensor:
+    """The sensor itself, or what is left of it without calibration or gravity."""
+    if sensor == "field" and "uncal" in words:
+        return "raw_field"
+    return "linear_acceleration" if sensor == "acceleration" and "linear" in words else sensor
+
+
+def ticks_per_second(app: str, times: Scalars) -> float:
+    """Unit of a table's times; Android's is told by how far apart they are, sensors reading at 1 to 1000 Hz."""
+    if app == "phyphox" or len(times) < 2:
+        return 1.0
+    if app == "Sensor Logger":
+        return 1e9
+    interval = float(np.median(np.abs(np.diff(times))))
+    return next((unit for unit in (1e9, 1e6, 1e3) if interval >= unit / 1e3), 1.0)
+
+
+def _tagged(
+    place: Path, lines: list[str], first: int, columns: Columns, wanted: Collection[Sensor], *, recover: bool
+) -> dict[Sensor, Stream]:
+    """Rows of several sensors in one table, each named in its row."""
+    names = _cells(lines[first])
+    (axes,) = columns.sensors.values()
+    used, k = [names.index(name) for name in (columns.time, *axes)], names.index(columns.tag)
+    rows = TaggedRows(place, (columns.time, *axes), recover=recover)
+    for line, cells in _rows(place, lines, first):
+        sensor = sensor_named(cells[k]) if k < len(cells) else None
+        if sensor in wanted:
+            rows.take(str(sensor), line, [cells[i] if i < len(cells) else "" for i in used])
+    blocks = {sensor: rows.block(sensor) for sensor in wanted if sensor in rows.tags}
+    longest = max((block[:, 0] for block, _ in blocks.values()), key=len, default=np.zeros(0))
+    ticks = ticks_per_second(columns.app, longest)
+    return {
+        sensor: stream_of(
+            place, f"{place.name} ({WORDS[sensor]})", block[:, 0] / ticks, block[:, 1:] * PER_UNIT[sensor], numbers
+        )
+        for sensor, (block, numbers) in blocks.items()
+    }
+
+
+def _rows(place: Path, lines: list[str], first: int) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of the rows below a header."""
+    mark = delimiter_of(place, lines[first], first + 1)
+    for i, line in enumerate(lines[first + 1 :], start=first + 2):
+        if line.strip() and not line.startswith("#"):
+            yield i, split_row(line, mark)
+
+
+def stem_of(name: str) -> str:
+    """A table's name without folder and endings, lower case."""
+    return name.replace("\\", "/").rsplit("/", 1)[-1].lower().removesuffix(".gz").removesuffix(".csv")
+
+
+def _cells(line: str) -> list[str]:
+    """Names of columns, lower case."""
+    mark = next((mark for mark in ("\t", ";", ",") if mark in line), ",")
+    return [cell.strip().strip("'\"").strip() for cell in line.lower().split(mark)]

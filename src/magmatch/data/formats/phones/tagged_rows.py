@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of numbers of several sensors in one text, each row named after its sensor."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from magmatch.errors import DataFormatError
+from magmatch.typing import Indices, Matrix
+
+logger = logging.getLogger(__name__)
+
+
+class TaggedRows:
+    """Collects the rows of each sensor; a faulty one is named, or left out and counted where recovering."""
+
+    def __init__(self, path: Path, names: Sequence[str], *, recover: bool) -> None:
+        self.path, self.names, self.recover = path, tuple(names), recover
+        self._rows: dict[str, list[list[float]]] = {}
+        self._lines: dict[str, list[int]] = {}
+        self._n_faults = 0
+
+    @property
+    def tags(self) -> list[str]:
+        """Sensors of which there are rows."""
+        return list(self._rows)
+
+    def take(self, tag: str, line: int, cells: Sequence[str]) -> None:
+        """Add a row: one cell for each of the names."""
+        try:
+            numbers = [float(cell) for cell in cells]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(self.names) or not np.isfinite(numbers).all():
+            if not self.recover:
+                raise self._fault(line, cells)
+            self._n_faults += 1
+            return
+        self._rows.setdefault(tag, []).append(numbers)
+        self._lines.setdefault(tag, []).append(line)
+
+    def block(self, tag: str) -> tuple[Matrix, Indices]:
+        """Numbers of a sensor, (n, k), and the lines they stand on."""
+        if self._n_faults:
+            logger.warning("%s: left out %d rows that cannot be read", self.path, self._n_faults)
+            self._n_faults = 0
+        return np.array(self._rows[tag]), np.array(self._lines[tag], dtype=np.int64)
+
+    def _fault(self, line: int, cells: Sequence[str]) -> DataFormatError:
+        """What is wrong with a row."""
+        advice = "; --recover leaves such rows out"
+        if len(cells) != len(self.names):
+            message = f"expected {len(self.names)} numbers ({', '.join(self.names)}), found {len(cells)}{advice}"
+            return DataFormatError(self.path, message, line=line)
+        for name, cell in zip(self.names, cells, strict=True):
+            try:
+                is_finite = bool(np.isfinite(float(cell)))
+            except ValueError:
+                is_finite = False
+            if not is_finite:
+                message = f"expected a finite number, found {cell.strip()[:40]!r}{advice}"
+                return DataFormatError(self.path, message, line=line, column=name)
+        msg = "a fault was reported but none found"
+        raise AssertionError(msg)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Gzip files, read as what is in them: never more of it than a file of that size may hold."""
+
+import gzip
+import tempfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from magmatch.errors import DataFormatError
+
+MAGIC = b"\x1f\x8b"
+# Bounds, stated in docs/formats.md: text packs 3 to 20 times, and logs hardly at all.
+MAX_UNPACKED, MAX_RATIO, FREE = 2 << 30, 200, 16 << 20
+PIECE = 4 << 20
+
+
+class GzipContent:
+    """What a gzip file holds; damage, and more content than its size makes likely, are refused."""
+
+    def __init__(self, path: str | Path, stream: BinaryIO, n_packed: int) -> None:
+        self.path, self._stream = path, gzip.GzipFile(fileobj=stream)
+        self._limit = min(MAX_UNPACKED, MAX_RATIO * n_packed + FREE)
+        self._n_read = 0
+
+    def read(self, size: int = -1) -> bytes:
+        """The next bytes, as of any file."""
+        wanted = self._limit - self._n_read + 1 if size < 0 else min(size, self._limit - self._n_read + 1)
+        try:
+            piece = self._stream.read(wanted)
+        except (OSError, EOFError, zlib.error) as error:
+            raise DataFormatError(self.path, f"is a damaged gzip file ({error}); cut off while copying?") from None
+        self._n_read += len(piece)
+        if self._n_read > self._limit:
+            raise DataFormatError(self.path, f"unpacks to more than {self._limit} bytes: refused as a gzip bomb")
+        return piece
+
+
+@contextmanager
+def plain_file(path: str | Path) -> Iterator[Path]:
+    """The file itself; for a gzip file a passing copy of its content, for readers that need to jump about in it."""
+    place = Path(path)
+    if not is_gzip(place):
+        yield place
+        return
+    with tempfile.TemporaryDirectory(prefix="magmatch-") as folder, place.open("rb") as packed:
+        copy = Path(folder) / (place.stem or "log")
+        content = GzipContent(path, packed, place.stat().st_size)
+        with copy.open("wb") as unpacked:
+            while piece := content.read(PIECE):
+                unpacked.write(piece)
+        try:
+            yield copy
+        except DataFormatError as error:  # which speaks of the copy
+            if error.path != copy:
+                raise
+            raise DataFormatError(path, error.message, line=error.line, column=error.column) from None
+
+
+def is_gzip(path: Path) -> bool:
+    """Whether this is a gzip file; what cannot be opened is none, and is refused where it is read."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except (OSError, ValueError):
+        return False

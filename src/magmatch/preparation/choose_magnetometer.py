@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which readings of a phone to take: those its own calibration has been at, or the raw ones, calibrated here."""
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+from magmatch.data.survey import Survey
+from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.preparation_report import PreparationReport, StepReport
+from magmatch.preparation.prepare import prepare
+
+log = logging.getLogger(__name__)
+
+
+def prepare_either(
+    own: Survey, raw: Survey | None, config: PreparationConfig | None = None, **known: Any
+) -> tuple[Survey, PreparationReport]:
+    """Prepare both readings of one phone and give the better, with a report that says which, and why.
+
+    Parameters
+    ----------
+    own : Survey
+        With the phone's own calibration, which may jump and may be wrong.
+    raw : Survey, optional
+        Without: a constant bias, often of tens of uT, that is for us to find. None: there is no choice.
+    config : PreparationConfig, optional
+        What to do with either.
+    **known
+        As in `magmatch.preparation.prepare.prepare`.
+
+    Returns
+    -------
+    survey : Survey
+    report : PreparationReport
+        Its first step, ``magnetometer``, holds the misfit of the phone's own and of the raw readings.
+
+    Notes
+    -----
+    Taken is what a map predicts better at stretches of the way left out of it, once calibrated. The phone's own where
+    the motion does not tell the raw readings' bias in all three directions: they could not be used elsewhere.
+    """
+    if raw is None:
+        return prepare(own, config, **known)
+    log.info("preparing the phone's own readings, then the raw ones")
+    done = {"the phone's own": prepare(own, config, **known), "raw": prepare(raw, config, **known)}
+    reports = {name: report for name, (_, report) in done.items()}
+    misfit = {name: _held_out(report) for name, report in reports.items()}
+    before, after = misfit.values()
+    open_axes = _open_axes(reports["raw"])
+    if open_axes or before is None or after is None:
+        taken, why = "the phone's own", f"the motion does not tell the raw ones' bias{open_axes}"
+    else:
+        taken = min(misfit, key=lambda name: float(misfit[name] or 0.0))
+        why = (
+            f"a map misses left-out stretches by {before:.3g} uT with the phone's own, by {after:.3g} uT with the raw"
+        )
+    words = f"readings taken: {taken}; {why}"
+    step = StepReport(
+        "magnetometer", "unchanged" if taken != "raw" else "applied", words, before, after, "uT",
+        {"taken": "own" if taken != "raw" else "raw", "held_out": [before, after]},
+    )  # fmt: skip
+    survey, report = done[taken]
+    return survey, replace(report, steps=(step, *report.steps))
+
+
+def _held_out(report: PreparationReport) -> float | None:
+    """Median miss at left-out stretches after calibration, uT; None where there was none."""
+    return next((step.after for step in report.steps if step.step == "all corrections"), None)
+
+
+def _open_axes(report: PreparationReport) -> str:
+    """Directions in which the bias stays unknown, in words; nothing where all are told."""
+    step = next((step for step in report.steps if step.step == "hard iron"), None)
+    if step is None or "is_open" not in step.figures:
+        return " at all"
+    axes = [axis for axis, is_open in zip("xyz", step.figures["is_open"], strict=True) if is_open]
+    return f" along {', '.join(axes)}" if axes else ""

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this sub-room: accelerometer and gyroscope of a walk in, its path out, level and from the origin."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
+from magmatch.data.trajectory import Trajectory
+from magmatch.errors import DataFormatError
+from magmatch.preparation.odometry.attitude import attitude
+from magmatch.preparation.odometry.config import OdometryConfig
+from magmatch.preparation.odometry.steps import Steps, find_steps
+from magmatch.typing import Scalars, Vectors
+
+log = logging.getLogger(__name__)
+
+WHAT_FOR = "dead reckoning"
+# Bounds of what is taken for one walk: s, readings a second, and the longest gap that is not worth a word (s).
+SPAN, SLOWEST, GAP = (2.0, 86_400.0), 15.0, 0.2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Odometry:
+    """A walk by dead reckoning.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        Of the phone, on the log's clock: begins at the origin, z = 0, heading as it happens to begin; drifts.
+    steps : Steps
+        What the path is made of.
+    length_sd : float, m
+        Standard deviation of the path's length: of the walker's factor and of single steps.
+    """
+
+    trajectory: Trajectory
+    steps: Steps
+    length_sd: float
+
+    @property
+    def length(self) -> float:
+        """Length of the path, m."""
+        return float(self.steps.lengths.sum())
+
+
+def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odometry:
+    """Path of a walk whose phone was held in front, from its accelerometer and gyroscope alone.
+
+    Parameters
+    ----------
+    phone : PhoneLog
+        With both sensors.
+    config : OdometryConfig, optional
+        Settings.
+
+    Returns
+    -------
+    Odometry
+
+    Raises
+    ------
+    DataFormatError
+        A sensor is missing or too slow, or nobody walks.
+
+    Notes
+    -----
+    Position moves along the phone's heading by one step's length per step. A phone that points otherwise than its
+    carrier walks, by a constant angle, turns the whole path; one that changes its angle bends it.
+    """
+    config = config or OdometryConfig()
+    acceleration, rate = phone.acceleration(WHAT_FOR), phone.require("rate", WHAT_FOR)
+    times = _even_times(phone, (acceleration, rate), config)
+    felt = acceleration.at(times)
+    orientations = attitude(rate.at(times), felt, config)
+    steps = find_steps(orientations.apply(felt)[:, 2], config)
+    if not len(steps):
+        message = f"no step is found in {times[-1] - times[0]:.3g} s; expected a walk with the phone in the hand"
+        raise DataFormatError(phone.path, message)
+    speed = steps.speed(len(times), config.rate)
+    moves = heading(orientations) * (speed / config.rate)[:, None]
+    positions = np.zeros((len(times), 3))
+    positions[1:, :2] = np.cumsum(moves[:-1], axis=0)
+    length = float(steps.lengths.sum())
+    by_step = config.step_sd * float(np.sqrt((steps.lengths**2).sum()))
+    return Odometry(
+        Trajectory(times, positions, orientations), steps, float(np.hypot(config.factor_sd * length, by_step))
+    )
+
+
+def heading(orientations: Rotation) -> Vectors:
+    """Level direction in which a phone points, unit vectors: (n, 2).
+
+    That of its upper end; of its back where it is mostly held upright, as for a picture.
+    """
+    top, back = orientations.apply([0.0, 1.0, 0.0])[:, :2], orientations.apply([0.0, 0.0, -1.0])[:, :2]
+    is_upright = np.linalg.norm(back, axis=1).mean() > 2 * np.linalg.norm(top, axis=1).mean()
+    level = back if is_upright else top
+    size = np.linalg.norm(level, axis=1, keepdims=True)
+    return np.asarray(level / np.maximum(size, 1e-9))
+
+
+def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryConfig) -> Scalars:
+    """Times at the configured rate that all sensors cover; what makes a walk impossible is refused, gaps are told."""
+    start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
+    if not SPAN[0] <= stop - start <= SPAN[1]:
+        message = f"the sensors share {stop - start:.3g} s, expected a walk of {SPAN[0]:g} s to {SPAN[1] / 3600:g} h"
+        raise DataFormatError(phone.path, message)
+    for stream in streams:
+        intervals = np.diff(stream.times)
+        rate = 1 / float(np.median(intervals))
+        if rate < SLOWEST:
+            message = f"{stream.source}: {rate:.3g} readings a second, expected at least {SLOWEST:g} for {WHAT_FOR}"
+            raise DataFormatError(phone.path, message)
+        if intervals.max() > GAP:
+            words = "%s: %s has %d gaps, the longest %.3g s: turns and steps within are lost"
+            log.warning(words, phone.path, stream.source, int((intervals > GAP).sum()), intervals.max())
+    return np.asarray(start + np.arange(int((stop - start) * config.rate) + 1) / config.rate)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Jumps of a phone's own recalibration: from one reading to the next a constant in the sensor's frame changes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from magmatch.preparation.blocks import CHANNEL, PIECE
+from magmatch.preparation.calibration import Calibration
+from magmatch.preparation.disturbances import find_saturation
+from magmatch.preparation.preparation_report import StepReport
+from magmatch.preparation.sensor_log import SensorLog
+from magmatch.typing import Indices, Scalars, Vector3, Vectors
+
+# Readings to either side that a jump is held against, how many times it exceeds the largest change among them, and
+# the least of it. Phones waved about change by up to 12 uT from one reading to the next, and by as much beside it. In
+# the 20 IPIN logs five are found, of 120, 58, 7, 6 and 5 uT: all but the fourth where the phone's own figure of
+# accuracy changed, which it did nine times.
+NEIGHBOURS, TIMES_LARGER, SMALLEST = 8, 3.0, 3e-6
+# How much of it must still be there after those readings: a spike goes back.
+LASTING = 0.5
+# Intervals that are this many times the usual are gaps, in which a field may change as it likes.
+GAP = 3.0
+# A phone recalibrates itself a few times at most; more is something else, and the largest are taken.
+MOST = 8
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Recalibrations:
+    """Where a log is to be cut.
+
+    Attributes
+    ----------
+    rows : (k,) int array
+        First reading behind each jump, ascending.
+    steps : (k, 3) array, T
+        What each jump added to the readings, sensor frame.
+    """
+
+    rows: Indices
+    steps: Vectors
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def piece_of(self, n: int) -> Indices:
+        """Number of the piece that each of n readings belongs to."""
+        return np.searchsorted(self.rows, np.arange(n), side="right")
+
+    def channels(self, n: int) -> dict[str, Scalars]:
+        """One channel for each piece but the longest, 1 within it: so that a calibration gives each a constant."""
+        piece = self.piece_of(n)
+        longest = int(np.bincount(piece).argmax())
+        return {f"{PIECE}{k + 1}": (piece == k).astype(np.float64) for k in range(len(self) + 1) if k != longest}
+
+    def joined(self, log: SensorLog) -> SensorLog:
+        """The log with all pieces moved, by the jumps as measured, to the longest."""
+        piece = self.piece_of(len(log))
+        offsets = np.vstack([np.zeros(3), np.cumsum(self.steps, axis=0)])
+        offsets -= offsets[int(np.bincount(piece).argmax())]
+        return replace(log, readings=log.readings - offsets[piece])
+
+
+NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+
+
+def find_recalibrations(log: SensorLog) -> Recalibrations:
+    """Jumps that stand out from all changes around them and last; none in a log without times."""
+    n = len(log)
+    if log.times is None or n < 4 * NEIGHBOURS:
+        return NO_CUTS
+    # In the survey's frame, so that turning is no change of the field; walking changes it evenly.
+    changes = np.diff(log.orientations.apply(log.readings), axis=0)
+    changes = changes - median_filter(changes, size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
+    change = np.linalg.norm(changes, axis=1)
+    before = maximum_filter1d(change, NEIGHBOURS, origin=NEIGHBOURS // 2 - 1, mode="constant", cval=np.inf)
+    after = maximum_filter1d(change, NEIGHBOURS, origin=-(NEIGHBOURS // 2), mode="constant", cval=np.inf)
+    beside = np.full(n - 1, np.inf)
+    beside[1:-1] = np.maximum(before[:-2], after[2:])
+    intervals = np.diff(log.times)
+    # The end of the sensor's range holds readings still, and lets them go at once.
+    is_free = ~find_saturation(log.readings)
+    is_jump = is_free[1:] & is_free[:-1] & (change > SMALLEST)
+    is_jump &= (change > TIMES_LARGER * beside) & (intervals < GAP * np.median(intervals))
+    candidates = [(row, _step(log, row)) for row in (np.flatnonzero(is_jump) + 1).tolist()]
+    lasting = [(row, step) for row, step in candidates if np.linalg.norm(step) > LASTING * change[row - 1]]
+    largest = sorted(sorted(lasting, key=lambda found: -float(np.linalg.norm(found[1])))[:MOST], key=lambda f: f[0])
+    rows = np.array([row for row, _ in largest], dtype=np.int64)
+    return Recalibrations(rows, np.array([step for _, step in largest]).reshape(-1, 3))
+
+
+def _step(log: SensorLog, row: int) -> Vector3:
+    """What a jump before a row added, sensor frame: lines through the readings on either side, met halfway."""
+    assert log.times is not None  # or there are no jumps
+    near = np.arange(row - NEIGHBOURS // 2, row + NEIGHBOURS // 2)
+    # As the sensor would have read them in the attitude it had at the jump.
+    turned = (log.orientations[row].inv() * log.orientations[near]).apply(log.readings[near])
+    seconds = log.times[near] - (log.times[row - 1] + log.times[row]) / 2
+    behind = (near >= row).astype(np.float64)
+    # One slope for both sides: two would make the step noisier than a field that bends.
+    design = np.column_stack([np.ones(len(near)), seconds, behind])
+    return np.asarray(np.linalg.lstsq(design, turned, rcond=None)[0][2])
+
+
+def recalibration_step(found: Recalibrations, log: SensorLog | None, calibration: Calibration | None) -> StepReport:
+    """Report of the jumps, and of what the calibration found the pieces to differ by beside them."""
+    if log is None or log.times is None:
+        return StepReport("recalibration", "unknown", "needs orientations and times")
+    if not len(found):
+        return StepReport("recalibration", "unchanged", "no jump of the sensor's own calibration found")
+    jumps = [
+        f"at {log.times[row]:.2f} s by {1e6 * np.linalg.norm(step):.3g} uT"
+        for row, step in zip(found.rows, found.steps, strict=True)
+    ]
+    kept = {} if calibration is None or calibration.is_refused else calibration.chosen.estimate
+    own = [name.removeprefix(CHANNEL + PIECE) for name in kept if name.startswith(CHANNEL + PIECE)]
+    words = f"the sensor recalibrated itself {', '.join(jumps)}: cut there, each piece moved back by its jump"
+    if own:
+        words += f"; piece {', '.join(own)} with a hard iron of its own beside that"
+    figures = {"times": log.times[found.rows].tolist(), "steps": found.steps.tolist(), "own_hard_iron": own}
+    return StepReport("recalibration", "applied", words, len(found), 0, "jumps", figures)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""MATLAB files: arrays named as columns, in both versions; what is damaged or no survey is refused in one line."""
+
+import gzip
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.mat5 import Mat5
+from magmatch.data.read import read_survey
+from magmatch.errors import DataFormatError
+
+N = 40
+RNG = np.random.default_rng(3)
+POSITIONS, FIELD = RNG.uniform(0, 3, (N, 3)), RNG.normal([20, 3, -45], 1, (N, 3))
+TIMES = 0.1 * np.arange(N)
+PLAIN = {
+    "t": TIMES,
+    **dict(zip("xyz", POSITIONS.T, strict=True)),
+    **dict(zip(["bx", "by", "bz"], FIELD.T, strict=True)),
+}
+NESTED = {"data": {"Pos": POSITIONS, "mag": FIELD.T, "clock": {"stamp": TIMES}}, "note": "text", "k": np.eye(2) * 1j}
+COLUMNS = ",".join(
+    [
+        *(f"{a}=data.Pos:{k + 1}" for k, a in enumerate("xyz")),
+        *(f"b{a}=data.mag:{k + 1}" for k, a in enumerate("xyz")),
+    ]
+)
+
+
+def v5(path, content, **options):
+    scipy.io.savemat(path, content, **options)
+    return path
+
+
+def v73(path, content):
+    h5py = pytest.importorskip("h5py")
+
+    def put(group, fields):
+        for name, value in fields.items():
+            if isinstance(value, dict):
+                put(group.create_group(name), value)
+            elif np.isrealobj(value) and not isinstance(value, str):
+                group[name] = np.atleast_2d(value).T
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        put(file, content)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: X".ljust(512))
+    return path
+
+
+def packed(path, content):
+    return v5(path, content, do_compression=True)
+
+
+def gzipped(path, content):
+    v5(path, content)
+    path.write_bytes(gzip.compress(path.read_bytes()))
+    return path
+
+
+@pytest.mark.parametrize("write", [v5, packed, v73, gzipped])
+@pytest.mark.parametrize(("content", "columns"), [(PLAIN, None), (NESTED, f"t=data.clock.stamp,{COLUMNS}")])
+def test_arrays_become_columns(write, content, columns, tmp_path):
+    layout = SurveyFormat(columns=columns, field_unit="uT")
+    survey = read_survey(write(tmp_path / "walk.mat", content), layout)
+    np.testing.assert_array_equal(survey.positions, POSITIONS)
+    np.testing.assert_array_equal(survey.field, FIELD * 1e-6)
+    np.testing.assert_array_equal(survey.times, TIMES)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    array=hnp.arrays(
+        st.sampled_from(["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"]),
+        hnp.array_shapes(max_dims=3, max_side=7),
+        elements={"min_value": 0, "max_value": 100},
+    ),
+    is_packed=st.booleans(),
+)
+def test_every_array_of_numbers_is_read_as_scipy_wrote_it(array, is_packed, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "any.mat"
+    scipy.io.savemat(path, {"a": array, "s": {"b": array}}, do_compression=is_packed)
+    found = dict(Mat5(path).variables({"a", "s"}))
+    for read in (found["a"], found["s"]["b"]):
+        np.testing.assert_array_equal(read, np.atleast_2d(array))
+
+
+BAD = {
+    "other names": ({"mag": FIELD}, None, "expected arrays x, y, z, bx, by, bz; found mag. say which"),
+    "a name that is not there": (PLAIN, "bx=oops", "expected arrays oops; found "),
+    "three columns for one": (NESTED, COLUMNS.replace(":1", "", 1), "expected one column of 40 x 3, data.pos:1"),
+    "a fourth of three columns": (NESTED, COLUMNS.replace(":3", ":4", 1), "found 'data.pos:4'"),
+    "arrays of two lengths": (PLAIN | {"x": np.zeros(7)}, None, "expected arrays of one length, found t 40, x 7"),
+    "NaN": (PLAIN | {"x": np.where(TIMES[4] == TIMES, np.nan, 1.0)}, None, "line 5, column 'x': expected a finite"),
+    "text": (PLAIN | {"x": "text"}, None, "missing x"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+@pytest.mark.parametrize("write", [v5, v73])
+def test_a_file_that_holds_no_survey_says_what_it_holds(write, case, tmp_path):
+    content, columns, words = BAD[case]
+    path = write(tmp_path / "walk.mat", content)
+    with pytest.raises(DataFormatError) as caught:
+        read_survey(path, SurveyFormat(columns=columns, field_unit="uT"))
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_rows_without_numbers_are_left_out_where_asked_for(tmp_path):
+    holed = np.where(TIMES[4] == TIMES, np.nan, POSITIONS[:, 0])
+    path = v5(tmp_path / "walk.mat", PLAIN | {"x": holed})
+    assert len(read_survey(path, SurveyFormat(field_unit="uT", recover=True))) == N - 1
+
+
+def test_a_bomb_is_refused(tmp_path):
+    path = packed(tmp_path / "bomb.mat", PLAIN | {"zeros": np.zeros(20_000_000)})
+    with pytest.raises(DataFormatError, match="zip bomb"):
+        read_survey(path, SurveyFormat(field_unit="uT"))
+
+
+def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    v73(tmp_path / "other.mat", PLAIN)
+    with h5py.File(tmp_path / "walk.mat", "w") as file:
+        for name in PLAIN:
+            file[name] = h5py.ExternalLink("other.mat", name)
+    with pytest.raises(DataFormatError, match="expected arrays"):
+        read_survey(tmp_path / "walk.mat", SurveyFormat(field_unit="uT"))
+
+
+def test_without_h5py_the_extra_is_named(tmp_path, monkeypatch):
+    path = v73(tmp_path / "walk.mat", PLAIN)
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(ImportError, match=r"magmatch\[matlab\]"):
+        read_survey(path)

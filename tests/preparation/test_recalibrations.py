@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Jumps of a sensor's own calibration are found, told from what is none, and taken out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.preparation.choose_magnetometer import prepare_either
+from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.prepare import prepare
+from magmatch.preparation.recalibrations import find_recalibrations
+from magmatch.preparation.sensor_log import SensorLog
+
+UT = 1e-6
+QUICK = PreparationConfig.model_validate(
+    {
+        "time_offset": {"mode": "off"},
+        "calibration": {"soft_iron": "off", "misalignment": "off"},
+        "disturbances": {"spikes": "off", "moving_metal": "off"},
+        "n_samples": 600,
+    }
+)
+
+
+def turned(steps=(), seed=0, n=400, noise=0.3 * UT):
+    """A sensor that turns in a slowly changing field; `steps` are (row, (3,) T in its frame) added from there on."""
+    rng = np.random.default_rng(seed)
+    t = 0.02 * np.arange(n)
+    orientations = Rotation.from_euler("zyx", np.column_stack([t, 0.4 * np.sin(t), 0.3 * np.cos(2 * t)]))
+    field = np.array([18, 3, -45]) * UT + 5 * UT * np.column_stack([np.sin(t), np.cos(0.7 * t), np.sin(1.3 * t)])
+    readings = orientations.apply(field, inverse=True) + rng.normal(0, noise, (n, 3))
+    for row, step in steps:
+        readings[row:] += step
+    return SensorLog.of(Survey(np.column_stack([t, 0 * t, 0 * t]), orientations.apply(readings), t, orientations))
+
+
+vectors = st.tuples(*[st.floats(-60, 60)] * 3).map(lambda v: np.array(v) * UT)
+
+
+@settings(max_examples=40, deadline=None)
+@given(row=st.integers(20, 380), step=vectors, seed=st.integers(0, 99))
+def test_a_jump_is_found_where_it_is_and_measured(row, step, seed):
+    if np.linalg.norm(step) < 6 * UT:
+        return
+    found = find_recalibrations(turned([(row, step)], seed))
+    assert found.rows.tolist() == [row]
+    np.testing.assert_allclose(found.steps[0], step, atol=2.5 * UT)
+    joined = found.joined(turned([(row, step)], seed)).readings
+    plain = turned([], seed).readings + (step if row < 200 else 0)
+    np.testing.assert_allclose(joined, plain, atol=2.5 * UT)
+
+
+@given(seed=st.integers(0, 200))
+@settings(max_examples=40, deadline=None)
+def test_none_is_found_in_a_log_without(seed):
+    assert len(find_recalibrations(turned([], seed))) == 0
+
+
+def test_a_spike_a_gap_and_the_end_of_the_range_are_no_jumps():
+    spike = turned([(100, np.full(3, 40 * UT)), (101, np.full(3, -40 * UT))])
+    assert len(find_recalibrations(spike)) == 0
+    jump = turned([(100, np.full(3, 40 * UT))])
+    times = jump.times + 5.0 * (np.arange(400) >= 100)
+    assert len(find_recalibrations(replace(jump, times=times))) == 0
+    held = replace(jump, readings=np.minimum(turned([]).readings, 10 * UT))
+    assert len(find_recalibrations(held)) == 0
+
+
+def test_logs_that_cannot_tell_are_left_alone():
+    short = turned([(10, np.full(3, 40 * UT))], n=20)
+    assert len(find_recalibrations(short)) == 0
+    assert len(find_recalibrations(replace(turned([(100, np.full(3, 40 * UT))]), times=None, trajectory=None))) == 0
+
+
+def test_pieces_are_those_between_the_jumps():
+    found = find_recalibrations(turned([(100, np.full(3, 30 * UT)), (150, np.full(3, -20 * UT))]))
+    assert np.bincount(found.piece_of(400)).tolist() == [100, 50, 250]
+    channels = found.channels(400)
+    assert [int(values.sum()) for values in channels.values()] == [100, 50]
+
+
+@pytest.fixture(scope="module")
+def phone(hand_held):
+    """The clean log; it with a bias that jumps twice; it with a large bias that stays."""
+    clean = hand_held[0]
+    bias = np.zeros((len(clean), 3))
+    bias[:] = [4 * UT, 0, 3 * UT]
+    bias[len(clean) // 3 :] += [20 * UT, -15 * UT, 5 * UT]
+    bias[600:] += [0, 8 * UT, -4 * UT]
+    return clean, biased(clean, bias), biased(clean, np.array([120 * UT, -80 * UT, 200 * UT]))
+
+
+def biased(survey, bias):
+    R = survey.orientations
+    return replace(survey, field=R.apply(R.apply(survey.field, inverse=True) + bias))
+
+
+def error(survey, clean):
+    return float(np.sqrt(((survey.field - clean.field) ** 2).sum(axis=1).mean()))
+
+
+def test_a_log_that_jumped_is_prepared_as_if_it_had_not(phone):
+    clean, jumping, _ = phone
+    prepared, report = prepare(jumping, QUICK)
+    step = next(step for step in report.steps if step.step == "recalibration")
+    assert step.outcome == "applied"
+    np.testing.assert_allclose(step.figures["times"], clean.times[[len(clean) // 3, 600]])
+    assert error(jumping, clean) > 15 * UT
+    assert error(prepared, clean) < 0.5 * UT
+    assert "recalibrated itself at" in step.words
+
+
+@pytest.mark.slow
+def test_switched_off_nothing_is_cut(phone):
+    clean, jumping, _ = phone
+    prepared, report = prepare(jumping, QUICK.model_copy(update={"recalibration": "off"}))
+    assert "recalibration" not in [step.step for step in report.steps]
+    assert error(prepared, clean) > 5 * UT
+
+
+@pytest.mark.slow
+def test_the_readings_with_the_smaller_misfit_are_taken(phone):
+    clean, jumping, raw = phone
+    uncut = QUICK.model_copy(update={"recalibration": "off"})
+    for own, other, taken in ((jumping, raw, "raw"), (clean, biased(jumping, 50 * UT), "own")):
+        prepared, report = prepare_either(own, other, uncut)
+        step = report.steps[0]
+        assert step.step == "magnetometer"
+        assert step.figures["taken"] == taken
+        assert step.after is not None
+        assert (step.after < step.before) == (taken == "raw")
+        assert error(prepared, clean) < 0.5 * UT
+
+
+@pytest.mark.slow
+def test_the_phones_own_is_taken_where_nothing_turns(phone):
+    clean, _, raw = phone
+    still = Rotation.identity(len(clean))
+    own, other = replace(clean, orientations=still), replace(raw, orientations=still)
+    prepared, report = prepare_either(own, other, QUICK)
+    assert report.steps[0].figures["taken"] == "own"
+    assert "does not tell the raw ones' bias" in report.steps[0].words
+    assert error(prepared, clean) < 0.5 * UT
+
+
+def test_without_raw_readings_there_is_no_choice(phone):
+    _, report = prepare_either(phone[0], None, QUICK)
+    assert report.steps[0].step != "magnetometer"
