@@ -5,6 +5,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from magmatch.arguments import expect_kind
 from magmatch.field.config import FieldConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
@@ -59,3 +60,11 @@ PRESETS: dict[str, RegistrationConfig] = {
         calibrate=False,
     ),
 }
+
+
+def settings_of(config: RegistrationConfig | None) -> RegistrationConfig:
+    """Settings as they were given, the preset ``default`` where they were not."""
+    if config is None:
+        return PRESETS["default"]
+    expect_kind(config, "config", (RegistrationConfig,), f"PRESETS holds some: {', '.join(PRESETS)}")
+    return config
