@@ -2,7 +2,6 @@
 """What callers hand in: made plain float64 arrays, or refused in one sentence, before compiled code sees it."""
 
 import os
-import warnings
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
@@ -41,9 +40,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
     if np.ma.is_masked(values):
         _refuse(name, expected, "masked values", "leave them out")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of ragged or unit-stripping conversions
-            array = _as_array(values)
+        array = _as_array(values)
     except Exception:  # whatever another library's array raises when it is asked for numbers
         _refuse(name, expected, f"a {type(values).__name__} that is no table of numbers", "give rows of equal length")
     if array.dtype.kind not in "iuf":

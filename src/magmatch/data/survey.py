@@ -117,14 +117,14 @@ class Survey:
 
     def __repr__(self) -> str:
         if not len(self):
-            return f"Survey '{self.name}': no samples"
+            return f"Survey {self.name!r}: no samples"
         size = " x ".join(f"{side:.3g}" for side in np.ptp(self.positions, axis=0))
         magnitude = np.linalg.norm(self.field, axis=1)
         low, middle, high = (field_text(v) for v in np.quantile(magnitude, [0, 0.5, 1]))
         also = [] if self.times is None else [f"{self.times[-1] - self.times[0]:.4g} s"]
         also += [] if self.orientations is None else ["orientations"]
         return (
-            f"Survey '{self.name}': {len(self)} samples over {size} m, frame '{self.frame}'\n"
+            f"Survey {self.name!r}: {len(self)} samples over {size} m, frame {self.frame!r}\n"
             f"|B| {low} to {high}, median {middle}{'; ' if also else ''}{', '.join(also)}"
         )
 

@@ -14,6 +14,7 @@ from magmatch.arguments import (
     expect_transform,
     number_of,
     points_of,
+    rows_chosen,
     whole_number_of,
 )
 from magmatch.data.checks import require_part
@@ -274,6 +275,9 @@ class FieldMap:
 
         Of a spline model only those tiles are fitted again that saw these samples.
         """
+        if rows_chosen(is_out, len(self.survey)).dtype != np.bool_:
+            msg = f"is_out: expected a mask of {len(self.survey)} samples, got indices; np.isin makes one"
+            raise ValueError(msg)
         tiles = self._tiles()
         # A region in one piece has no tile that saw none of them.
         stored = tiles if len(tiles) > 1 else {}

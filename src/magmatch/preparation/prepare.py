@@ -68,6 +68,8 @@ def prepare(
     require_survey(survey)
     config, channels = config or PreparationConfig(), channels or {}
     expect_kind(config, "config", (PreparationConfig,))
+    if trajectory is not None:
+        expect_kind(trajectory, "trajectory", (Trajectory,), "Trajectory.load reads one from a TUM file")
     channels = {
         name: column_of(values, f"channel {name}", "any unit", len(survey)) for name, values in channels.items()
     }

@@ -33,11 +33,17 @@ def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[
     if not hasattr(dataset, "data_vars"):
         msg = f"dataset: expected an xarray Dataset, got {found(dataset)}; DataArray.to_dataset makes one"
         raise TypeError(msg)
-    units = {}
-    for ours in ("x", "bx", "t"):
-        variable = dataset.variables.get(theirs.get(ours, ours))
-        if variable is not None and "units" in variable.attrs:
-            units[ours] = str(variable.attrs["units"])
+    units: dict[str, str] = {}
+    for group in (("x", "y", "z"), ("bx", "by", "bz"), ("t",)):
+        there = (dataset.variables.get(theirs.get(ours, ours)) for ours in group)
+        stated = {
+            str(variable.attrs["units"]) for variable in there if variable is not None and "units" in variable.attrs
+        }
+        if len(stated) > 1:
+            said = " and ".join(sorted(stated))
+            msg = f"columns: expected one unit for {', '.join(group)}, got {said}; convert them first"
+            raise ConfigurationError(msg)
+        units |= dict.fromkeys(group, stated.pop()) if stated else {}
     return dataset.to_dataframe().reset_index(), units
 
 

@@ -62,6 +62,7 @@ class FieldEstimator:
     ) -> None:
         if hyperparameters is not None:
             expect_kind(hyperparameters, "hyperparameters", (Hyperparameters,))
+            hyperparameters.check()
         self.config = EstimatorConfig() if config is None else config
         expect_kind(self.config, "config", (EstimatorConfig,))
         _warm_up()
