@@ -12,35 +12,57 @@ from magmatch._version import __version__ as __version__
 if TYPE_CHECKING:
     from magmatch.atlas.atlas import Atlas, open_atlas
     from magmatch.atlas.localize import localize
+    from magmatch.atlas.register import register
     from magmatch.data.read import read_survey
     from magmatch.data.survey import Survey
     from magmatch.data.trajectory import Trajectory
+    from magmatch.errors import (
+        ConfigurationError,
+        DataFormatError,
+        DatasetError,
+        MagmatchError,
+        MissingExtraError,
+        SurveyError,
+        TaskError,
+    )
     from magmatch.features.extract import extract_features
     from magmatch.features.features import Features
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
+    from magmatch.field.hyperparameters import Hyperparameters
     from magmatch.field.live.estimator import FieldEstimator
     from magmatch.field.map import FieldMap
     from magmatch.grid import RegularGrid
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare
-    from magmatch.registration.config import RegistrationConfig
-    from magmatch.registration.register import register
+    from magmatch.registration.config import PRESETS, RegistrationConfig
+    from magmatch.registration.index.map_index import MapIndex
     from magmatch.registration.result import RegistrationResult, Status
     from magmatch.simulation.simulate import simulate
+    from magmatch.viz.view import view
 
 _HOMES = {
+    "PRESETS": "registration.config",
     "Atlas": "atlas.atlas",
+    "ConfigurationError": "errors",
+    "DataFormatError": "errors",
+    "DatasetError": "errors",
     "Features": "features.features",
     "FieldConfig": "field.config",
     "FieldEstimator": "field.live.estimator",
     "FieldMap": "field.map",
+    "Hyperparameters": "field.hyperparameters",
+    "MagmatchError": "errors",
+    "MapIndex": "registration.index.map_index",
+    "MissingExtraError": "errors",
     "PreparationConfig": "preparation.config",
     "RegistrationConfig": "registration.config",
     "RegistrationResult": "registration.result",
     "RegularGrid": "grid",
     "Status": "registration.result",
     "Survey": "data.survey",
+    "SurveyError": "errors",
+    "TaskError": "errors",
     "Trajectory": "data.trajectory",
     "build_map": "field.build",
     "extract_features": "features.extract",
@@ -48,22 +70,33 @@ _HOMES = {
     "open_atlas": "atlas.atlas",
     "prepare": "preparation.prepare",
     "read_survey": "data.read",
-    "register": "registration.register",
+    "register": "atlas.register",
     "simulate": "simulation.simulate",
+    "view": "viz.view",
 }
 
 __all__ = [
+    "PRESETS",
     "Atlas",
+    "ConfigurationError",
+    "DataFormatError",
+    "DatasetError",
     "Features",
     "FieldConfig",
     "FieldEstimator",
     "FieldMap",
+    "Hyperparameters",
+    "MagmatchError",
+    "MapIndex",
+    "MissingExtraError",
     "PreparationConfig",
     "RegistrationConfig",
     "RegistrationResult",
     "RegularGrid",
     "Status",
     "Survey",
+    "SurveyError",
+    "TaskError",
     "Trajectory",
     "build_map",
     "extract_features",
@@ -73,6 +106,7 @@ __all__ = [
     "read_survey",
     "register",
     "simulate",
+    "view",
 ]
 
 
@@ -81,3 +115,7 @@ def __getattr__(name: str) -> Any:
         msg = f"module 'magmatch' has no attribute '{name}'"
         raise AttributeError(msg)
     return getattr(import_module(f"magmatch.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

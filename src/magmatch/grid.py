@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.arguments import number_of, points_of
 from magmatch.geometry import transform_points
 from magmatch.typing import Indices, Mask, Points, Scalars
 
@@ -105,9 +106,9 @@ class RegularGrid:
         RegularGrid
             Centred over the box, at least one point along every axis.
         """
-        if not spacing > 0:
-            msg = f"grid spacing must be positive, got {spacing}"
-            raise ValueError(msg)
+        number_of(spacing, "spacing", "m", is_positive=True)
+        number_of(margin, "margin", "m")
+        points = points_of(points)
         frame = RigidTransform.identity() if T_map_grid is None else T_map_grid
         local = transform_points(points, frame.inv())
         low, high = local.min(axis=0) - margin, local.max(axis=0) + margin

@@ -3,10 +3,11 @@ import shutil
 import numpy as np
 import pytest
 
+import magmatch as mm
 from magmatch.atlas.atlas import is_atlas, open_atlas
 from magmatch.atlas.localize import localize, localize_keeping_map
 from magmatch.data.survey import Survey
-from magmatch.errors import DataFormatError
+from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
@@ -74,6 +75,19 @@ def test_the_same_seed_gives_the_same_answer_and_a_kept_index_that_of_a_fresh_on
     kept = open_index(path, PRESETS["default"]).load(rooms[1]["hall.map"][2])
     fresh = register(rooms[1]["hall.map"][2], target)
     np.testing.assert_array_equal(register(kept, target).T_base_target.as_matrix(), fresh.T_base_target.as_matrix())
+
+
+def test_the_main_verb_takes_a_folder_of_maps(atlas, rooms, walk_in):
+    target = walk_in("hall.map", np.random.default_rng(4))
+    expected = localize(atlas, target)
+    for base in (rooms[0], str(rooms[0]), atlas):
+        result = mm.register(base, target)
+        assert result.base == "hall.map"
+        np.testing.assert_array_equal(result.T_base_target.as_matrix(), expected.T_base_target.as_matrix())
+    with pytest.raises(ConfigurationError, match="open_atlas"):
+        mm.register(atlas, target, PRESETS["paper"])
+    with pytest.raises(TypeError, match="open_atlas"):
+        mm.register(rooms[0] / "none", target)
 
 
 def test_an_index_of_another_map_or_other_settings_is_stale(atlas, tmp_path):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from magmatch.data.survey import Survey
+from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
@@ -43,5 +43,5 @@ def test_the_box_moves_with_its_map_and_is_saved_with_it(bounded, tmp_path):
 
 
 def test_a_box_inside_out_is_refused():
-    with pytest.raises(ValidationError, match="x0 < x1"):
+    with pytest.raises(ConfigurationError, match="x0 < x1"):
         FieldConfig(domain=(1, 0, 0, 0, 1, 1))

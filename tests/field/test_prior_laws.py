@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
-from magmatch.field.build import build_map
+from magmatch.field.build import build_map, map_samples
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
@@ -188,7 +188,7 @@ def test_numbers_that_are_none_are_refused(name, room):
 def test_very_few_samples_are_refused_or_bounded(name, n, room):
     points, field = room(n=n)
     try:
-        built = build_map(Survey(points, field), FieldConfig(prior=name))
+        built = map_samples((Survey(points, field),), FieldConfig(prior=name))
     except SurveyError as error:
         message = str(error)
         assert f"got {n}" in message
@@ -210,7 +210,7 @@ FILLS = {
 def test_singular_surveys_give_bounded_answers(name, fill, room, dipoles_at):
     points, field = FILLS[fill](room, dipoles_at)
     survey = Survey(points, field)
-    built = build_map(survey, FieldConfig(prior=name))
+    built = map_samples((survey,), FieldConfig(prior=name))
     at = np.concatenate([points, points + 0.2])
     assert np.isfinite(built.evaluate(at, 2).second).all()
     assert np.abs(built.evaluate(at).field).max() <= 3 * np.abs(field).max() + 1e-9

@@ -7,10 +7,10 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
+from magmatch.errors import ConfigurationError
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import SCENARIOS, build_scene
@@ -139,7 +139,7 @@ def test_package_gives_the_verb():
     "wrong", [{"n_samples": 3}, {"noise_sd": -1e-9}, {"overlap": 0.0}, {"moved_sources": 1.5}, {"nois": 1}]
 )
 def test_impossible_settings_are_refused(wrong):
-    with pytest.raises(ValidationError):
+    with pytest.raises(ConfigurationError):
         SimulationConfig(**wrong)
 
 

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from magmatch.arguments import expect_path
 from magmatch.data.formats.sniff import sniff
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
-from magmatch.registration.config import PRESETS, RegistrationConfig
+from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.threads import single_threaded
@@ -112,7 +113,8 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
     ConfigurationError
         Settings that decide by fitness alone (preset ``paper``), which cannot compare maps.
     """
-    config, folder = config or PRESETS["default"], Path(folder)
+    expect_path(folder, "folder")
+    config, folder = settings_of(config), Path(folder)
     if config.search == "keypoints":
         msg = "a folder of maps as the base: these settings decide by fitness, which does not compare maps"
         raise ConfigurationError(msg)

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.atlas.atlas import Atlas, AtlasEntry
 from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
 from magmatch.registration.map_strategy import MapStrategy
-from magmatch.registration.maps import survey_of
+from magmatch.registration.maps import require_target, survey_of
 from magmatch.registration.prepared.walk import choose_search
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
@@ -69,6 +70,9 @@ def localize_keeping_map(
     result : RegistrationResult
         What `localize` gives.
     """
+    expect_kind(atlas, "atlas", (Atlas,), "open_atlas(folder) opens a folder of maps")
+    require_target(target)
+    whole_number_of(seed, "seed")
     clock, config, survey = Clock(), atlas.config, survey_of(target)
     length = float(np.median([entry.table.length for entry in atlas.entries]))
     search = choose_search(survey, length) if config.search == "auto" else config.search

@@ -15,7 +15,7 @@ from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.prior import with_prior
-from magmatch.cli.registering import read_base, register_in_folder, with_help, with_wait
+from magmatch.cli.registering import read_base, with_help, with_wait
 from magmatch.cli.settings import registration_config
 from magmatch.cli.summaries import tell_result
 
@@ -132,8 +132,7 @@ def _register(
 ) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
     """Register against a file or a folder; the maps that the answer speaks of (no base where it speaks of none)."""
     from magmatch.atlas.atlas import is_atlas
-    from magmatch.registration.register import register_keeping_maps
+    from magmatch.atlas.register import register_anywhere
 
-    if is_atlas(base):
-        return register_in_folder(base, target, settings, seed)
-    return register_keeping_maps(read_base(base, layouts, settings), target, settings, seed=seed)
+    known = base if is_atlas(base) else read_base(base, layouts, settings)
+    return register_anywhere(known, target, settings, seed=seed)

@@ -32,19 +32,6 @@ def with_wait(result: "RegistrationResult", loaded: float) -> "RegistrationResul
     return replace(result, seconds={"start": loaded - STARTED, "read": reading, **seconds, "total": now - STARTED})
 
 
-def register_in_folder(
-    folder: Path, target: "Survey | FieldMap", settings: "RegistrationConfig", seed: int
-) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
-    """Find a target in a folder of maps."""
-    from magmatch.atlas.atlas import open_atlas
-    from magmatch.atlas.localize import localize_keeping_map
-
-    atlas = open_atlas(folder, settings)
-    used, result = localize_keeping_map(atlas, target, seed=seed)
-    named = [entry for entry in atlas.entries if entry.name == result.base]
-    return atlas.load(named[0]).field_map if named else None, used, result
-
-
 def read_base(path: Path, layouts: Layouts, settings: "RegistrationConfig") -> "Survey | FieldMap | MapIndex":
     """Read the base: a survey, or a saved map with its index where there is one beside it."""
     from magmatch.data.survey import Survey

@@ -2,9 +2,11 @@
 """Can this be a survey? What no survey can be is refused; what is odd is said."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
+from magmatch.arguments import expect_kind
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.units import (
@@ -37,16 +39,40 @@ WRONG_FRAME = 0.7
 CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 
 
+# What to do about that which is no survey, by what it is.
+ADVICE = {
+    "path": "read_survey reads a survey from a file, FieldMap.load a saved map, open_atlas a folder of them",
+    "DataFrame": "Survey.from_dataframe makes one of it",
+    "Dataset": "Survey.from_xarray makes one of it",
+    "array": "Survey(positions, field) makes one of arrays",
+    "FieldMap": "its samples are in .survey",
+    "Recording": "its samples are in .survey()",
+    "": "read_survey reads one from a file",
+}
+
+
 def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str]:
     """Refuse what cannot be a survey and list what is odd about one that can."""
+    require_survey(survey, layout)
     layout = layout or SurveyFormat()
-    _require_samples(survey)
-    _require_finite(survey)
-    _require_increasing_times(survey)
-    _require_possible_field(survey, layout)
-    _require_possible_extent(survey, layout)
     doubts = (_doubt_field, _doubt_extent, _doubt_shape, _doubt_repeats, _doubt_times, _doubt_frame)
     return [warning for doubt in doubts for warning in doubt(survey, layout)]
+
+
+def require_survey(survey: Any, layout: SurveyFormat | None = None, name: str = "survey") -> None:
+    """Refuse what cannot be a survey, from a file (read as the layout says) or from a caller."""
+    expect_kind(survey, name, (Survey,), ADVICE)
+    _require_samples(survey)
+    require_part(survey, layout)
+    _require_possible_extent(survey, layout)
+
+
+def require_part(survey: Any, layout: SurveyFormat | None = None) -> None:
+    """Refuse what cannot be a part of a survey: of few samples, or even one."""
+    expect_kind(survey, "survey", (Survey,), ADVICE)
+    survey.check()
+    if len(survey):
+        _require_possible_field(survey, layout)
 
 
 def extent(survey: Survey) -> Scalars:
@@ -71,31 +97,7 @@ def _require_samples(survey: Survey) -> None:
         raise _refuse(survey, f"expected at least {MIN_SAMPLES} samples, found {len(survey)}")
 
 
-def _require_finite(survey: Survey) -> None:
-    columns = {"positions": survey.positions, "field": survey.field}
-    if survey.times is not None:
-        columns["times"] = survey.times
-    for label, values in columns.items():
-        wrong = np.flatnonzero(~np.isfinite(values.reshape(len(survey), -1)).all(axis=1))
-        if len(wrong):
-            raise _refuse(survey, f"{label} hold NaN or infinity in {len(wrong)} samples, first in sample {wrong[0]}")
-
-
-def _require_increasing_times(survey: Survey) -> None:
-    if survey.times is None:
-        return
-    wrong = np.flatnonzero(np.diff(survey.times) <= 0)
-    if len(wrong):
-        i = int(wrong[0]) + 1
-        kind = "repeats" if survey.times[i] == survey.times[i - 1] else "runs backward"
-        raise _refuse(
-            survey,
-            f"time {kind} at sample {i}: {survey.times[i]:.9g} after {survey.times[i - 1]:.9g} s; expected strictly "
-            "increasing times",
-        )
-
-
-def _require_possible_field(survey: Survey, layout: SurveyFormat) -> None:
+def _require_possible_field(survey: Survey, layout: SurveyFormat | None) -> None:
     with np.errstate(over="ignore"):  # absurd numbers become infinite, and are refused as such
         magnitude = np.linalg.norm(survey.field, axis=1)
     median = float(np.median(magnitude))
@@ -117,8 +119,12 @@ def _require_possible_field(survey: Survey, layout: SurveyFormat) -> None:
         )
 
 
-def _unit_advice(median: float, layout: SurveyFormat) -> str:
+def _unit_advice(median: float, layout: SurveyFormat | None) -> str:
     """Say which unit would make the numbers ordinary."""
+    if layout is None:
+        unit = likely_field_unit(median)
+        tesla = 1.0 if unit is None else TESLA_PER_UNIT[unit]
+        return f"if the numbers are in {unit}, multiply them by {tesla:g}" if unit else "wrong columns?"
     number = median / TESLA_PER_UNIT[layout.field_unit]
     unit = likely_field_unit(number)
     if unit is None:
@@ -126,14 +132,15 @@ def _unit_advice(median: float, layout: SurveyFormat) -> str:
     return f"read as {layout.field_unit}; if the file is in {unit}, say --field-unit {unit}"
 
 
-def _require_possible_extent(survey: Survey, layout: SurveyFormat) -> None:
-    size = float(extent(survey).max())
+def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> None:
+    with np.errstate(over="ignore"):
+        size = float(extent(survey).max())
     if size > MAX_EXTENT:
-        raise _refuse(
-            survey,
-            f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; read as "
-            f"{layout.length_unit}; if the file is in mm or cm, say --length-unit mm (or cm)",
-        )
+        advice = "if the numbers are in mm or cm, divide them by 1000 or 100"
+        if layout is not None:
+            advice = f"read as {layout.length_unit}; if the file is in mm or cm, say --length-unit mm (or cm)"
+        message = f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; {advice}"
+        raise _refuse(survey, message)
     if size == 0:
         raise _refuse(survey, "all samples lie at one point, expected a surveyed region")
 

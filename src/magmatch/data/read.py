@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
 from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
@@ -64,6 +65,9 @@ def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
     >>> len(read_survey(path))
     50
     """
+    expect_path(path)
+    if format is not None:
+        expect_kind(format, "format", (SurveyFormat,), "SurveyFormat(field_unit='uT') makes one")
     return _checked(path, *read_unchecked(path, format))
 
 

@@ -2,19 +2,44 @@
 """The first noun: a survey, samples of the magnetic field at known positions."""
 
 import json
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.arguments import (
+    column_of,
+    expect_kind,
+    expect_path,
+    expect_rotations,
+    expect_transform,
+    number_of,
+    points_of,
+    require_finite,
+    require_increasing,
+    rows_chosen,
+)
+from magmatch.data.tables.frames import frame_of_xarray, table_of_frame
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, read_table, write_table
-from magmatch.errors import DataFormatError
+from magmatch.data.units import (
+    METRE_PER_UNIT,
+    TESLA_PER_UNIT,
+    UNITS_PER_SECOND,
+    FieldUnit,
+    LengthUnit,
+    TimeUnit,
+    field_text,
+    size_of_unit,
+)
+from magmatch.errors import DataFormatError, SurveyError
 from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
 POSITION_COLUMNS = ("x", "y", "z")
@@ -22,6 +47,8 @@ FIELD_COLUMNS = ("bx", "by", "bz")
 COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION)
 # First comment of files written here: what the columns cannot say (frame, pose_sd) follows as JSON.
 SCHEMA = "magmatch.survey/1"
+T = TypeVar("T")
+FieldFrame = Literal["survey", "sensor"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,14 +82,59 @@ class Survey:
     pose_sd: float = 0.0
 
     def __post_init__(self) -> None:
-        n = len(self.positions)
-        if self.positions.shape != (n, 3) or self.field.shape != (n, 3):
-            msg = f"positions and field must both be (n, 3), got {self.positions.shape} and {self.field.shape}"
+        expect_kind(self.name, "name", (str,))
+        expect_kind(self.frame, "frame", (str,))
+        for name, values in _as_survey(self.name, self._settled).items():
+            object.__setattr__(self, name, values)
+
+    def _settled(self) -> dict[str, np.ndarray]:
+        """The arrays as float64, once they are fit for it."""
+        settled = {"positions": points_of(self.positions, "positions", "m", "sample")}
+        settled["field"] = points_of(self.field, "field", "T", "sample")
+        n = len(settled["positions"])
+        if not n or len(settled["field"]) != n:
+            shapes = f"{settled['positions'].shape} and {settled['field'].shape}"
+            msg = f"positions and field must both be (n, 3), with n at least 1, got {shapes}; give a field for each"
             raise ValueError(msg)
-        for label, rows in (("times", self.times), ("orientations", self.orientations)):
-            if rows is not None and len(rows) != n:
-                msg = f"{label} must have one row per sample: expected {n}, got {len(rows)}"
-                raise ValueError(msg)
+        if self.times is not None:
+            settled["times"] = column_of(self.times, "times", "s", n)
+            require_increasing(settled["times"])
+        if self.orientations is not None:
+            expect_rotations(self.orientations, "orientations", n)
+        number_of(self.pose_sd, "pose_sd", "m")
+        return settled
+
+    def check(self) -> None:
+        """Raise SurveyError where samples are not finite or times do not increase: arrays may have been changed."""
+        _as_survey(self.name, self._check)
+
+    def _check(self) -> None:
+        require_finite(self.positions, "positions")
+        require_finite(self.field, "field")
+        if self.times is not None:
+            require_finite(self.times, "times")
+            require_increasing(self.times)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return f"Survey {self.name!r}: no samples"
+        size = " x ".join(f"{side:.3g}" for side in np.ptp(self.positions, axis=0))
+        magnitude = np.linalg.norm(self.field, axis=1)
+        low, middle, high = (field_text(v) for v in np.quantile(magnitude, [0, 0.5, 1]))
+        also = [] if self.times is None else [f"{self.times[-1] - self.times[0]:.4g} s"]
+        also += [] if self.orientations is None else ["orientations"]
+        return (
+            f"Survey {self.name!r}: {len(self)} samples over {size} m, frame {self.frame!r}\n"
+            f"|B| {low} to {high}, median {middle}{'; ' if also else ''}{', '.join(also)}"
+        )
+
+    def _repr_html_(self) -> str:
+        return with_picture(repr(self), self.picture())
+
+    def picture(self) -> str:
+        """Samples coloured by field magnitude: inline SVG."""
+        magnitude = np.linalg.norm(self.field, axis=1)
+        return coloured_points(self.positions, magnitude, f"samples of {self.name}, coloured by field magnitude")
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -87,9 +159,9 @@ class Survey:
         Survey
             New survey; times, name and accuracy are kept.
         """
+        expect_transform(T_new_survey, "T_new_survey")
         turned = None if self.orientations is None else T_new_survey.rotation * self.orientations
-        return replace(
-            self,
+        return self._with(
             positions=transform_points(self.positions, T_new_survey),
             field=rotate_vectors(self.field, T_new_survey),
             orientations=turned,
@@ -107,10 +179,10 @@ class Survey:
         Returns
         -------
         Survey
-            New survey of the chosen samples.
+            New survey of the chosen samples; it may be empty.
         """
-        return replace(
-            self,
+        rows = rows_chosen(rows, len(self))
+        return self._with(
             positions=self.positions[rows],
             field=self.field[rows],
             times=None if self.times is None else self.times[rows],
@@ -132,6 +204,8 @@ class Survey:
         """
         if not others:
             return self
+        for other in others:
+            expect_kind(other, "merged", (Survey,))
         parts = (self, *others)
         orientations = [s.orientations for s in parts if s.orientations is not None]
         return Survey(
@@ -182,22 +256,147 @@ class Survey:
         DataFormatError
             With line and column wherever one is at fault.
         """
+        expect_path(path)
         return cls.from_table(read_table(path, COLUMNS))
 
     @classmethod
-    def from_table(cls, table: Table) -> "Survey":
-        """Survey of a table's columns, as they stand, named after the file."""
+    def from_dataframe(
+        cls,
+        df: Any,
+        field_unit: FieldUnit = "T",
+        length_unit: LengthUnit = "m",
+        time_unit: TimeUnit = "s",
+        columns: Mapping[str, str] | None = None,
+        *,
+        field_frame: FieldFrame = "survey",
+        frame: str = "survey",
+        name: str = "DataFrame",
+        pose_sd: float = 0.0,
+    ) -> "Survey":
+        """Survey of a DataFrame (pandas, polars): the columns of the survey CSV, rows in the order they stand.
+
+        Parameters
+        ----------
+        df : DataFrame
+            Columns ``x, y, z, bx, by, bz``, and ``t, qx, qy, qz, qw`` where known; others are ignored, and so is the
+            index. Times may be dates.
+        field_unit, length_unit, time_unit : str
+            Units of the numbers: ``"uT"``, ``"mm"``, ``"ms"`` and so on.
+        columns : dict of str to str, optional
+            Names of columns where they differ: ``{"x": "pos_x", "bx": "mag_x"}``.
+        field_frame : {"survey", "sensor"}
+            Frame of the field vectors; the sensor's needs orientations.
+        frame, name, pose_sd
+            See `Survey`.
+
+        Returns
+        -------
+        Survey
+
+        Raises
+        ------
+        DataFormatError
+            A column is missing, or holds no numbers.
+        SurveyError
+            A number is missing, or no survey has such numbers.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> df = pd.DataFrame({"x": [0, 1], "y": 0, "z": 1, "bx": [20, 21], "by": 0, "bz": -45})
+        >>> Survey.from_dataframe(df, "uT").field[1].round(8).tolist()
+        [2.1e-05, 0.0, -4.5e-05]
+        """
+        table = table_of_frame(df, name, COLUMNS, columns or {})
+        if table.has("t"):
+            table.columns["t"] = table.columns["t"] / size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
+        survey = cls.from_table(table, field_unit, length_unit, field_frame)
+        return replace(survey, frame=frame, name=name, pose_sd=pose_sd)
+
+    @classmethod
+    def from_xarray(
+        cls,
+        dataset: Any,
+        field_unit: FieldUnit | None = None,
+        length_unit: LengthUnit | None = None,
+        time_unit: TimeUnit | None = None,
+        columns: Mapping[str, str] | None = None,
+        *,
+        field_frame: FieldFrame = "survey",
+        frame: str = "survey",
+        name: str = "Dataset",
+        pose_sd: float = 0.0,
+    ) -> "Survey":
+        """Survey of an xarray Dataset: variables or coordinates named as the columns of the survey CSV.
+
+        Parameters
+        ----------
+        dataset : xarray.Dataset
+            Samples along one dimension, or a grid, of which every point becomes a sample.
+        field_unit, length_unit, time_unit : str, optional
+            By default what the variables' attribute ``units`` says, else T, m and s.
+        columns, field_frame, frame, name, pose_sd
+            See `from_dataframe`.
+
+        Returns
+        -------
+        Survey
+
+        Raises
+        ------
+        DataFormatError
+            A variable is missing, holds no numbers, or is in a unit that is not known.
+        SurveyError
+            A number is missing, or no survey has such numbers.
+        """
+        table, units = frame_of_xarray(dataset, columns or {})
+        return cls.from_dataframe(
+            table,
+            field_unit or units.get("bx", "T"),  # type: ignore[arg-type]  # checked there
+            length_unit or units.get("x", "m"),  # type: ignore[arg-type]
+            time_unit or units.get("t", "s"),  # type: ignore[arg-type]
+            columns,
+            field_frame=field_frame,
+            frame=frame,
+            name=name,
+            pose_sd=pose_sd,
+        )
+
+    @classmethod
+    def from_table(
+        cls,
+        table: Table,
+        field_unit: FieldUnit = "T",
+        length_unit: LengthUnit = "m",
+        field_frame: FieldFrame = "survey",
+    ) -> "Survey":
+        """Survey of a table's columns, times in s, named after the file."""
+        tesla = size_of_unit(field_unit, TESLA_PER_UNIT, "field_unit")
+        metre = size_of_unit(length_unit, METRE_PER_UNIT, "length_unit")
         table.require([*POSITION_COLUMNS, *FIELD_COLUMNS])
         if table.has("t"):
             table.require_increasing("t")
+        orientations, field = rotations_of(table), table.stack(*FIELD_COLUMNS) * tesla
+        if field_frame == "sensor":
+            if orientations is None:
+                message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"
+                raise DataFormatError(table.path, message)
+            field = orientations.apply(field)
         return cls(
-            positions=table.stack(*POSITION_COLUMNS),
-            field=table.stack(*FIELD_COLUMNS),
+            positions=table.stack(*POSITION_COLUMNS) * metre,
+            field=field,
             times=table.columns.get("t"),
-            orientations=rotations_of(table),
+            orientations=orientations,
             name=table.path.name,
             **_about(table),
         )
+
+    def _with(self, **changes: Any) -> "Survey":
+        """The same survey but for some of its parts, which were checked before; it may be empty."""
+        survey: Survey = object.__new__(type(self))
+        for f in fields(self):
+            object.__setattr__(survey, f.name, changes[f.name] if f.name in changes else getattr(self, f.name))
+        return survey
 
     def principal_frame(self) -> RigidTransform:
         """Frame laid along the samples' principal axes, moving with the survey: ``T_survey_principal``.
@@ -229,6 +428,15 @@ def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
     ends = np.cumsum([0, *(len(survey) for survey in surveys)])
     parts = (survey.subset(kept[a:b]) for survey, (a, b) in zip(surveys, pairwise(ends), strict=True))
     return tuple(part for part in parts if len(part))
+
+
+def _as_survey(name: str, step: Callable[[], T]) -> T:
+    """What a check gives; its error names the survey."""
+    try:
+        return step()
+    except ValueError as error:
+        msg = f"{name}: {error}"
+        raise SurveyError(msg) from None
 
 
 def _concatenate(first: Rotation, second: Rotation) -> Rotation:

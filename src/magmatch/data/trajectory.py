@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from magmatch.arguments import column_of, expect_path, expect_rotations, points_of, require_increasing
 from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.tum import read_tum, write_tum
 from magmatch.errors import DataFormatError
@@ -32,16 +33,16 @@ class Trajectory:
     orientations: Rotation
 
     def __post_init__(self) -> None:
-        n = len(self.times)
+        positions = points_of(self.positions, "positions", "m", "pose")
+        n = len(positions)
+        times = column_of(self.times, "times", "s", n, "pose")
         if n < 2:
             msg = f"a trajectory needs at least two poses, got {n}"
             raise ValueError(msg)
-        if self.positions.shape != (n, 3) or len(self.orientations) != n:
-            msg = f"expected {n} positions and orientations, got {self.positions.shape} and {len(self.orientations)}"
-            raise ValueError(msg)
-        if not np.all(np.diff(self.times) > 0):
-            msg = "times of a trajectory must increase strictly"
-            raise ValueError(msg)
+        expect_rotations(self.orientations, "orientations", n, "pose")
+        require_increasing(times, "pose")
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "times", times)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -116,6 +117,7 @@ class Trajectory:
         DataFormatError
             With the line at fault.
         """
+        expect_path(path)
         table = read_tum(path)
         orientations = rotations_of(table)
         if orientations is None or len(table) < 2:

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Units that files come in; everything inside the package is tesla and metre."""
 
+from collections.abc import Mapping
 from math import log
-from typing import Literal
+from typing import Literal, TypeVar
+
+from magmatch.errors import ConfigurationError
 
 FieldUnit = Literal["T", "mT", "uT", "nT", "G", "mG"]
 LengthUnit = Literal["m", "cm", "mm"]
@@ -16,6 +19,17 @@ UNITS_PER_SECOND: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns":
 # or so, hence the wider window in which a median magnitude is ordinary.
 EARTH_FIELD = 48e-6
 ORDINARY_FIELD = (10e-6, 200e-6)
+
+
+Unit = TypeVar("Unit", bound=str)
+
+
+def size_of_unit(unit: Unit, known: Mapping[Unit, float], name: str) -> float:
+    """Give a unit's entry in one of the tables above; of an unknown one the error lists those known."""
+    if not isinstance(unit, str) or unit not in known:
+        msg = f"{name}: expected one of {', '.join(known)}, got {unit!r}"
+        raise ConfigurationError(msg)
+    return known[unit]
 
 
 def likely_field_unit(median_number: float) -> FieldUnit | None:

@@ -3,13 +3,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from magmatch.settings import Settings
 
 
-class FeatureConfig(BaseModel):
+class FeatureConfig(Settings):
     """Where a map is asked, which points are kept, and how their surroundings are described."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Where X* lies: a grid over the measured region, or near the path of a robot; 'auto' looks how much of the
     # samples' box lies near a sample.

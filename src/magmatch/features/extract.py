@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from scipy.spatial.transform import Rotation
 
+from magmatch.arguments import expect_kind
 from magmatch.features.config import FeatureConfig
 from magmatch.features.descriptors import N_DIMENSIONS, component_range, histograms_of_oriented_vectors
 from magmatch.features.features import Features
@@ -37,6 +38,7 @@ def extract_features(
     Features
         In the map's frame; empty where nothing stands out.
     """
+    expect_kind(field_map, "field_map", (FieldMap,), "build_map(survey) makes one")
     config = config or FeatureConfig()
     points = inference_grid(field_map, config)
     values = evaluate_at(field_map, points, order=2)

@@ -3,11 +3,15 @@
 
 import logging
 from collections.abc import Sequence
+from typing import cast
 
+from magmatch.arguments import expect_kind, found
+from magmatch.data.checks import require_part, require_survey
 from magmatch.data.survey import Survey, subsets
+from magmatch.errors import SurveyError
 from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
-from magmatch.field.fit import check_finite, fit_unbounded, within
+from magmatch.field.fit import fit_unbounded, within
 from magmatch.field.linear_model import Posterior, Runner
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice.choose_prior import choose_prior
@@ -43,8 +47,13 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     SurveyError
         If the survey holds NaN, impossible values or too few samples.
     """
-    config = config or FieldConfig()
-    surveys = (survey,) if isinstance(survey, Survey) else tuple(survey)
+    config = FieldConfig() if config is None else config
+    expect_kind(config, "config", (FieldConfig,), "FieldConfig(prior=...) makes one")
+    return map_samples(_surveys(survey), config, run)
+
+
+def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = map) -> FieldMap:
+    """Map of samples that are taken as they come, however few or odd."""
     field_map, unbounded, samples = _choose_and_fit(surveys, config, run)
     if not config.leave_out_outliers:
         return field_map
@@ -62,12 +71,25 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     return _choose_and_fit(subsets(surveys, ~is_out), config, run)[0]
 
 
+def _surveys(given: Survey | Sequence[Survey]) -> tuple[Survey, ...]:
+    """What a map is to be made of; each part and all together can be a survey."""
+    if not isinstance(given, list | tuple):
+        require_survey(given)
+        return (cast("Survey", given),)
+    if not given:
+        msg = f"survey: expected a Survey or several, got {found(given)} without any; read_survey reads one"
+        raise SurveyError(msg)
+    for part in given:
+        require_part(part)
+    require_survey(given[0].merged(*given[1:]))
+    return tuple(given)
+
+
 def _choose_and_fit(
     surveys: tuple[Survey, ...], config: FieldConfig, run: Runner
 ) -> tuple[FieldMap, Posterior, Survey]:
     """Map of all samples, its posterior without a declared box, and the samples in the model's frame."""
     merged = surveys[0].merged(*surveys[1:])
-    check_finite(merged)
     T_map_model = merged.principal_frame()
     samples, box = merged.transformed(T_map_model.inv()), Box.declared(config.domain, T_map_model)
     if config.prior == "auto":

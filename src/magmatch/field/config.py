@@ -3,16 +3,16 @@
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from magmatch.settings import Settings
 
 # Live: below this nothing can be said about lengthscale and noise.
 MIN_SAMPLES = 10
 
 
-class FieldConfig(BaseModel):
+class FieldConfig(Settings):
     """Settings of the field inference; what is None is chosen from the data."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Which law and basis: 'spline' (soft div B = 0, sparse), 'divergence_free' (published), 'curl_free' (potential),
     # 'harmonic' (no source in the region), or 'auto': the one that predicts left-out parts best.
@@ -43,10 +43,8 @@ class FieldConfig(BaseModel):
         return self
 
 
-class EstimatorConfig(BaseModel):
+class EstimatorConfig(Settings):
     """Settings of the live estimate."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Samples from which the hyperparameters are chosen where none are given. A few hundred see several lengthscales.
     n_first: int = Field(default=400, ge=MIN_SAMPLES)

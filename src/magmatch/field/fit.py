@@ -3,11 +3,9 @@
 
 from collections.abc import Mapping
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
-from magmatch.errors import SurveyError
 from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior
@@ -46,14 +44,3 @@ def fit_unbounded(
 def within(box: Box | None, posterior: Posterior) -> Posterior:
     """The posterior inside a box, its prior outside; unchanged without a box."""
     return posterior if box is None else BoundedPosterior(posterior, box)
-
-
-def check_finite(survey: Survey) -> None:
-    """Refuse a survey with NaN or infinity in it, naming the first sample."""
-    is_bad = ~(np.isfinite(survey.positions) & np.isfinite(survey.field)).all(axis=1)
-    if is_bad.any():
-        msg = (
-            f"{survey.name}: expected finite positions and field, got NaN or infinity in {is_bad.sum()} of "
-            f"{len(survey)} samples, first in sample {np.argmax(is_bad)}: leave them out"
-        )
-        raise SurveyError(msg)

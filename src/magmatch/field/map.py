@@ -3,13 +3,27 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.arguments import (
+    expect_kind,
+    expect_path,
+    expect_transform,
+    number_of,
+    points_of,
+    rows_chosen,
+    whole_number_of,
+)
+from magmatch.data.checks import require_part
 from magmatch.data.survey import Survey, subsets
+from magmatch.data.units import field_text
+from magmatch.errors import import_extra
+from magmatch.field.axis_grid import map_on_grid
 from magmatch.field.config import FieldConfig
-from magmatch.field.fit import check_finite, fit_posterior
+from magmatch.field.fit import fit_posterior
 from magmatch.field.gridded_field import GriddedField
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
@@ -18,6 +32,7 @@ from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
+from magmatch.picture import with_picture
 from magmatch.typing import Mask, Points
 
 
@@ -52,6 +67,17 @@ class FieldMap:
     fitted_samples: Survey | None = None
     parts: tuple[Survey, ...] = ()
 
+    def __repr__(self) -> str:
+        numbers = self.hyperparameters
+        about = repr(self.survey).splitlines()[0].removeprefix("Survey ")
+        return (
+            f"FieldMap of {about}\nprior {self.config.prior}: lengthscale {numbers.lengthscale:.3g} m, "
+            f"field varies by {field_text(numbers.signal_sd)}, noise {field_text(numbers.noise_sd)}"
+        )
+
+    def _repr_html_(self) -> str:
+        return with_picture(repr(self), self.survey.picture())
+
     @property
     def surveys(self) -> tuple[Survey, ...]:
         """What the map was made from, survey by survey, map frame."""
@@ -77,6 +103,7 @@ class FieldMap:
         FieldValues
             Components in the map frame.
         """
+        whole_number_of(order, "order", 0, 2)
         return self.posterior.evaluate(self._to_model(points), order).rotated(self.T_map_model)
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
@@ -94,6 +121,7 @@ class FieldMap:
         (n, 3, 3) or (n, 12, 12) array, T^2, T^2/m, T^2/m^2, map frame
             Returns to the prior's where the map knows nothing.
         """
+        whole_number_of(order, "order", 0, 1)
         turn = FieldValues.turning_matrix(self.T_map_model, order)
         return np.asarray(turn @ self.posterior.covariance(self._to_model(points), order) @ turn.T)
 
@@ -110,8 +138,9 @@ class FieldMap:
         (3 n, 3 n) array, T^2, map frame
             Row and column ``3 i + a`` belong to component a at point i.
         """
-        n, turn = len(points), FieldValues.turning_matrix(self.T_map_model, 0)
-        blocks = self.posterior.joint_covariance(self._to_model(points)).reshape(n, 3, n, 3).swapaxes(1, 2)
+        p_model, turn = self._to_model(points), FieldValues.turning_matrix(self.T_map_model, 0)
+        n = len(p_model)
+        blocks = self.posterior.joint_covariance(p_model).reshape(n, 3, n, 3).swapaxes(1, 2)
         return np.asarray((turn @ blocks @ turn.T).swapaxes(1, 2).reshape(3 * n, 3 * n))
 
     def knows(self, points: Points) -> Mask:
@@ -137,6 +166,9 @@ class FieldMap:
         list of FieldValues
             One entry per sample, components in the map frame.
         """
+        whole_number_of(n_draws, "n_draws", 1)
+        whole_number_of(order, "order", 0, 2)
+        expect_kind(rng, "rng", (np.random.Generator,), "np.random.default_rng(seed) makes one")
         weights = self.posterior.draw_weights(n_draws, rng)
         p_model = self._to_model(points)
         return [self.posterior.evaluate(p_model, order, w).rotated(self.T_map_model) for w in weights]
@@ -153,6 +185,8 @@ class FieldMap:
         with_variance : bool
             False leaves the variance NaN and saves its cost.
         """
+        expect_kind(grid, "grid", (RegularGrid,), "grid_over(spacing) makes one")
+        whole_number_of(order, "order", 0, 2)
         T_model_grid = self.T_map_model.inv() * grid.T_map_grid
         p_model = transform_points(grid.local_points(), T_model_grid)
         if T_model_grid.rotation.magnitude() < 1e-12:
@@ -176,10 +210,36 @@ class FieldMap:
         margin : float, m
             How far it reaches beyond the samples' box.
         """
+        number_of(spacing, "spacing", "m", is_positive=True)
+        number_of(margin, "margin", "m")
         return RegularGrid.over(self.survey.positions, spacing, margin, self.T_map_model)
+
+    def to_xarray(self, spacing: float | None = None, cut: tuple[str, float] | None = None) -> Any:
+        """Field, its standard deviation and what the map knows, on a grid along the axes of the map's frame.
+
+        Parameters
+        ----------
+        spacing : float, m, optional
+            Distance of grid points; by default half a lengthscale, or more where that makes more than 100,000 points.
+        cut : (str, float), optional
+            Axis and coordinate (m) of a slice, such as ``("z", 1.0)``; the box of the samples by default.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``bx, by, bz, sx, sy, sz, magnitude`` (T) and ``known`` over ``x, y, z`` (m).
+
+        Raises
+        ------
+        MissingExtraError
+            Needs xarray, which the extra ``grid`` brings.
+        """
+        import_extra("xarray", "FieldMap.to_xarray (xarray)", "grid")
+        return map_on_grid(self, spacing, cut).to_xarray(self.survey.frame)
 
     def transformed(self, T_new_map: RigidTransform) -> "FieldMap":
         """Return the same map in another frame, to which ``T_new_map`` takes map coordinates."""
+        expect_transform(T_new_map, "T_new_map")
         return replace(
             self,
             survey=self.survey.transformed(T_new_map),
@@ -205,7 +265,7 @@ class FieldMap:
         FieldMap
         """
         for survey in surveys:
-            check_finite(survey)
+            require_part(survey)
         old, T_model_map = self._fitted(), self.T_map_model.inv()
         fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in surveys))
         return self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)
@@ -215,6 +275,9 @@ class FieldMap:
 
         Of a spline model only those tiles are fitted again that saw these samples.
         """
+        if rows_chosen(is_out, len(self.survey)).dtype != np.bool_:
+            msg = f"is_out: expected a mask of {len(self.survey)} samples, got indices; np.isin makes one"
+            raise ValueError(msg)
         tiles = self._tiles()
         # A region in one piece has no tile that saw none of them.
         stored = tiles if len(tiles) > 1 else {}
@@ -272,6 +335,7 @@ class FieldMap:
         DataFormatError
             Not a map, damaged, of another version, or fitting does not give the field that was saved.
         """
+        expect_path(path)
         record = MapRecord.read(path)
         return cls(
             record.survey,
@@ -295,4 +359,4 @@ class FieldMap:
         return self.survey.transformed(self.T_map_model.inv())
 
     def _to_model(self, points: Points) -> Points:
-        return transform_points(np.asarray(points, dtype=np.float64), self.T_map_model.inv())
+        return transform_points(points_of(points), self.T_map_model.inv())

@@ -3,7 +3,9 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from magmatch.settings import Settings
 
 # off: not looked at. auto: estimated, and applied only where the data show it beyond doubt. on: applied wherever the
 # data fix it at all.
@@ -12,20 +14,16 @@ Switch = Literal["off", "auto", "on"]
 Flagging = Literal["off", "flag", "remove"]
 
 
-class TimeOffsetConfig(BaseModel):
+class TimeOffsetConfig(Settings):
     """Clock of the magnetometer against that of the poses."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mode: Switch = "auto"
     # Largest offset searched for, s; loggers on one machine differ by tens of ms, buffered ones by some hundred.
     largest: float = Field(default=1.0, gt=0, le=60)
 
 
-class CalibrationConfig(BaseModel):
+class CalibrationConfig(Settings):
     """Errors of the magnetometer itself."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # A constant vector in the sensor's frame: magnetised parts that turn with the sensor, and electronics.
     hard_iron: Switch = "auto"
@@ -40,19 +38,15 @@ class CalibrationConfig(BaseModel):
     misalignment_sd: float = Field(default=0.1, gt=0)  # rad
 
 
-class CurrentsConfig(BaseModel):
+class CurrentsConfig(Settings):
     """Disturbance that follows another channel of the log, such as a motor's current."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Reported only, by default: a channel that happens to follow the place would take the map's part with it.
     mode: Flagging = "flag"
 
 
-class DisturbancesConfig(BaseModel):
+class DisturbancesConfig(Settings):
     """Samples that are not the place's field."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Flagged only, by default, all four: a sharp peak beside steel looks the same as a spike, and registration bears
     # a few bad samples better than missing good ones.
@@ -72,20 +66,16 @@ class DisturbancesConfig(BaseModel):
 CutSwitch = Literal["off", "auto"]
 
 
-class ResamplingConfig(BaseModel):
+class ResamplingConfig(Settings):
     """One sample per distance walked."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Distance, m; None keeps every sample. Standing still weighs as much as walking, unless resampled.
     step: float | None = Field(default=None, gt=0)
     average: Literal["mean", "median"] = "median"
 
 
-class PreparationConfig(BaseModel):
+class PreparationConfig(Settings):
     """Settings of `magmatch.preparation.prepare.prepare`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Jumps of the sensor's own calibration, as phones have them.
     recalibration: CutSwitch = "auto"

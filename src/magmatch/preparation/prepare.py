@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from magmatch.arguments import column_of, expect_kind
+from magmatch.data.checks import require_survey
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
@@ -64,7 +66,14 @@ def prepare(
     SurveyError
         Nothing is left after removing what was asked to be removed.
     """
+    require_survey(survey)
     config, channels = config or PreparationConfig(), channels or {}
+    expect_kind(config, "config", (PreparationConfig,))
+    if trajectory is not None:
+        expect_kind(trajectory, "trajectory", (Trajectory,), "Trajectory.load reads one from a TUM file")
+    channels = {
+        name: column_of(values, f"channel {name}", "any unit", len(survey)) for name, values in channels.items()
+    }
     sensor_log = None if survey.orientations is None else SensorLog.of(survey, trajectory)
     if sensor is not None:
         if sensor_log is None:

@@ -3,8 +3,9 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from magmatch.arguments import expect_kind
 from magmatch.field.config import FieldConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
@@ -14,21 +15,18 @@ from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
 from magmatch.registration.search.pair_search import PairSearchConfig
 from magmatch.registration.weigh.line_evidence import LineConfig
+from magmatch.settings import Settings
 
 
-class WalkConfig(BaseModel):
+class WalkConfig(Settings):
     """Everything that shapes the registration of a walk, stage by stage."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     search: PairSearchConfig = Field(default_factory=PairSearchConfig)
     evidence: LineConfig = Field(default_factory=LineConfig)
 
 
-class RegistrationConfig(BaseModel):
+class RegistrationConfig(Settings):
     """Everything that shapes a registration, stage by stage."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # How the two maps are made, where surveys are given.
     field: FieldConfig = Field(default_factory=FieldConfig)
@@ -59,3 +57,11 @@ PRESETS: dict[str, RegistrationConfig] = {
         calibrate=False,
     ),
 }
+
+
+def settings_of(config: RegistrationConfig | None) -> RegistrationConfig:
+    """Settings as they were given, the preset ``default`` where they were not."""
+    if config is None:
+        return PRESETS["default"]
+    expect_kind(config, "config", (RegistrationConfig,), f"PRESETS holds some: {', '.join(PRESETS)}")
+    return config

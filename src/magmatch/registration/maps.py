@@ -1,12 +1,30 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Surveys, maps and indexes are all taken: the samples of each, and the map of each."""
 
+from typing import Any
+
+from magmatch.arguments import expect_kind
+from magmatch.data.checks import ADVICE, require_survey
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import side_by_side
+
+
+def require_base(base: Any) -> None:
+    """Refuse what cannot be the base of a registration."""
+    expect_kind(base, "base", (Survey, FieldMap, MapIndex), ADVICE)
+    if isinstance(base, Survey):
+        require_survey(base)
+
+
+def require_target(target: Any) -> None:
+    """Refuse what cannot be the target of a registration."""
+    expect_kind(target, "target", (Survey, FieldMap), ADVICE | {"MapIndex": "its map is in .field_map"})
+    if isinstance(target, Survey):
+        require_survey(target)
 
 
 def survey_of(survey_or_map: Survey | FieldMap | MapIndex) -> Survey:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verb of this room: two surveys (or maps) in, one transform or a reasoned refusal out."""
 
+from magmatch.arguments import whole_number_of
 from magmatch.registration.clock import Clock
-from magmatch.registration.config import PRESETS, RegistrationConfig
-from magmatch.registration.maps import survey_of
+from magmatch.registration.config import RegistrationConfig, settings_of
+from magmatch.registration.maps import require_base, require_target, survey_of
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate_sensors
@@ -43,7 +44,11 @@ def register_keeping_maps(
     base: Base, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
 ) -> Outcome:
     """Register, and also return the base's map and the target as they were used: for pictures, say."""
-    config, clock, samples = config or PRESETS["default"], Clock(), survey_of(target)
+    require_base(base)
+    require_target(target)
+    config = settings_of(config)
+    whole_number_of(seed, "seed")
+    clock, samples = Clock(), survey_of(target)
     with one_blas_thread():
         outcome = register_once(base, target, samples, config, seed, clock)
         if config.calibrate:

@@ -25,9 +25,11 @@ from pydantic_core.core_schema import no_info_after_validator_function
 from scipy.spatial.transform import RigidTransform
 from typing_extensions import TypedDict
 
+from magmatch.arguments import expect_path
 from magmatch.data.document import plain, read_document, write_document
 from magmatch.errors import DataFormatError, first_fault
-from magmatch.geometry import transform_from_matrix
+from magmatch.geometry import transform_from_matrix, transform_points
+from magmatch.picture import BASE, TARGET, points_picture, share_picture, with_picture
 
 SCHEMA = "magmatch.registration/1"
 MAX_BYTES = 64 * 1024**2
@@ -235,6 +237,27 @@ class RegistrationResult:
     seed: Count = 0
     inputs: tuple[dict[str, Any], ...] = ()
 
+    def __repr__(self) -> str:
+        sure = "" if self.probability is None else f", probability {self.probability:.4g}"
+        lines = [f"RegistrationResult: {self.status}{sure}{f', map {self.base}' if self.base else ''}", self.reason]
+        if self.T_base_target is not None:
+            x, y, z = (f"{v:.4g}" for v in self.T_base_target.translation)
+            turn = math.degrees(self.T_base_target.rotation.magnitude())
+            lines[1:1] = [f"T_base_target: {x}, {y}, {z} m, turned by {turn:.4g} degrees"]
+        return "\n".join(" ".join(line.split()) for line in lines)
+
+    def _repr_html_(self) -> str:
+        links, pose = self.links.few(), self.best_pose
+        if pose is not None and len(links.base):
+            moved = transform_points(links.target, pose)
+            picture = points_picture(
+                [(links.base, BASE), (moved, TARGET)], "points of base and target that belong together"
+            )
+        else:
+            sure = self.probability or 0.0
+            picture = share_picture(sure, f"probability {sure:.4g}")
+        return with_picture(repr(self), picture)
+
     @property
     def is_accepted(self) -> bool:
         """Whether a transform is given."""
@@ -304,6 +327,7 @@ class RegistrationResult:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
+        expect_path(path)
         document = read_document(path, SCHEMA, "registration result", MAX_BYTES)
         try:
             result = _adapter().validate_python({"reason": ""} | document)

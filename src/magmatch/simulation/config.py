@@ -3,13 +3,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from magmatch.settings import Settings
 
 
-class SimulationConfig(BaseModel):
+class SimulationConfig(Settings):
     """What a simulated pair of surveys is like; scenario-independent unless a comment says otherwise."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Samples in each survey (the published office used a few thousand).
     n_samples: int = Field(default=2500, ge=4, le=10_000_000)

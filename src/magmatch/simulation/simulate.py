@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from magmatch._version import __version__
+from magmatch.arguments import expect_kind
 from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
 from magmatch.simulation.config import SimulationConfig
@@ -49,7 +50,9 @@ def simulate(scenario: str, seed: int = 0, config: SimulationConfig | None = Non
     >>> len(pair.target), pair.accept
     (10, False)
     """
-    config = config or SimulationConfig()
+    expect_kind(seed, "seed", (int, np.integer))
+    config = SimulationConfig() if config is None else config
+    expect_kind(config, "config", (SimulationConfig,))
     streams = Streams(seed)
     scene = build_scene(scenario, config, streams)
     drift = config.pose_drift if scene.is_blind else 0.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from magmatch.data.survey import Survey
-from magmatch.field.build import build_map
+from magmatch.field.build import build_map, map_samples
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
@@ -128,7 +128,7 @@ def test_the_map_without_outliers_is_saved_and_read_back(tmp_path):
 def test_few_samples_are_all_kept(n):
     x, b, _ = room(n, seed=5)
     b[0] += 1e-3
-    assert len(build_map(Survey(x, b), SETTINGS).survey) == n
+    assert len(map_samples((Survey(x, b),), SETTINGS).survey) == n
 
 
 @pytest.mark.parametrize("name", ["spline", "divergence_free", "curl_free", "harmonic"])

@@ -248,8 +248,9 @@ def test_directory_of_countless_entries_is_refused(tmp_path, monkeypatch):
 
 
 def test_map_with_nan_is_not_written(tmp_path, spline_map):
-    broken = replace(spline_map, survey=replace(spline_map.survey, pose_sd=np.nan))
-    with pytest.raises(ValueError, match="expected finite pose_sd"):
+    broken = replace(spline_map, survey=replace(spline_map.survey, positions=spline_map.survey.positions.copy()))
+    broken.survey.positions[3] = np.nan
+    with pytest.raises(ValueError, match="expected finite positions"):
         broken.save(tmp_path / "m")
     assert not list(tmp_path.iterdir())
 

@@ -36,19 +36,9 @@ def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
     if layout.trajectory is not None:
         survey = recording_of_table(table, layout).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)
-    survey = _with_own_poses(table)
-    field = survey.field * TESLA_PER_UNIT[layout.field_unit]
-    if layout.field_frame == "sensor":
-        if survey.orientations is None:
-            message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"
-            raise DataFormatError(table.path, message)
-        field = survey.orientations.apply(field)
-    return replace(
-        survey,
-        positions=survey.positions * METRE_PER_UNIT[layout.length_unit],
-        field=field,
-        pose_sd=survey.pose_sd if layout.pose_sd is None else layout.pose_sd,
-    )
+    _require_own_poses(table)
+    survey = Survey.from_table(table, layout.field_unit, layout.length_unit, layout.field_frame)
+    return survey if layout.pose_sd is None else replace(survey, pose_sd=layout.pose_sd)
 
 
 def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
@@ -82,8 +72,8 @@ def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:
     return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[(layout or SurveyFormat()).length_unit]
 
 
-def _with_own_poses(table: Table) -> Survey:
-    """Build the survey in the file's own units."""
+def _require_own_poses(table: Table) -> None:
+    """Raise DataFormatError, with advice, where columns of a survey are missing."""
     hint = _advice(table.names)
     if table.has("x", "y", *FIELD_COLUMNS):
         hint = "A survey on one height has a column z too; all 0 will do"
@@ -92,7 +82,6 @@ def _with_own_poses(table: Table) -> Survey:
     elif table.has("t", *FIELD_COLUMNS) and not _is_global(table.names):
         hint = "A log without positions takes them from a TUM file: --trajectory POSES.tum"
     table.require([*POSITION_COLUMNS, *FIELD_COLUMNS], hint)
-    return Survey.from_table(table)
 
 
 def _advice(names: Sequence[str]) -> str:

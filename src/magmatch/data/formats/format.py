@@ -4,18 +4,17 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
+from magmatch.settings import Settings
 
 COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw")
 
 
-class SurveyFormat(BaseModel):
+class SurveyFormat(Settings):
     """How to read a survey file; the defaults are the package's own units and frame."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     field_unit: FieldUnit = Field(default="T", description="Unit of the field (phone logs: uT).")
     length_unit: LengthUnit = Field(default="m", description="Unit of the positions (in a trajectory file too).")

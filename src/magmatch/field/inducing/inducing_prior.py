@@ -5,7 +5,7 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
@@ -16,6 +16,7 @@ from magmatch.field.inducing.kernels import Kernel, Term
 from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
 from magmatch.field.variogram import typical_length
+from magmatch.settings import Settings
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
@@ -27,10 +28,8 @@ MOST_SAMPLES = 30_000
 _AFFORDABLE_WIDENING = 1.3
 
 
-class InducingConfig(BaseModel):
+class InducingConfig(Settings):
     """Settings of a Gaussian process over inducing points."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Spacing of the inducing points over the lengthscale; docs/notebook/field.md has the figures.
     spacing_ratio: float = Field(default=0.7, gt=0)

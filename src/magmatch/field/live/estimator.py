@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.arguments import expect_kind, points_of, whole_number_of
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.config import MIN_SAMPLES, EstimatorConfig, FieldConfig
@@ -59,8 +60,12 @@ class FieldEstimator:
         config: EstimatorConfig | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        if hyperparameters is not None:
+            expect_kind(hyperparameters, "hyperparameters", (Hyperparameters,))
+            hyperparameters.check()
+        self.config = EstimatorConfig() if config is None else config
+        expect_kind(self.config, "config", (EstimatorConfig,))
         _warm_up()
-        self.config = config or EstimatorConfig()
         self._clock = clock
         self._waiting, self._n_waiting = np.zeros((N_WAITING, 6)), 0
         self._start: np.ndarray | None = None
@@ -140,13 +145,8 @@ class FieldEstimator:
         SurveyError
             Fewer than 10 samples so far and no hyperparameters given, or none at all.
         """
-        p = np.asarray(points, dtype=np.float64)
-        if p.ndim != 2 or p.shape[1] != 3:
-            msg = f"expected points of shape (n, 3), got {p.shape}"
-            raise ValueError(msg)
-        if order not in (0, 1, 2):
-            msg = f"expected order 0, 1 or 2, got {order}"
-            raise ValueError(msg)
+        p = points_of(points)
+        whole_number_of(order, "order", 0, 2)
         return Prediction(*self._ready().predict(p, order, max_age, with_variance=with_variance))
 
     def choose_hyperparameters(self) -> Hyperparameters:

@@ -4,6 +4,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from magmatch.arguments import numbers_of
 from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
 from magmatch.errors import SurveyError
 from magmatch.typing import Points, Vectors
@@ -14,12 +15,12 @@ LIMITS = np.r_[np.full(3, MAX_EXTENT), np.full(3, MAX_FIELD)]
 
 def sample_rows(position: Points, field: Vectors, orientation: np.ndarray | None) -> np.ndarray:
     """Position and field in the map frame, one row a sample: (n, 6)."""
-    p, b = np.asarray(position, dtype=np.float64), np.asarray(field, dtype=np.float64)
+    p, b = numbers_of(position, "position", "(n, 3), in m"), numbers_of(field, "field", "(n, 3), in T")
     if p.shape != b.shape or p.shape[-1:] != (3,) or p.ndim > 2:
         msg = f"expected position and field both (3,) or both (n, 3), got {p.shape} and {b.shape}"
         raise ValueError(msg)
     if orientation is not None:
-        q = np.asarray(orientation, dtype=np.float64)
+        q = numbers_of(orientation, "orientation", "(n, 4)")
         if q.shape != (*p.shape[:-1], 4):
             msg = f"expected orientation {(*p.shape[:-1], 4)}, quaternions xyzw, got {q.shape}"
             raise ValueError(msg)

@@ -5,7 +5,7 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.field.box import Box
 from magmatch.field.equivalent_sources.inner_sources import InnerSources, find_inner_sources
@@ -19,6 +19,7 @@ from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
 from magmatch.field.inducing.kernels import CurlFreeKernel
 from magmatch.field.linear_model import check_samples
 from magmatch.field.variogram import typical_length
+from magmatch.settings import Settings
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
@@ -29,10 +30,8 @@ _SAME_DISTANCE = 1.01
 _ROUNDS_OF_SOURCES = 2
 
 
-class HarmonicConfig(BaseModel):
+class HarmonicConfig(Settings):
     """Settings of the equivalent sources."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Spacing of the charges over their distance from the samples; denser gained nothing (docs/notebook/field.md).
     spacing_ratio: float = Field(default=0.5, gt=0)

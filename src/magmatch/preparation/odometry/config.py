@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of dead reckoning; those marked IPIN were chosen on routes 1 to 3 of its training logs of 2023."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from magmatch.settings import Settings
 
 
-class OdometryConfig(BaseModel):
+class OdometryConfig(Settings):
     """Settings of `magmatch.preparation.odometry.dead_reckon.dead_reckon`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.
     rate: float = Field(default=100.0, ge=20, le=1000)

@@ -4,21 +4,20 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.posterior import Posterior, effective_evidence, needed_evidence
 from magmatch.registration.result import Status
 from magmatch.registration.weigh.hypothesis import Hypothesis
+from magmatch.settings import Settings
 
 # Right is within so many times the largest standard deviation allowed: rivals nearer than that are one answer.
 RIGHT_WITHIN = 3.0
 
 
-class DecisionConfig(BaseModel):
+class DecisionConfig(Settings):
     """When a pose is accepted."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Least probability that the pose is right.
     min_probability: float = Field(default=0.99, gt=0, lt=1)

@@ -9,10 +9,11 @@ refinement (and so in the covariance), and its density is what the evidence pays
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import rotation_matrix, skew
+from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Tensors, Vector3
 
 # Standard deviations within which a pose must lie to be searched.
@@ -25,10 +26,8 @@ UP = np.array([0.0, 0.0, 1.0])
 Hypotheses = tuple[Tensors, Points, Indices]
 
 
-class PosePriorConfig(BaseModel):
+class PosePriorConfig(Settings):
     """What is known of the pose beforehand; by default nothing."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Rough T_base_target: x, y, z (m), then the quaternion qx, qy, qz, qw.
     pose: tuple[float, float, float, float, float, float, float] | None = None

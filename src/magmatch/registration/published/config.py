@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of the published method, step by step."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.features.config import FeatureConfig
 from magmatch.registration.published.consensus import ConsensusConfig
 from magmatch.registration.published.fitness_decision import FitnessConfig
 from magmatch.registration.published.matching import MatchingConfig
+from magmatch.settings import Settings
 
 
-class PublishedConfig(BaseModel):
+class PublishedConfig(Settings):
     """The steps of the published method."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     features: FeatureConfig = Field(default_factory=FeatureConfig)
     matching: MatchingConfig = Field(default_factory=MatchingConfig)

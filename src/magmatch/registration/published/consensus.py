@@ -4,11 +4,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import rotation_matrix
 from magmatch.registration.search.invariant_search import distinct_poses
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Vectors
 
 # Hypothesis-correspondence pairs scored at once: bounds memory.
@@ -19,10 +20,8 @@ _MAX_REFITS = 20
 _SAME_ROTATION = 0.1
 
 
-class ConsensusConfig(BaseModel):
+class ConsensusConfig(Settings):
     """How hypotheses are drawn and judged."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Distance at which a correspondence stops counting, spacings of X*. Experiment: one spacing, what two grids that
     # do not fall together leave, halves the error of two spacings, which let neighbours' keypoints in.

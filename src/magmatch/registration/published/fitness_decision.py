@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published decision: a consensus is accepted where the aligned vectors' fitness is below a threshold."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.fitness import Fitness
 from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.search.candidate import SearchResult
+from magmatch.settings import Settings
 
 
-class FitnessConfig(BaseModel):
+class FitnessConfig(Settings):
     """When a consensus is accepted."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Fewest samples' share inside the base map.
     min_overlap: float = Field(default=0.05, ge=0, le=1)

@@ -4,19 +4,18 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from magmatch.features.features import Features
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Scalars
 
 # Pairs of descriptors compared at once: bounds memory.
 _PAIRS_AT_ONCE = 4_000_000
 
 
-class MatchingConfig(BaseModel):
+class MatchingConfig(Settings):
     """Which nearest neighbours in descriptor space are believed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Share of the nearest neighbours, closest first, that is kept: the threshold adapts to noise and grid.
     kept_share: float = Field(default=0.5, gt=0, le=1)

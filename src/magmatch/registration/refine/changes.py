@@ -9,7 +9,7 @@ variance of its own, the most likely one, which is nearly zero for most (sparse 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
@@ -29,6 +29,7 @@ from magmatch.registration.refine.refinement import (
     perturbation,
     residual_jacobian,
 )
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Steps end when one moves the estimate by less than this many of its standard deviations.
@@ -46,10 +47,8 @@ CONSTANT_SD = 1e-4
 N_STRENGTHS = 4
 
 
-class ChangeConfig(BaseModel):
+class ChangeConfig(Settings):
     """When and how a pose is looked for beside moved sources."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     is_enabled: bool = True
     # Misfit of the best pose's cells above which something may have moved, and which a change must bring them under;

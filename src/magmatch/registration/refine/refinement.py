@@ -12,7 +12,7 @@ base and target could not be swapped.
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -23,6 +23,7 @@ from magmatch.registration.prepared.drift import Drift, field_variance
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
 # Fewer samples than this in one direction say too little to be used.
@@ -33,10 +34,8 @@ STUDENT_DOF = 4.0
 MAX_TURN, MAX_SHIFT = 0.1, 0.3
 
 
-class RefinementConfig(BaseModel):
+class RefinementConfig(Settings):
     """Settings of the dense refinement."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Samples per survey. A room's 3,000 all tell: with 1,200 of them errors grow by a fifth, at 15 % overlap by half.
     n_samples: int = Field(default=4000, ge=MIN_SAMPLES)

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from magmatch.settings import Settings
 from magmatch.typing import Matrix, Vectors
 
 SensorMode = Literal["auto", "none", "bias", "scale", "full"]
@@ -21,10 +22,8 @@ SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 TIED_SD = 1e-12
 
 
-class SensorConfig(BaseModel):
+class SensorConfig(Settings):
     """What may differ between the two magnetometers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # 'auto': bias and scale at the level the evidence asks for, and soft iron where it asks for that; 'none':
     # identical sensors; 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.

@@ -4,7 +4,7 @@
 import logging
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -16,15 +16,14 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, common_leng
 from magmatch.registration.search.annealing import anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 log = logging.getLogger(__name__)
 
 
-class InvariantSearchConfig(BaseModel):
+class InvariantSearchConfig(Settings):
     """Counts and scales of the search; the defaults found every pair of the development set."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Target points that vote, drawn in proportion to how well their gradient is known.
     n_anchors: int = Field(default=400, ge=10)

@@ -5,7 +5,7 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -19,6 +19,7 @@ from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 log = logging.getLogger(__name__)
@@ -27,10 +28,8 @@ log = logging.getLogger(__name__)
 SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
 
 
-class PairSearchConfig(BaseModel):
+class PairSearchConfig(Settings):
     """Counts and scales of the search; lengths in the base's correlation length."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Distance of the base points that make pairs, and shortest and longest pair.
     point_distance: float = Field(default=0.25, gt=0)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from itertools import product
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -21,6 +21,7 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.weigh.hypothesis import Kind
+from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
 # Longest step: rad, and in correlation lengths.
@@ -34,10 +35,8 @@ NULL_STRENGTHS = (0.5, 1.0, 2.0, 4.0)
 NULL_BINS = 60
 
 
-class LineConfig(BaseModel):
+class LineConfig(Settings):
     """Settings of the generalised least squares."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Steps with like components, then steps that know how drifting poses couple them.
     n_coarse_steps: int = Field(default=5, ge=0)

@@ -62,6 +62,21 @@ def shown_pose(result: RegistrationResult) -> RigidTransform | None:
     return next((other.T_base_target for other in result.alternatives if other.base is None), None)
 
 
+def links_figure(result: RegistrationResult) -> "Figure":
+    """Points of both sides that belong together, in the frame of the base: what a result alone can show."""
+    T_base_target, links = shown_pose(result), result.links
+    if T_base_target is None or not len(links.base):
+        msg = "view: expected a result with pose and matching points, got one without; say view(result, base, target)"
+        raise ValueError(msg)
+    moved = transform_points(links.target, T_base_target)
+    base = points3d(links.base, name="base", marker={"size": 5, "color": BASE_COLOR, "symbol": BASE_MARKER})
+    target = points3d(moved, name="target", marker={"size": 4, "color": TARGET_COLOR, "symbol": TARGET_MARKER})
+    words = "Points that belong together" if result.is_accepted else "Best candidate, NOT accepted"
+    return described(
+        new_scene(words, [base, target], "frame of the base"), f"{len(moved)} points of base and target in space."
+    )
+
+
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
     """Both surveys in one frame: as they came, and with the target brought to the base."""
     links = result.links

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The main verb for whatever can be a base: a survey, a map, or a folder of maps."""
+
+import os
+from pathlib import Path
+
+from magmatch.atlas.atlas import Atlas, open_atlas
+from magmatch.atlas.localize import localize_keeping_map
+from magmatch.data.tables.text import is_folder
+from magmatch.errors import ConfigurationError
+from magmatch.field.map import FieldMap
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.maps import require_target
+from magmatch.registration.register import register_keeping_maps
+from magmatch.registration.result import RegistrationResult
+from magmatch.registration.steps import Base, Target
+
+
+def register(
+    base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+) -> RegistrationResult:
+    """Find the rigid transform between two magnetic surveys of one place, or say why there is none.
+
+    Parameters
+    ----------
+    base : Survey, FieldMap, MapIndex, Atlas or path of a folder of saved maps
+        Gives the frame; a survey is mapped first. A base that serves many targets is best given as its `MapIndex`. Of
+        many maps, the result's ``base`` names the one that holds the target.
+    target : Survey or FieldMap
+        In its own frame.
+    config : RegistrationConfig, optional
+        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method. An `Atlas` has its own.
+    seed : int
+        Same input, configuration and seed give the same answer bit for bit.
+
+    Returns
+    -------
+    RegistrationResult
+        ``T_base_target`` is None unless accepted; ``reason`` says which check decided.
+
+    Raises
+    ------
+    SurveyError
+        A survey holds NaN, impossible values or too few samples.
+    TypeError
+        Neither surveys nor maps; says what makes one of what was given.
+    """
+    return register_anywhere(base, target, config, seed=seed)[2]
+
+
+def register_anywhere(
+    base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+) -> tuple[FieldMap | None, Target, RegistrationResult]:
+    """Register, and hand on the base's map (None where none of many fits) and the target as they were used."""
+    if isinstance(base, str | os.PathLike) and is_folder(base):
+        require_target(target)
+        base, config = open_atlas(base, config), None
+    if not isinstance(base, Atlas):
+        return register_keeping_maps(base, target, config, seed=seed)  # type: ignore[arg-type]  # refuses other paths
+    if config is not None and config != base.config:
+        msg = (
+            "config: expected that of the Atlas, or none, got another; open_atlas(folder, config) opens it with this"
+        )
+        raise ConfigurationError(msg)
+    used, result = localize_keeping_map(base, target, seed=seed)
+    named = [entry for entry in base.entries if entry.name == result.base]
+    return base.load(named[0]).field_map if named else None, used, result

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magmatch.arguments import column_of, found, require_finite
+from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.table import Table
+from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.typing import Scalars
+
+
+def table_of_frame(df: Any, name: str, known: Collection[str], theirs: Mapping[str, str]) -> Table:
+    """Known columns of a DataFrame, found by name (``theirs``: {ours: theirs}); rows by position, dates in s."""
+    if not hasattr(df, "columns") or not hasattr(df, "__getitem__"):
+        msg = f"df: expected a DataFrame, got {found(df)}; Survey(positions, field) takes arrays"
+        raise TypeError(msg)
+    if unknown := [ours for ours in theirs if ours not in known]:
+        msg = f"columns: expected pairs {{ours: theirs}} with ours of {', '.join(known)}, got '{unknown[0]}'"
+        raise ConfigurationError(msg)
+    there = {str(column).lower(): column for column in df.columns}
+    wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
+    columns = {ours: _numbers(df[there[key]], ours, name, len(df)) for ours, key in wanted.items() if key in there}
+    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), ())
+
+
+def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[str, str]]:
+    """DataFrame of a Dataset's points, and the units that its variables state, by our names."""
+    if not hasattr(dataset, "data_vars"):
+        msg = f"dataset: expected an xarray Dataset, got {found(dataset)}; DataArray.to_dataset makes one"
+        raise TypeError(msg)
+    units: dict[str, str] = {}
+    for group in (("x", "y", "z"), ("bx", "by", "bz"), ("t",)):
+        there = (dataset.variables.get(theirs.get(ours, ours)) for ours in group)
+        stated = {
+            str(variable.attrs["units"]) for variable in there if variable is not None and "units" in variable.attrs
+        }
+        if len(stated) > 1:
+            said = " and ".join(sorted(stated))
+            msg = f"columns: expected one unit for {', '.join(group)}, got {said}; convert them first"
+            raise ConfigurationError(msg)
+        units |= dict.fromkeys(group, stated.pop()) if stated else {}
+    return dataset.to_dataframe().reset_index(), units
+
+
+def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
+    """A column as finite float64; dates as seconds since 1970."""
+    try:
+        if ours == "t" and getattr(column.dtype, "kind", "") == "M":
+            dates = np.asarray(column, dtype="datetime64[ns]")
+            require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
+            return seconds_of(dates.astype(np.int64).tolist())
+        return column_of(column, ours, "any unit", n)
+    except ValueError as error:
+        raise DataFormatError(name, str(error)) from None

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What all settings share: they are frozen, and a wrong one is named in one sentence."""
+
+from typing import TYPE_CHECKING, Any, cast
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from magmatch.errors import ConfigurationError, first_fault
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:  # its name is not public
+    ModelMetaclass = type(BaseModel)
+
+
+class _OneSentence(ModelMetaclass):
+    """Turns pydantic's list of faults into the first of them, where settings are made by calling their class."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        names = list(cast("type[BaseModel]", cls).model_fields)
+        if args:
+            msg = f"{cls.__name__}: expected settings by name, {names[0]}=..., got {args[0]!r:.40}"
+            raise TypeError(msg)
+        try:
+            return super().__call__(**kwargs)
+        except ValidationError as error:
+            place, words = first_fault(error)
+            first = error.errors()[0]
+            if first["type"] == "extra_forbidden":
+                known = f"one of {', '.join(names)}" if len(first["loc"]) == 1 else "a known setting"
+                words = f"expected {known}, found another name"
+            msg = ": ".join(part for part in (cls.__name__, place, words) if part)
+            raise ConfigurationError(msg) from None
+
+
+class Settings(BaseModel, metaclass=_OneSentence):
+    """Settings of a step; reading them from files (`model_validate`) raises pydantic's own error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
