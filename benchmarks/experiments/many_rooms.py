@@ -6,7 +6,7 @@
 Each room (3 x 3 x 0.6 m, 2,500 samples, 0.4 uT of noise) is surveyed twice in frames that are any SE(3), with the
 target's region covered to 100, 75, 50, 30 and 15 %; each overlap has rooms of its own. Found: within the tolerance
 that the table states. Then maps of different rooms are registered with each other, drawn at random from all made
-here and those in ``--maps`` (of `calibrate_probability.py`: other kinds of rooms, areas of a building, robots'
+here and those in ``--maps`` (of `fit_decision.py`: other kinds of rooms, areas of a building, robots'
 runs, uniform fields); every accepted pair is wrong. Maps and rows stay in DIR, a second run goes on where the
 first ended; ``--minutes`` ends each part early, with the table of what there is. Bounds are 95 % (Wilson).
 """

@@ -18,6 +18,7 @@ from magmatch.field.tiles.tiled_draws import normals
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.field.tiles.tiles import TileKeys, Tiling, smooth_step
+from magmatch.threads import one_blas_thread
 
 few = settings(deadline=None, derandomize=True, max_examples=20)
 H = Hyperparameters(0.6, 4e-6, 5e-7, 0.2, 300.0, inflation=1.3)
@@ -47,8 +48,9 @@ def waves(x):
 @pytest.fixture(scope="module")
 def fitted():
     x, b = walk()
-    model = TiledModel.over(x, H, SMALL)
-    return model, model.infer(model.observe(x, b)), x, b
+    with one_blas_thread():
+        model = TiledModel.over(x, H, SMALL)
+        return model, model.infer(model.observe(x, b)), x, b
 
 
 @pytest.fixture(scope="module")
@@ -284,6 +286,8 @@ def test_region_of_countless_tiles_is_refused_in_one_line(monkeypatch):
         TiledModel.over(x, H)
 
 
+# The same bits are promised under one BLAS thread, as every task of a fit runs.
+@one_blas_thread()
 def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, monkeypatch):
     model, posterior, x, b = fitted
     few_bytes = 4.5 * max(posterior.factored(k).factor.n_bytes for k in range(len(model.tiles)))

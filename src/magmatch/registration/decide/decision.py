@@ -106,11 +106,15 @@ def _accepted(posterior: Posterior[Hypothesis], estimate: Estimate, max_sd: tupl
     free = estimate.free_directions(max_sd)
     if estimate.covariance is not None and not free:
         return Verdict(Status.ACCEPTED, f"probability {in_words(posterior.best)}, {_lead(posterior)}")
-    words = ", ".join(d.words for d in free) or "all directions"
+    place = f"the place is found (probability {in_words(posterior.best)})"
+    if estimate.covariance is None:
+        return Verdict(Status.DEGENERATE, f"{place}, but the data fix the pose in no direction; survey a larger area")
+    shift, turn = estimate.worst_sd
+    words = "in every direction" if len(free) == 6 else ", ".join(d.words for d in free) + " is free"
     return Verdict(
         Status.DEGENERATE,
-        f"the place is found (probability {in_words(posterior.best)}), but the pose is known less well than "
-        f"{max_sd[0]:.2g} m and {np.degrees(max_sd[1]):.2g} deg allow: {words}; survey across it",
+        f"{place}, but the pose is known to {shift:.2g} m and {np.degrees(turn):.2g} deg only, where {max_sd[0]:.2g} m "
+        f"and {np.degrees(max_sd[1]):.2g} deg are asked: {words}; survey a larger area, or across it",
     )
 
 
