@@ -114,7 +114,8 @@ def _accepted(posterior: Posterior[Hypothesis], estimate: Estimate, max_sd: tupl
     return Verdict(
         Status.DEGENERATE,
         f"{place}, but the pose is known to {shift:.2g} m and {np.degrees(turn):.2g} deg only, where "
-        f"{max_sd[0]:.2g} m and {np.degrees(max_sd[1]):.2g} deg are asked: {words}; survey a larger area, or across it",
+        f"{max_sd[0]:.2g} m and {np.degrees(max_sd[1]):.2g} deg are asked: {words}; "
+        "survey a larger area, or across it",
     )
 
 
