@@ -20,6 +20,7 @@ from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages.page import (
     Section,
     columns,
+    details,
     figure_row,
     note,
     paragraph,
@@ -191,6 +192,6 @@ def _again(field_map: FieldMap, command: str | None) -> Section:
         [
             paragraph(words),
             to_copy("command", command, is_wrapped=True),
-            f"<details><summary>settings.yaml</summary>{to_copy('settings', text)}</details>",
+            details("settings.yaml", to_copy("settings", text)),
         ],
     )
