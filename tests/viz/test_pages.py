@@ -64,7 +64,7 @@ def test_a_report_says_the_verdict_in_words(report):
 
 
 def test_verdict_and_pictures_stand_before_tables_and_only_what_few_ask_for_is_folded(report):
-    at = [report.index(words) for words in ('class="verdict', 'class="plot"', "<table", "Fitness", "<dl>")]
+    at = [report.index(words) for words in ('class="verdict', 'class="plot"', "<table", "Inliers", "<dl>")]
     assert at == sorted(at)
     folded = re.findall(r"<summary>(.*?)</summary>", report)
     assert folded[:2] == ["What to do next", "Matching keypoints"]
@@ -73,7 +73,7 @@ def test_verdict_and_pictures_stand_before_tables_and_only_what_few_ask_for_is_f
 
 def test_every_linked_term_is_explained_on_the_page(report):
     linked = set(re.findall(r'class="term" href="#([^"]+)"', report))
-    assert {"term-overlap", "term-residual", "term-fitness", "term-cell"} <= linked
+    assert {"term-overlap", "term-residual", "term-keypoint", "term-cell"} <= linked
     assert linked == set(re.findall(r'<dt id="([^"]+)">', report))
 
 
