@@ -34,8 +34,8 @@ def table_of_frame(
     for text, words in said.items():
         if len(words) > 1:
             raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
-    words = {text: found[0] for text, found in said.items() if found}
-    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), words)
+    one_word = {text: words[0] for text, words in said.items() if words}
+    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
 
 
 def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[str, str]]:
