@@ -83,10 +83,10 @@ def on_a_desk(browser: Browser, page: Path) -> None:
 
 
 def on_a_phone(browser: Browser, page: Path) -> None:
-    """The top of the report, and its scenes."""
+    """The top of the report, and its cuts."""
     open_page(browser, page, 390, 844)
     take(browser, "report-phone", clip=None)
-    browser.evaluate("document.querySelectorAll('h2')[2].scrollIntoView()")
+    browser.evaluate("document.querySelectorAll('h2')[1].scrollIntoView()")
     sleep(SETTLING)
     take(browser, "report-phone-field", clip=None)
 
