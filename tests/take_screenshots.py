@@ -55,6 +55,7 @@ def main() -> None:
 
 def registered(folder: Path, scenario: str, seed: str) -> tuple[FieldMap, FieldMap, RegistrationResult]:
     """The maps of a pair, and the result."""
+    folder.mkdir(exist_ok=True)
     magmatch(["simulate", scenario, "--seed", seed, "--out", str(folder / "pair")])
     for side in ("base", "target"):
         words = ["map", str(folder / "pair" / f"{side}.csv"), "--out", str(folder / f"{side}.map")]
