@@ -31,6 +31,7 @@ FRONT_FIGURES = """
         return row;
     }));
     document.querySelectorAll('.modebar-container').forEach(n => n.remove());
+    document.querySelectorAll('small').forEach(n => { n.textContent = n.textContent.split('; click')[0]; });
 """
 # Scenes are drawn in software, which takes a moment longer than the page says.
 SETTLING = 3.0

@@ -30,7 +30,8 @@ def table_of_frame(
     there = {str(column).lower(): column for column in df.columns}
     wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
     columns = {ours: _numbers(df[there[key]], ours, name, len(df)) for ours, key in wanted.items() if key in there}
-    said = {text: sorted({str(word) for word in df[there[text]]}) for text in texts if text in there}
+    # A missing cell equals nothing, not even itself.
+    said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
     for text, words in said.items():
         if len(words) > 1:
             raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
