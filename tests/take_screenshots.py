@@ -31,6 +31,7 @@ FRONT_FIGURES = """
         return row;
     }));
     document.querySelectorAll('.modebar-container').forEach(n => n.remove());
+    document.querySelectorAll('small').forEach(n => { n.textContent = n.textContent.split('; click')[0]; });
 """
 # Scenes are drawn in software, which takes a moment longer than the page says.
 SETTLING = 3.0
@@ -55,6 +56,7 @@ def main() -> None:
 
 def registered(folder: Path, scenario: str, seed: str) -> tuple[FieldMap, FieldMap, RegistrationResult]:
     """The maps of a pair, and the result."""
+    folder.mkdir(exist_ok=True)
     magmatch(["simulate", scenario, "--seed", seed, "--out", str(folder / "pair")])
     for side in ("base", "target"):
         words = ["map", str(folder / "pair" / f"{side}.csv"), "--out", str(folder / f"{side}.map")]
@@ -83,10 +85,10 @@ def on_a_desk(browser: Browser, page: Path) -> None:
 
 
 def on_a_phone(browser: Browser, page: Path) -> None:
-    """The top of the report, and its scenes."""
+    """The top of the report, and its cuts."""
     open_page(browser, page, 390, 844)
     take(browser, "report-phone", clip=None)
-    browser.evaluate("document.querySelectorAll('h2')[2].scrollIntoView()")
+    browser.evaluate("document.querySelectorAll('h2')[1].scrollIntoView()")
     sleep(SETTLING)
     take(browser, "report-phone-field", clip=None)
 

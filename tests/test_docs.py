@@ -11,6 +11,7 @@ import pytest
 import typer
 import yaml
 
+import magmatch
 from magmatch.cli.main import build_app
 
 ROOT = Path(__file__).parents[1]
@@ -112,3 +113,10 @@ def test_every_equation_is_drawn():
 def test_python_on_a_page_compiles(page):
     for block in re.findall(r"```python[^\n]*\n(.*?)```", page.read_text(), re.DOTALL):
         compile(block, page.name, "exec")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_that_a_page_takes_from_the_package_exist(page):
+    for owner, name in re.findall(r"\bmm\.([A-Za-z_]+)(?:\.([a-z_]+))?", page.read_text()):
+        thing = getattr(magmatch, owner)
+        assert not name or hasattr(thing, name), f"mm.{owner}.{name}"

@@ -17,6 +17,14 @@ from magmatch.errors import DataFormatError
 CANNOT_FLUSH_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.EACCES, errno.EBADF}
 
 
+def real_path(path: str | Path) -> Path:
+    """Where a path leads, links followed; links that lead in a circle are refused."""
+    place = Path(os.path.realpath(path))
+    if place.is_symlink():
+        raise DataFormatError(path, "is a link that leads back to itself, expected a file")
+    return place
+
+
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only once it is whole and on the disk.
@@ -34,7 +42,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     ...     (Path(folder) / "note.txt").read_bytes()
     b'whole'
     """
-    goal = Path(path).resolve()
+    goal = real_path(path)
     if goal.is_dir():
         raise DataFormatError(path, "is a folder, expected the name of a file to write")
     # Asked of the name as given: a pipe behind /dev/stdout resolves to a name that no folder holds.

@@ -112,6 +112,50 @@ def test_a_bad_survey_is_refused_before_any_work(case, good, out, run, tmp_path)
     assert "bad.csv" in outcome.err
 
 
+def looping(path: Path) -> None:
+    path.symlink_to(path)
+
+
+def circling(path: Path) -> None:
+    other = path.with_name("other.csv")
+    other.symlink_to(path)
+    path.symlink_to(other)
+
+
+NO_FILES: dict[str, Callable[[Path], None]] = {"link to itself": looping, "links in a circle": circling,
+                                               "pipe": os.mkfifo, "folder": Path.mkdir}  # fmt: skip
+TAKES_A_FILE: dict[str, Callable[[Path, Path, Path], list[object]]] = {
+    "info": lambda g, b, o: ["info", b],
+    "base": lambda g, b, o: ["register", b, g, "--out", o / "r.json"],
+    "target": lambda g, b, o: ["register", g, b],
+    "map": lambda g, b, o: ["map", g, b, "--out", o / "m.map"],
+    "query map": lambda g, b, o: ["query", b, g, "--out", o / "p.csv"],
+    "index": lambda g, b, o: ["index", b],
+    "transform by": lambda g, b, o: ["transform", g, "--by", b, "--out", o / "a.csv"],
+    "config": lambda g, b, o: ["register", g, g, "--config", b],
+    "prepare": lambda g, b, o: ["prepare", b, "--out", o / "s.csv"],
+    "sensor": lambda g, b, o: ["prepare", g, "--sensor-from", b, "--out", o / "s.csv"],
+    "odometry": lambda g, b, o: ["odometry", b, "--out", o / "o.tum"],
+    "view": lambda g, b, o: ["view", b, "--out", o / "v.html"],
+    "convert": lambda g, b, o: ["convert", b, o / "s.parquet"],
+}
+
+
+@pytest.mark.parametrize("door", TAKES_A_FILE)
+@pytest.mark.parametrize("kind", NO_FILES)
+def test_what_is_no_file_is_refused_at_every_door_whatever_its_name(kind, door, good, out, run, tmp_path):
+    bad = tmp_path / "bad.csv"
+    NO_FILES[kind](bad)
+    assert_refused(run(*TAKES_A_FILE[door](good, bad, out)), "bad.csv", out)
+
+
+@pytest.mark.parametrize("kind", ["link to itself", "links in a circle", "folder"])
+def test_no_result_is_written_where_no_file_can_be(kind, good, out, run, tmp_path):
+    bad = tmp_path / "bad.csv"
+    NO_FILES[kind](bad)
+    assert_refused(run("convert", good, bad), "bad.csv", out)
+
+
 Arguments = Callable[[Path, Path, Path], list[object]]  # good survey, a folder for inputs, a folder for outputs
 
 

@@ -131,7 +131,7 @@ def test_a_reader_that_leaves_is_no_error():
 def test_results_go_to_a_pipe_or_device(place, tmp_path):
     words = ["transform", place / "target.csv", "--by", place / "result.json", "--out", "/dev/stdout"]
     done = subprocess.run([sys.executable, "-m", "magmatch", *words], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[1] == "x,y,z,bx,by,bz"
+    assert done.stdout.splitlines()[0] == "x,y,z,bx,by,bz,survey_frame"
 
 
 def test_a_missing_extra_is_named_before_the_work(place, run, tmp_path, monkeypatch):

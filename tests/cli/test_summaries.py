@@ -9,7 +9,7 @@ from magmatch.registration.result import RegistrationResult, Status
 
 @pytest.mark.parametrize(
     ("probability", "words"),
-    [(1e-7, "below 0.001"), (0.0314, "0.031"), (0.99951, "above 0.999"), (0.0, "0.000"), (1.0, "1.000")],
+    [(1e-7, "below 0.001"), (0.0314, "0.031"), (0.99951, "above 0.999"), (0.0, "below 0.001"), (1.0, "above 0.999")],
 )
 def test_a_probability_is_never_rounded_to_certainty(probability, words):
     result = RegistrationResult(

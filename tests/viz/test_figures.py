@@ -44,6 +44,19 @@ def test_links_shrink_to_nothing_where_the_transform_is_right(pair):
     assert lengths[1].max() < 1e-5
 
 
+def test_links_and_keypoints_are_hidden_until_asked_for(pair):
+    for figure in scene_figures(pair.base, pair.target, pair.accepted):
+        assert [trace.visible for trace in figure.data] == [None] * 2 + ["legendonly"] * 3
+        assert all(trace.marker.size < 4 for trace in figure.data if trace.visible is None)
+
+
+def test_cuts_have_one_size(pair):
+    figures = slice_figures(pair.base_map, pair.target_map, pair.accepted)
+    assert len({(f.layout.xaxis.range, f.layout.yaxis.range, f.layout.meta["shape"]) for f in figures}) == 1
+    x, y = figures[0].layout.xaxis.range, figures[0].layout.yaxis.range
+    assert figures[0].layout.meta["shape"] == pytest.approx((y[1] - y[0]) / (x[1] - x[0]))
+
+
 def test_surveys_differ_in_marker_shape_too(pair):
     figure = scene_figures(pair.base, pair.target, pair.accepted)[1]
     symbols = [trace.marker.symbol for trace in figure.data[:4]]
@@ -77,7 +90,7 @@ def test_the_difference_is_small_where_both_maps_know_the_field(pair):
 def test_slices_are_in_microtesla(pair):
     base = slice_figures(pair.base_map, pair.target_map, pair.accepted)[0]
     assert 10 < np.nanmedian(base.data[0].z) < 200
-    assert base.data[0].colorbar.title.text == "uT"
+    assert base.data[0].colorbar.ticksuffix == " uT"
 
 
 def test_a_flat_box_is_cut_parallel_to_its_flat_side():

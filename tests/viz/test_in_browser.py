@@ -9,6 +9,7 @@ from browser import Browser, find_browser
 
 pytest.importorskip("plotly")
 
+from magmatch.viz.figures.plotting import DARK, PAPER
 from magmatch.viz.pages.map_page import write_map_report
 from magmatch.viz.pages.registration_page import write_report
 
@@ -17,7 +18,11 @@ pytestmark = pytest.mark.skipif(PATH is None, reason="no Chromium installed")
 
 N_DRAWN = "document.querySelectorAll('.plot .main-svg, .plot canvas').length"
 N_PLOTS = "document.querySelectorAll('.plot').length"
-UNDRAWN = "[...document.querySelectorAll('.plot')].filter(p => !p.querySelector('.main-svg, canvas')).length"
+UNDRAWN = (
+    "[...document.querySelectorAll('.plot')].filter(p => !p.closest('details:not([open])')"
+    " && !p.querySelector('.main-svg, canvas')).length"
+)
+THEME = "Emulation.setEmulatedMedia"
 TOO_WIDE = "document.documentElement.scrollWidth - window.innerWidth"
 
 
@@ -80,9 +85,38 @@ def test_the_command_can_be_copied(shown):
     shown.wait_for("document.querySelector('button[data-copies=command]').textContent !== 'Copy'")
 
 
+def test_a_link_to_a_term_opens_what_the_page_says_of_it(shown):
+    shown.evaluate("document.querySelector('.verdict a.term, th a.term').click()")
+    shown.wait_for("document.querySelector('dl').closest('details').open")
+
+
+def test_the_figures_follow_the_theme(shown):
+    paper = "document.querySelector('.plot')._fullLayout.paper_bgcolor"
+    body = "getComputedStyle(document.body).backgroundColor"
+    assert shown.evaluate(paper) == PAPER
+    before = shown.errors()
+    shown.call(THEME, features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    shown.wait_for(f"{paper} === '{DARK[PAPER]}'")
+    assert shown.evaluate(body) == "rgb" + str(tuple(bytes.fromhex(DARK[PAPER][1:])))
+    shown.call(THEME, features=[{"name": "prefers-color-scheme", "value": "light"}])
+    shown.wait_for(f"{paper} === '{PAPER}'")
+    assert shown.errors() == before
+
+
+def test_cuts_of_one_row_have_one_size_and_stand_side_by_side(shown):
+    boxes = shown.evaluate(
+        "[...document.querySelectorAll('.row')].find(r => r.textContent.includes('Difference of the vectors'))"
+        ".querySelectorAll('.plotbg, .bglayer rect').values().map(e => e.getBoundingClientRect())"
+        ".map(r => [r.y, r.width, r.height].map(Math.round)).toArray()"
+    )
+    assert len(boxes) == 3
+    assert boxes[0] == boxes[1] == boxes[2]
+
+
 def test_a_printed_page_shows_what_is_folded(shown):
     shown.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert shown.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
+    shown.wait_for(f"{UNDRAWN} === 0")
 
 
 def test_every_part_has_a_name_and_levels_of_headings_are_not_skipped(shown):

@@ -34,6 +34,11 @@ def report(pair, tmp_path_factory):
     return path.read_text()
 
 
+def without_links(page):
+    """The page, terms of the glossary as plain words."""
+    return re.sub(r'<a class="term"[^>]*>(.*?)</a>', r"\1", page)
+
+
 def figures_in(page):
     return [
         json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
@@ -55,7 +60,21 @@ def test_a_report_says_the_verdict_in_words(report):
     said = ["Accepted", "probability of being right 99.7 %", "10 of 10 cells agree", "90% of the target", "0.573 deg"]
     said += ["10.0 mm", "100, 0, 0 nT", "Other poses", "search: invariants", "aa", "seed 0"]
     for words in said:
-        assert words in report
+        assert words in without_links(report)
+
+
+def test_verdict_and_pictures_stand_before_tables_and_only_what_few_ask_for_is_folded(report):
+    at = [report.index(words) for words in ('class="verdict', 'class="plot"', "<table", "Inliers", "<dl>")]
+    assert at == sorted(at)
+    folded = re.findall(r"<summary>(.*?)</summary>", report)
+    assert folded[:2] == ["What to do next", "Matching keypoints"]
+    assert {"Numbers behind the decision", "Time per stage", "settings.yaml"} < set(folded)
+
+
+def test_every_linked_term_is_explained_on_the_page(report):
+    linked = set(re.findall(r'class="term" href="#([^"]+)"', report))
+    assert {"term-overlap", "term-residual", "term-keypoint", "term-cell"} <= linked
+    assert linked == set(re.findall(r'<dt id="([^"]+)">', report))
 
 
 def test_a_report_draws_all_there_is(report):
@@ -125,7 +144,7 @@ def test_what_the_decision_was_weighed_from_is_shown(pair, tmp_path):
     pytest.importorskip("plotly")
     result = replace(pair.accepted, evidence={"log_odds": 221.5, "lead": None, "something_new": 3.0})
     write_report(tmp_path / "r.html", None, None, result)
-    page = (tmp_path / "r.html").read_text()
+    page = without_links((tmp_path / "r.html").read_text())
     for words in ("evidence for the best pose over unrelated surveys (nats)", "221.5", "something new"):
         assert words in page
     assert "lead over" not in page
@@ -133,7 +152,7 @@ def test_what_the_decision_was_weighed_from_is_shown(pair, tmp_path):
 
 def test_a_probability_is_never_rounded_to_certainty():
     assert [percent(p) for p in (0.99999, 0.00001, 0.5, 1.0, 0.0)] == [
-        "above 99.9 %", "below 0.1 %", "50.0 %", "100.0 %", "0.0 %",
+        "above 99.9 %", "below 0.1 %", "50.0 %", "above 99.9 %", "below 0.1 %",
     ]  # fmt: skip
 
 

@@ -13,7 +13,16 @@ from plotly.colors import get_colorscale, hex_to_rgb, sample_colorscale, unlabel
 from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
 from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
 from magmatch.viz.figures.ellipsoids import ellipsoids_at
-from magmatch.viz.figures.plotting import BASE_COLOR, FIELD_SCALE, SPREAD_SCALE, TARGET_COLOR
+from magmatch.viz.figures.plotting import (
+    BASE_COLOR,
+    DARK,
+    FIELD_SCALE,
+    INK,
+    LINK_COLOR,
+    PAPER,
+    SPREAD_SCALE,
+    TARGET_COLOR,
+)
 from magmatch.viz.figures.registration_figures import match_figure, scene_figures, shown_pose
 from magmatch.viz.figures.residuals import compare
 from magmatch.viz.figures.survey_figures import profile_figure
@@ -36,6 +45,11 @@ def contrast(a, b):
 @pytest.mark.parametrize(("a", "b"), list(combinations([BASE_COLOR, TARGET_COLOR, "#FFFFFF"], 2)))
 def test_both_surveys_and_the_paper_differ_in_grey(a, b):
     assert contrast(a, b) >= LEAST_CONTRAST
+
+
+def test_what_is_drawn_stands_out_in_the_dark_theme_too():
+    for color in (BASE_COLOR, TARGET_COLOR, LINK_COLOR, INK):
+        assert contrast(DARK[color], DARK[PAPER]) >= LEAST_CONTRAST
 
 
 @pytest.mark.parametrize("scale", [FIELD_SCALE, SPREAD_SCALE])

@@ -8,16 +8,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from magmatch.atomic import real_path
 from magmatch.errors import ConfigurationError, DataFormatError
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
     """Make sure that results can be written where they shall go, before any work is done."""
-    taken = {path.resolve(): "an input" for path in inputs}
+    taken = {real_path(path): "an input" for path in inputs}
     for path in outputs:
         if path is None:
             continue
-        place = path.resolve()
+        place = real_path(path)
         if place in taken:
             msg = f"{path}: would be written over {taken[place]}; give it another name"
             raise ConfigurationError(msg)
@@ -32,7 +33,7 @@ def check_output(path: Path) -> None:
         raise DataFormatError(path, "is a folder, expected the name of a file to write")
     if path.exists() and not path.is_file():
         return
-    folder = path.resolve().parent
+    folder = real_path(path).parent
     if not folder.is_dir():
         raise DataFormatError(path, f"the folder {folder} does not exist; create it first")
     _try_to_write(folder, path)
@@ -42,7 +43,7 @@ def check_folder(path: Path) -> None:
     """Make sure that a folder for results is there or can be made (its parent must exist), without making it."""
     if path.exists() and not path.is_dir():
         raise DataFormatError(path, "is a file, expected the name of a folder to write to")
-    parent = path.resolve().parent
+    parent = real_path(path).parent
     if not parent.is_dir():
         raise DataFormatError(path, f"the folder {parent} does not exist; create it first")
     _try_to_write(path if path.is_dir() else parent, path)

@@ -115,8 +115,8 @@ def _figures(result: "RegistrationResult") -> str:
 
 def _probability(value: float) -> str:
     """Three digits, never rounded to certainty."""
-    if 0 < value < 0.001:
+    if value < 0.001:
         return "below 0.001"
-    if 0.999 < value < 1:
+    if value > 0.999:
         return "above 0.999"
     return f"{value:.3f}"

@@ -44,8 +44,10 @@ from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
 POSITION_COLUMNS = ("x", "y", "z")
 FIELD_COLUMNS = ("bx", "by", "bz")
-COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION)
-# First comment of files written here: what the columns cannot say (frame, pose_sd) follows as JSON.
+# These say the same in every row, and are written where they are not the defaults.
+FRAME_COLUMN, ACCURACY_COLUMN, DEFAULT_FRAME = "survey_frame", "pose_sd", "survey"
+COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION, ACCURACY_COLUMN)
+# Metadata of Parquet files, and first comment of older CSV files: the same two as JSON.
 SCHEMA = "magmatch.survey/1"
 T = TypeVar("T")
 FieldFrame = Literal["survey", "sensor"]
@@ -77,7 +79,7 @@ class Survey:
     field: Vectors
     times: Scalars | None = None
     orientations: Rotation | None = None
-    frame: str = "survey"
+    frame: str = DEFAULT_FRAME
     name: str = "survey"
     pose_sd: float = 0.0
 
@@ -235,8 +237,11 @@ class Survey:
             Where; an existing file is replaced only once the new one is complete.
         """
         columns = self.columns()
-        about = {"frame": self.frame, "pose_sd": float(self.pose_sd)}
-        write_table(path, columns, [f"{SCHEMA} {json.dumps(about)}"])
+        if self.pose_sd:
+            columns[ACCURACY_COLUMN] = np.full(len(self), self.pose_sd)
+        plain = self.frame.isprintable() and self.frame == self.frame.strip() and self.frame[:1] not in ('"', "")
+        name = self.frame if plain else json.dumps(self.frame)
+        write_table(path, columns, {} if self.frame == DEFAULT_FRAME else {FRAME_COLUMN: name})
 
     @classmethod
     def load(cls, path: str | Path) -> "Survey":
@@ -257,7 +262,7 @@ class Survey:
             With line and column wherever one is at fault.
         """
         expect_path(path)
-        return cls.from_table(read_table(path, COLUMNS))
+        return cls.from_table(read_table(path, COLUMNS, texts=(FRAME_COLUMN,)))
 
     @classmethod
     def from_dataframe(
@@ -269,9 +274,9 @@ class Survey:
         columns: Mapping[str, str] | None = None,
         *,
         field_frame: FieldFrame = "survey",
-        frame: str = "survey",
+        frame: str | None = None,
         name: str = "DataFrame",
-        pose_sd: float = 0.0,
+        pose_sd: float | None = None,
     ) -> "Survey":
         """Survey of a DataFrame (pandas, polars): the columns of the survey CSV, rows in the order they stand.
 
@@ -287,7 +292,7 @@ class Survey:
         field_frame : {"survey", "sensor"}
             Frame of the field vectors; the sensor's needs orientations.
         frame, name, pose_sd
-            See `Survey`.
+            See `Survey`; by default frame and accuracy are what columns ``survey_frame`` and ``pose_sd`` say.
 
         Returns
         -------
@@ -307,10 +312,11 @@ class Survey:
         >>> Survey.from_dataframe(df, "uT").field[1].round(8).tolist()
         [2.1e-05, 0.0, -4.5e-05]
         """
-        table = table_of_frame(df, name, COLUMNS, columns or {})
+        table = table_of_frame(df, name, COLUMNS, columns or {}, texts=(FRAME_COLUMN,))
         if table.has("t"):
             table.columns["t"] = table.columns["t"] / size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
         survey = cls.from_table(table, field_unit, length_unit, field_frame)
+        frame, pose_sd = frame or survey.frame, survey.pose_sd if pose_sd is None else pose_sd
         return replace(survey, frame=frame, name=name, pose_sd=pose_sd)
 
     @classmethod
@@ -323,9 +329,9 @@ class Survey:
         columns: Mapping[str, str] | None = None,
         *,
         field_frame: FieldFrame = "survey",
-        frame: str = "survey",
+        frame: str | None = None,
         name: str = "Dataset",
-        pose_sd: float = 0.0,
+        pose_sd: float | None = None,
     ) -> "Survey":
         """Survey of an xarray Dataset: variables or coordinates named as the columns of the survey CSV.
 
@@ -446,9 +452,11 @@ def _concatenate(first: Rotation, second: Rotation) -> Rotation:
 def _about(table: Table) -> dict[str, Any]:
     """Frame and accuracy, where the file was written by `Survey.save`."""
     text = next((c.removeprefix(SCHEMA) for c in table.comments if c.startswith(SCHEMA)), "{}")
+    named = table.texts.get(FRAME_COLUMN, "")
     try:
         about = json.loads(text)
-        frame, pose_sd = str(about.get("frame", "survey")), float(about.get("pose_sd", 0.0))
+        frame = named or str(about.get("frame", DEFAULT_FRAME))
+        pose_sd = float(about.get("pose_sd", 0.0))
     except (ValueError, TypeError, AttributeError):
         pose_sd = -1.0
     if not 0 <= pose_sd < np.inf:
@@ -456,4 +464,11 @@ def _about(table: Table) -> dict[str, Any]:
             f'expected {SCHEMA} {{"frame": ..., "pose_sd": ...}} in its first comment, found {text.strip()[:60]}'
         )
         raise DataFormatError(table.path, message)
-    return {"frame": frame, "pose_sd": pose_sd}
+    stated = table.columns.get(ACCURACY_COLUMN, np.array([pose_sd]))
+    if stated.min() < 0 or np.ptp(stated):
+        message = f"expected one standard deviation in m for all rows, found {stated.min():g} to {stated.max():g}"
+        raise DataFormatError(table.path, message, column=ACCURACY_COLUMN)
+    try:
+        return {"frame": str(json.loads(frame)) if frame.startswith('"') else frame, "pose_sd": float(stated[0])}
+    except ValueError:
+        raise DataFormatError(table.path, f"expected a name, found {frame[:60]!r}", column=FRAME_COLUMN) from None

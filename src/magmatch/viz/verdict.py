@@ -69,9 +69,9 @@ def headline(result: RegistrationResult) -> str:
 
 def percent(probability: float) -> str:
     """A probability with the digits that matter near 0 and 1: never rounded to certainty."""
-    if 0 < probability < 0.0005:
+    if probability < 0.0005:
         return "below 0.1 %"
-    if 0.9995 < probability < 1:
+    if probability > 0.9995:
         return "above 99.9 %"
     return f"{100 * probability:.1f} %"
 

@@ -2,6 +2,7 @@
 """The survey CSV: what is unambiguous is read, units and frames are settled once, saving loses nothing."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -146,6 +147,46 @@ def test_saving_and_loading_gives_the_same_bits(tmp_path_factory, positions, fie
         assert loaded.orientations.approx_equal(turns, atol=1e-15).all()
     if times is not None:
         np.testing.assert_array_equal(loaded.times, times)
+
+
+@pytest.mark.parametrize(
+    "frame", ["survey", "hall", "hall, west", 'say "hall"', '"', " hall", "", "a\nb", "0", "NaN", "# x"]
+)
+def test_a_file_is_read_by_a_plain_pandas_and_its_frame_comes_back(frame, room, tmp_path):
+    pd = pytest.importorskip("pandas")
+    survey = replace(room, frame=frame, pose_sd=0.05)
+    survey.save(tmp_path / "s.csv")
+    df = pd.read_csv(tmp_path / "s.csv")
+    np.testing.assert_allclose(df[["x", "y", "z", "bx", "by", "bz"]], np.c_[room.positions, room.field], rtol=1e-14)
+    df.to_csv(tmp_path / "again.csv", index=False)
+    survey, again = Survey.load(tmp_path / "s.csv"), Survey.load(tmp_path / "again.csv")
+    assert (survey.frame, survey.pose_sd) == (frame, 0.05)
+    assert (again.frame, again.pose_sd) == (frame.replace("NaN", "survey"), 0.05)  # pandas takes this name for none
+    assert Survey.from_dataframe(df).pose_sd == 0.05
+
+
+def test_what_is_said_by_default_takes_no_column(room, tmp_path):
+    room.save(tmp_path / "s.csv")
+    assert (tmp_path / "s.csv").read_text().splitlines()[0] == "t,x,y,z,bx,by,bz,qx,qy,qz,qw"
+
+
+def test_files_of_older_versions_keep_what_their_comment_says(room, tmp_path):
+    room.save(tmp_path / "s.csv")
+    old = '# magmatch.survey/1 {"frame": "hall", "pose_sd": 0.05}\n' + (tmp_path / "s.csv").read_text()
+    (tmp_path / "s.csv").write_text(old)
+    loaded = read_survey(tmp_path / "s.csv")
+    assert (loaded.frame, loaded.pose_sd) == ("hall", 0.05)
+
+
+def test_two_surveys_in_one_file_are_refused_by_line(room, tmp_path):
+    for frame, pose_sd, words in (("b", 0.1, "line 52, column survey_frame"), ("a", 0.2, "column pose_sd")):
+        replace(room, times=None, frame="a", pose_sd=0.1).save(tmp_path / "a.csv")
+        replace(room, times=None, frame=frame, pose_sd=pose_sd).save(tmp_path / "b.csv")
+        rows = (tmp_path / "b.csv").read_text().splitlines()[1:]
+        (tmp_path / "both.csv").write_text((tmp_path / "a.csv").read_text() + "\n".join(rows) + "\n")
+        with pytest.raises(DataFormatError) as caught:
+            read_survey(tmp_path / "both.csv")
+        assert words in str(caught.value).replace("'", "")
 
 
 def test_accuracy_of_the_positions_may_be_given_from_outside(room, tmp_path):

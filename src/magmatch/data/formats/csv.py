@@ -10,7 +10,7 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.survey import COLUMNS, FIELD_COLUMNS, POSITION_COLUMNS, Survey
+from magmatch.data.survey import COLUMNS, FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, Survey
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
@@ -24,7 +24,7 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
     names = layout.column_names()
     known = [*names, *(name for name in COLUMNS if name not in names.values())]
-    table = read_table(path, known, recover=layout.recover, advise=_advice)
+    table = read_table(path, known, recover=layout.recover, advise=_advice, texts=(FRAME_COLUMN,))
     return survey_of_table(table.renamed(names), layout)
 
 

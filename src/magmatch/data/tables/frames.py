@@ -14,8 +14,13 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
 
-def table_of_frame(df: Any, name: str, known: Collection[str], theirs: Mapping[str, str]) -> Table:
-    """Known columns of a DataFrame, found by name (``theirs``: {ours: theirs}); rows by position, dates in s."""
+def table_of_frame(
+    df: Any, name: str, known: Collection[str], theirs: Mapping[str, str], texts: Collection[str] = ()
+) -> Table:
+    """Known columns of a DataFrame, found by name (``theirs``: {ours: theirs}); rows by position, dates in s.
+
+    `texts` are columns of words, the same in all rows.
+    """
     if not hasattr(df, "columns") or not hasattr(df, "__getitem__"):
         msg = f"df: expected a DataFrame, got {found(df)}; Survey(positions, field) takes arrays"
         raise TypeError(msg)
@@ -25,7 +30,13 @@ def table_of_frame(df: Any, name: str, known: Collection[str], theirs: Mapping[s
     there = {str(column).lower(): column for column in df.columns}
     wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
     columns = {ours: _numbers(df[there[key]], ours, name, len(df)) for ours, key in wanted.items() if key in there}
-    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), ())
+    # A missing cell equals nothing, not even itself.
+    said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
+    for text, words in said.items():
+        if len(words) > 1:
+            raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
+    one_word = {text: words[0] for text, words in said.items() if words}
+    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
 
 
 def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[str, str]]:

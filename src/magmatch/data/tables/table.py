@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +48,8 @@ class Table:
         Line of each row, counted from 1.
     comments : tuple of str
         Comment lines above the first row, without the ``#``.
+    texts : dict of str to str
+        Columns of words that were asked for and are there, each the same in all rows.
     """
 
     path: Path
@@ -55,6 +57,7 @@ class Table:
     columns: dict[str, Scalars]
     line_numbers: Indices
     comments: tuple[str, ...]
+    texts: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.line_numbers)
@@ -73,7 +76,7 @@ class Table:
     def renamed(self, names: Mapping[str, str]) -> "Table":
         """Return the table with columns under other names, given as {old: new}."""
         columns = {names.get(name, name): values for name, values in self.columns.items()}
-        return Table(self.path, self.names, columns, self.line_numbers, self.comments)
+        return replace(self, columns=columns)
 
     def stack(self, *names: str) -> Matrix:
         """Columns side by side: (n, k)."""
@@ -100,6 +103,7 @@ def read_table(
     *,
     recover: bool | None = None,
     advise: Callable[[Sequence[str]], str] = lambda _: "",
+    texts: Collection[str] = (),
 ) -> Table:
     """Read the known columns of a delimited text file; every number is finite, and there is at least one row.
 
@@ -119,8 +123,10 @@ def read_table(
         choice, which messages then do not offer.
     advise : callable
         What to do about a file that has none of the columns, from the names it has.
+    texts : collection of str
+        Columns that hold one word for the whole file, read where present.
     """
-    reader = _TableReader(path, known, names, recover=recover, advise=advise)
+    reader = _TableReader(path, known, names, recover=recover, advise=advise, texts=texts)
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
@@ -137,8 +143,10 @@ class _TableReader:
         *,
         recover: bool | None,
         advise: Callable[[Sequence[str]], str],
+        texts: Collection[str],
     ) -> None:
         self.path, self.known, self.names = path, known, names
+        self.texts, self.said = texts, dict[str, str]()
         self.recover, self.advise = recover, advise
         self.first_fault: DataFormatError | None = None
         self.n_faults = 0
@@ -189,7 +197,19 @@ class _TableReader:
             raise DataFormatError(self.path, f"{message}. {advice}" if advice else message)
         self.columns = [[] for _ in self.wanted]
 
+    def _take_texts(self, rows: list[str], numbers: list[int]) -> None:
+        """Learn the words that all rows share."""
+        for name, k in [(name, k) for k, name in enumerate(self.names or ()) if name in self.texts]:
+            for i, row in zip(numbers, rows, strict=True):
+                found = "".join(split_row(row, self.delimiter)[k : k + 1]).strip()
+                if found and self.said.setdefault(name, found) != found:
+                    message = (
+                        f"found {found[:40]!r} below {self.said[name][:40]!r}; a file holds one survey: split it"
+                    )
+                    raise DataFormatError(self.path, message, line=i + 1, column=name)
+
     def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
+        self._take_texts(rows, numbers)
         block = None
         if not self.has_commas:
             block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
@@ -258,20 +278,28 @@ class _TableReader:
         for name in self.wanted:  # one after the other, so that little is there twice
             columns[name] = np.concatenate(self.columns.pop(0))
         numbers = np.concatenate(self.line_numbers)
-        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments))
+        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said)
 
 
-def write_table(path: str | Path, columns: Mapping[str, Scalars], comments: Sequence[str] = ()) -> None:
-    """Write number columns as CSV below comment lines; reading them gives the same float64 values."""
+def write_table(path: str | Path, columns: Mapping[str, Scalars], texts: Mapping[str, str] | None = None) -> None:
+    """Write number columns as CSV, and words that are the same in all rows; reading gives the same float64 values.
+
+    Words stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
+    """
     with atomic_write(path) as stream:
-        stream.writelines(_rows(columns, comments))
+        stream.writelines(_rows(columns, texts or {}))
 
 
-def _rows(columns: Mapping[str, Scalars], comments: Sequence[str]) -> Iterator[bytes]:
+def _rows(columns: Mapping[str, Scalars], texts: Mapping[str, str]) -> Iterator[bytes]:
     """Encode a table piece by piece."""
-    head = [f"# {comment}" for comment in comments] + [",".join(columns)]
-    yield ("\n".join(head) + "\n").encode()
+    yield (",".join([*columns, *texts]) + "\n").encode()
+    end = "".join(f",{_quoted(text)}" for text in texts.values()) + "\n"
     n = len(next(iter(columns.values())))
     for start in range(0, n, CHUNK_ROWS):
-        texts = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
-        yield ("\n".join(map(",".join, zip(*texts, strict=True))) + "\n").encode()
+        cells = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
+        yield "".join(",".join(row) + end for row in zip(*cells, strict=True)).encode()
+
+
+def _quoted(text: str) -> str:
+    """A cell of a CSV row; rows are lines, so line ends within the text are not for us."""
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"') else text

@@ -117,6 +117,7 @@ def fingerprint_archive(path: str | Path) -> str:
 
     The manifest lists the hash of every entry. Damage of an entry is found by `read_archive`.
     """
+    read_bytes(path, 1)  # refuses what is no file: a pipe would be waited for
     try:
         with zipfile.ZipFile(path) as archive:
             info = archive.getinfo(MANIFEST)

@@ -10,8 +10,11 @@ from magmatch.field.map import FieldMap
 from magmatch.typing import Indices, Points, Scalars
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
+    FILL,
     INK,
     LINK_COLOR,
+    PAPER,
+    SHADE,
     SPREAD_SCALE,
     TARGET_COLOR,
     TARGET_MARKER,
@@ -51,7 +54,7 @@ def overlap_figure(base_map: FieldMap, compared: Comparison) -> "Figure":
         x=for_display(cut.first),
         y=for_display(cut.second),
         z=np.where(known, 1, np.nan).astype(np.float32),
-        colorscale=[[0, "#B9C6D3"], [1, "#B9C6D3"]],
+        colorscale=[[0, SHADE], [1, SHADE]],
         showscale=False,
         hoverinfo="skip",
     )
@@ -77,10 +80,10 @@ def residual_figure(compared: Comparison) -> "Figure":
     """Samples of the target in space, coloured by normalised residual."""
     ordinary = compared.is_known & ~compared.is_large
     scale = {"colorscale": SPREAD_SCALE, "cmin": 0.0, "cmax": TOP_RESIDUAL}
-    bar = colorbar("normalised residual (1 expected on average)", y=1.0, yanchor="bottom")
+    bar = colorbar("")
     groups = [
         (f"up to {LARGEST_ORDINARY:.1f}", ordinary, {"symbol": "circle", "size": 2.5, "colorbar": bar}),
-        ("larger", compared.is_large, {"symbol": "square", "size": 6}),
+        ("larger", compared.is_large, {"symbol": "square", "size": 4}),
     ]
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{marker.color:.2f}"
     traces = [
@@ -95,7 +98,9 @@ def residual_figure(compared: Comparison) -> "Figure":
     outside = {**OUTSIDE_STYLE, "size": 2, "opacity": 0.6}
     traces.append(points3d(compared.positions[~compared.is_known], name="outside the base", marker=outside))
     figure = new_scene(
-        "Residual at every sample", traces, "measured minus base map, in standard deviations of both; base frame"
+        "Residual at every sample",
+        traces,
+        "measured minus base map, in standard deviations of both (1 expected on average); base frame",
     )
     n_large, n = int(compared.is_large.sum()), int(compared.is_known.sum())
     return described(
@@ -115,9 +120,7 @@ def histogram_figure(compared: Comparison) -> "Figure":
     expected = np.diff(chi2.cdf(3 * edges**2, 3))
     middle = (edges[1:] + edges[:-1]) / 2
     go = require_plotly()
-    bars = go.Bar(
-        x=middle, y=share, name="measured", marker={"color": "#9FB3C6", "line": {"color": INK, "width": 0.5}}
-    )
+    bars = go.Bar(x=middle, y=share, name="measured", marker={"color": FILL, "line": {"color": INK, "width": 0.5}})
     line = go.Scatter(
         x=middle, y=expected, name="expected", mode="lines", line={"color": INK, "dash": "dash", "width": 2}
     )
@@ -151,16 +154,16 @@ def along_figure(compared: Comparison) -> "Figure":
         said = np.where(known, expected[:, k], np.nan)
         across, up = _band(compared.rows, said - 2 * sd[:, k], said + 2 * sd[:, k])
         styles: list[tuple[Any, Any, dict[str, Any]]] = [
-            (across, up, {"line": {"width": 0}, "fill": "toself", "fillcolor": "#C9D6E2", "showlegend": False}),
+            (across, up, {"line": {"width": 0}, "fill": "toself", "fillcolor": SHADE, "showlegend": False}),
             (x, said, {"name": "base map", "line": {"color": BASE_COLOR, "dash": "dash", "width": 2.5}}),
             (x, measured[:, k], {"name": "measured", "line": {"color": TARGET_COLOR, "width": 1}}),
         ]
         for along, values, style in styles:
             drawn = {"mode": "lines", "hoverinfo": "skip", "showlegend": k == 0} | style
             figure.add_trace(go.Scatter(x=along, y=for_display(values), **drawn), row=k + 1, col=1)
-        figure.update_yaxes(title_text=f"b{'xyz'[k]} (uT)", gridcolor="white", zeroline=False, row=k + 1, col=1)
-    figure.update_xaxes(title_text="sample", gridcolor="white", zeroline=False, row=3, col=1)
-    figure.update_layout(height=480, legend={"y": -0.12})
+        figure.update_yaxes(title_text=f"b{'xyz'[k]} (uT)", gridcolor=PAPER, zeroline=False, row=k + 1, col=1)
+    figure.update_xaxes(title_text="sample", gridcolor=PAPER, zeroline=False, row=3, col=1)
+    figure.update_layout(height=480)
     rms = float(np.sqrt(((measured - expected)[known] ** 2).sum(axis=1).mean()))
     return described(
         figure,
@@ -181,5 +184,5 @@ def _band(rows: Indices, low: Scalars, high: Scalars) -> tuple[Scalars, Scalars]
 def _seen(cut: Cut, p: Points, name: str, **marker: Any) -> Any:
     """Points of the base frame on the plan."""
     x, y = for_display(p[:, list(cut.axes[:2])]).T
-    style = {"size": 5, "opacity": 0.7, **marker}
+    style = {"size": 4, "opacity": 0.7, **marker}
     return require_plotly().Scatter(x=x, y=y, name=name, mode="markers", marker=style, hoverinfo="x+y+name")

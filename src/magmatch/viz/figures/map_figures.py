@@ -12,6 +12,7 @@ from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     FIELD_SCALE,
     INK,
+    PAPER,
     SPREAD_SCALE,
     UT_PER_TESLA,
     described,
@@ -65,7 +66,7 @@ def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
     nearest = np.argsort(np.abs(p[:, normal] - cut.height), kind="stable")[:MAX_MARKED]
     x, y = for_display(p[nearest][:, [a, b]]).T
     marks = require_plotly().Scatter(
-        x=x, y=y, mode="markers", marker={"size": 3, "color": "white", "line": {"color": INK, "width": 0.7}},
+        x=x, y=y, mode="markers", marker={"size": 3, "color": PAPER, "line": {"color": INK, "width": 0.7}},
         name="samples", hoverinfo="skip",
     )  # fmt: skip
     limits = common_limits(sd[is_known])

@@ -20,6 +20,14 @@ BASE_MARKER, TARGET_MARKER = "circle", "diamond"
 # Lightness rises all along these scales.
 FIELD_SCALE, SPREAD_SCALE = "Viridis", "Cividis"
 INK, QUIET = "#1b1f24", "#d4d9df"
+PAPER, GROUND, SHADE, FILL = "white", "#f2f4f6", "#C9D6E2", "#9FB3C6"
+# What a page of the dark theme draws instead: lightness turned round, hue kept.
+DARK = {
+    BASE_COLOR: "#7CB8EA", TARGET_COLOR: "#FFA15C", LINK_COLOR: "#A9B4C0", INK: "#e6e9ed", QUIET: "#3d4651",
+    PAPER: "#14181d", GROUND: "#20262d", SHADE: "#2C4157", FILL: "#56718C",
+}  # fmt: skip
+# Half of what a scene shows at unit distance (45 deg from top to bottom), less the room for labels.
+SCENE_HEIGHT, SCENE_WIDTH = 0.36, 0.45
 # Most samples drawn of one survey: what a phone turns smoothly, and what keeps a page small.
 MAX_DRAWN = 5000
 UT_PER_TESLA = 1e6
@@ -67,14 +75,18 @@ def lines3d(starts: Points, ends: Points, **style: Any) -> Any:
 
 def described(figure: "Figure", words: str) -> "Figure":
     """Give a figure the words that stand for it where it cannot be seen."""
-    figure.layout.meta = {"alt": words}
+    figure.layout.meta = {**(figure.layout.meta or {}), "alt": words}
     return figure
 
 
-def colorbar(title: str, **more: Any) -> dict[str, Any]:
-    """Scale of colours, above or below a picture: beside it, it would take a phone's width."""
-    place = {"orientation": "h", "thickness": 12, "len": 0.9, "outlinewidth": 0}
-    return place | {"title": {"text": title, "side": "top"}} | more
+# Plotly makes room for what stands here, whatever the height.
+AT_THE_FOOT = {"yref": "container", "y": 0.0, "yanchor": "bottom"}
+
+
+def colorbar(unit: str) -> dict[str, Any]:
+    """Scale of colours below a picture: beside it, it would take a phone's width."""
+    place = {"orientation": "h", "thickness": 12, "len": 0.9, "outlinewidth": 0, **AT_THE_FOOT}
+    return place | {"ticksuffix": f" {unit}" if unit else ""}
 
 
 def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> "Figure":
@@ -84,7 +96,7 @@ def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> 
         **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
         scene=_box(np.concatenate([np.column_stack([t.x, t.y, t.z]) for t in traces]), unit),
         height=480,
-        legend={"orientation": "h", "y": -0.02, "x": 0, "itemsizing": "constant"},
+        legend={"orientation": "h", "x": 0, "itemsizing": "constant", **AT_THE_FOOT},
     )
     return figure
 
@@ -103,30 +115,49 @@ def _box(p: Points, unit: str) -> dict[str, Any]:
         f"{axis}axis": {
             "title": {"text": f"{axis} ({unit})"},
             "range": [float(low[k]), float(high[k])],
-            "backgroundcolor": "white",
+            "backgroundcolor": PAPER,
             "gridcolor": QUIET,
             "zerolinecolor": QUIET,
             "showspikes": False,
         }
         for k, axis in enumerate("xyz")
     }
-    eye, center = {"x": 1.35, "y": -1.75, "z": 1.25}, {"x": 0, "y": 0, "z": -0.2}
     aspect_ratio = dict(zip("xyz", aspect.tolist(), strict=True))
-    camera = {"eye": eye, "center": center}
-    return {"aspectmode": "manual", "aspectratio": aspect_ratio, "camera": camera, **axes}
+    return {"aspectmode": "manual", "aspectratio": aspect_ratio, "camera": _camera(aspect), **axes}
+
+
+def _camera(aspect: np.ndarray) -> dict[str, Any]:
+    """Look at a box from so far that its corners just fill the picture, with room for the labels."""
+    back = np.array([0.53, -0.69, 0.49])
+    across = np.cross([0, 0, 1.0], back) / np.linalg.norm(np.cross([0, 0, 1.0], back))
+    up = np.cross(back, across)
+    corners = 0.5 * aspect * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    needed = np.maximum(np.abs(corners @ across) / SCENE_WIDTH, np.abs(corners @ up) / SCENE_HEIGHT) + corners @ back
+    eye = float(needed.max()) * back
+    return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
 def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":
     """Put traces into a flat figure."""
     figure = require_plotly().Figure(traces)
-    figure.update_layout(
-        **_layout(title), height=400, legend={"orientation": "h", "y": -0.22, "x": 0, "yanchor": "top"}
-    )
+    figure.update_layout(**_layout(title), height=400, legend={"orientation": "h", "x": 0, **AT_THE_FOOT})
     figure.update_xaxes(title_text=x_title, gridcolor=QUIET, zeroline=False, constrain="domain", automargin=True)
     figure.update_yaxes(title_text=y_title, gridcolor=QUIET, zeroline=False, automargin=True)
     if is_equal:
-        figure.update_yaxes(scaleanchor="x", scaleratio=1, constrain="domain")
+        # Stated, so that pictures of one cut have one size; a page makes a picture as high as its content asks for.
+        x, y = (_range([np.ravel(trace[axis]) for trace in traces]) for axis in "xy")
+        figure.update_xaxes(range=x)
+        figure.update_yaxes(range=y, scaleanchor="x", scaleratio=1, constrain="domain")
+        figure.layout.meta = {"shape": (y[1] - y[0]) / (x[1] - x[0])}
     return figure
+
+
+def _range(parts: list[np.ndarray]) -> list[float]:
+    """From the least to the largest, with a little around it."""
+    values = np.concatenate([np.zeros(0), *parts])
+    low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
+    pad = max(0.02 * (high - low), 1e-3)
+    return [float(low - pad), float(high + pad)]
 
 
 def _layout(title: str) -> dict[str, Any]:
@@ -135,6 +166,6 @@ def _layout(title: str) -> dict[str, Any]:
         "template": "none",
         "margin": {"l": 8, "r": 8, "t": 62, "b": 8},
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": INK},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "#f2f4f6",
+        "paper_bgcolor": PAPER,
+        "plot_bgcolor": GROUND,
     }

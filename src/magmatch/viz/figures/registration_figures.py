@@ -18,6 +18,7 @@ from magmatch.viz.figures.plotting import (
     FIELD_SCALE,
     INK,
     LINK_COLOR,
+    PAPER,
     SPREAD_SCALE,
     TARGET_COLOR,
     TARGET_MARKER,
@@ -42,13 +43,14 @@ from magmatch.viz.figures.slices import (
     heatmap,
     hollow_marks,
     magnitude_slice,
-    marks_on,
     slice_figure,
 )
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+# Hidden until its entry in the legend is clicked.
+ASKED_FOR = {"visible": "legendonly", "showlegend": True}
 # Few enough that single links can be followed.
 MAX_LINKS, MAX_LINKS_ACROSS = 60, 25
 MAX_SCENE_SAMPLES = 3000
@@ -117,24 +119,13 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
     both = is_known & is_known_too
     apart = UT_PER_TESLA * np.linalg.norm(field - brought, axis=1)
-    rows = thinned(len(result.links.base), MAX_LINKS)
-    moved = transform_points(result.links.target[rows], T_base_target)
-    marks = [marks_on(cut, result.links.base[rows], "keypoint of base", "square")]
-    moved_marks = [marks_on(cut, moved, "keypoint of target", TARGET_MARKER)]
-    seen = f", seen along {'xyz'[cut.axes[2]]}" if len(rows) else ""
     return [
-        magnitude_slice(
-            "|B| of the base map", cut, field, is_known, limits, marks, f"; squares: keypoints{seen}" if seen else ""
-        ),
-        magnitude_slice(
-            "|B| of the target map, in the base frame", cut, brought, is_known_too, limits, moved_marks,
-            f"; diamonds: its keypoints{seen}" if seen else "",
-        ),
+        magnitude_slice("|B| of the base map", cut, field, is_known, limits),
+        magnitude_slice("|B| of the target map", cut, brought, is_known_too, limits, note=", base frame"),
         slice_figure(
-            "Magnitude of the difference of the field vectors",
-            cut, apart, both, (0.0, common_limits(apart[both])[1]), SPREAD_SCALE,
+            "Difference of the vectors", cut, apart, both, (0.0, common_limits(apart[both])[1]), SPREAD_SCALE
         ),
-    ]  # fmt: skip
+    ]
 
 
 def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "Figure | None":
@@ -156,7 +147,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
         moved = replace(cut, first=cut.first + offset[0], second=cut.second + offset[1])
         traces.append(
             heatmap(moved, magnitude_ut(field), is_known, limits, FIELD_SCALE,
-                    colorbar=colorbar("|B| (uT)", y=-0.02, yanchor="top"), hovertemplate="%{z:.2f} uT<extra></extra>")
+                    colorbar=colorbar("uT"), hovertemplate="%{z:.2f} uT<extra></extra>")
         )  # fmt: skip
     ends[1] = ends[1] + shift
     traces += [
@@ -172,7 +163,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     )  # fmt: skip
     figure.update_xaxes(visible=False)
     figure.update_yaxes(visible=False)
-    figure.update_layout(height=430, plot_bgcolor="white", legend={"y": -0.2})
+    figure.update_layout(plot_bgcolor=PAPER)
     return described(
         figure,
         f"Slices of the base map (left) and the target map (right), each in its own frame, with {len(rows)} of "
@@ -218,7 +209,7 @@ def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
     """Dark dots on a white line, which show on any colour."""
     gaps = np.full_like(starts, np.nan)
     x, y = for_display(np.stack([starts, ends, gaps], axis=1).reshape(-1, 2)).T
-    halo, line = {"color": "white", "width": 2.5}, {"color": INK, "width": 1.5, "dash": "dot"}
+    halo, line = {"color": PAPER, "width": 2.5}, {"color": INK, "width": 1.5, "dash": "dot"}
     draw = require_plotly().Scatter
     return [
         draw(x=x, y=y, mode="lines", line=halo, hoverinfo="skip", showlegend=False),
@@ -240,11 +231,13 @@ def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, l
         ("keypoints of target", link_target, TARGET_COLOR, "diamond-open", 7),
     ]
     traces += [
-        points3d(p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name")
+        points3d(
+            p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name", **ASKED_FOR
+        )
         for name, p, color, symbol, size in ends
     ]
-    links = lines3d(link_base[rows], link_target[rows], name="links", line={"color": LINK_COLOR, "width": 4})
-    return [*traces, links]
+    line = {"color": LINK_COLOR, "width": 4}
+    return [*traces, lines3d(link_base[rows], link_target[rows], name="links", line=line, **ASKED_FOR)]
 
 
 def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> Any:

@@ -13,6 +13,7 @@ from magmatch.typing import Mask, Points, Scalars, Vectors
 from magmatch.viz.figures.plotting import (
     FIELD_SCALE,
     INK,
+    PAPER,
     colorbar,
     described,
     for_display,
@@ -94,7 +95,7 @@ def heatmap(cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, floa
         "zmin": limits[0],
         "zmax": limits[1],
         "colorscale": scale,
-        "colorbar": colorbar("uT", y=-0.26, yanchor="top"),
+        "colorbar": colorbar("uT"),
         "hovertemplate": f"{names[0]} %{{x:.2f}} m, {names[1]} %{{y:.2f}} m<br>%{{z:.2f}} uT<extra></extra>",
     } | style
     x, y, z = for_display(cut.first), for_display(cut.second), for_display(image)
@@ -134,14 +135,9 @@ def magnitude_slice(
     return slice_figure(title, cut, magnitude_ut(field), is_known, limits, FIELD_SCALE, marks, note)
 
 
-def marks_on(cut: Cut, p: Points, name: str, symbol: str) -> Any:
-    """Points of the cut's frame, seen along its normal."""
-    return hollow_marks(p[:, list(cut.axes[:2])], name, symbol)
-
-
 def hollow_marks(p: np.ndarray, name: str, symbol: str) -> Any:
     """Marks at (n, 2) places: white with a dark rim, so that they show on any colour."""
-    marker = {"size": 8, "symbol": symbol, "color": "white", "line": {"color": INK, "width": 1.5}}
+    marker = {"size": 8, "symbol": symbol, "color": PAPER, "line": {"color": INK, "width": 1.5}}
     x, y = for_display(p).T
     return require_plotly().Scatter(x=x, y=y, name=name, mode="markers", marker=marker, hoverinfo="name+x+y")
 

@@ -43,7 +43,7 @@ def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
         "colorscale": FIELD_SCALE,
         "cmin": low,
         "cmax": high,
-        "colorbar": colorbar("|B| (uT)", y=-0.02, yanchor="top"),
+        "colorbar": colorbar("uT"),
     }
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
     traces = [points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)]

@@ -20,6 +20,7 @@ from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages.page import (
     Section,
     columns,
+    details,
     figure_row,
     note,
     paragraph,
@@ -61,17 +62,14 @@ def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Secti
     coverage, sd = cover_and_spread(field_map, cut.points)
     out = [survey.subset(left_out(field_map, survey)) for survey in read]
     main, *others = field_figures(field_map)
-    sections = [
-        Section("", [columns([table(_facts(field_map))], [table(_coverage_rows(coverage))])]),
+    curve = [figure_row([coverage_figure(coverage)])] if len(coverage.sd) else []
+    return [
+        Section("", [paragraph(_coverage_words(coverage))]),
         Section("The field", [figure_row([main, spread_figure(field_map, cut, sd)]), figure_row(others)]),
         _samples(field_map, out),
+        Section("Coverage", [columns([table(_facts(field_map))], [table(_coverage_rows(coverage))]), *curve]),
+        _prior(field_map),
     ]
-    if len(coverage.sd):
-        sections.append(
-            Section("Coverage", [paragraph(_coverage_words(coverage)), figure_row([coverage_figure(coverage)])])
-        )
-    sections.append(_prior(field_map))
-    return sections
 
 
 def _facts(field_map: FieldMap) -> list[list[str]]:
@@ -191,6 +189,6 @@ def _again(field_map: FieldMap, command: str | None) -> Section:
         [
             paragraph(words),
             to_copy("command", command, is_wrapped=True),
-            f"<details><summary>settings.yaml</summary>{to_copy('settings', text)}</details>",
+            details("settings.yaml", to_copy("settings", text)),
         ],
     )

@@ -7,8 +7,9 @@ browsers since 2023), which keeps a page at about 2 MB and still needs no networ
 
 import base64
 import gzip
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -18,10 +19,14 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from magmatch.atomic import atomic_write
-from magmatch.viz.figures.plotting import require_plotly
+from magmatch.glossary import terms
+from magmatch.viz.figures.plotting import DARK, require_plotly
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+# Height over width of what a scene shows.
+SCENE_SHAPE = 0.78
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +50,15 @@ class Section:
 
 
 def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> None:
-    """Write a page, whole or not at all; sections with a title are listed at the top."""
+    """Write a page, whole or not at all; sections with a title are listed at the top, terms explained at the end."""
     require_plotly()
+    sections = [*sections, *_terms_of(sections)]
     page = Template(files("magmatch.viz.pages").joinpath("page.html").read_text(encoding="utf-8"))
     html = page.substitute(
         title=escape(title),
         contents=_contents(sections),
         body="\n".join(_section(section, k) for k, section in enumerate(sections)),
+        dark=json.dumps(DARK),
         plotly=_packed_plotly(),
     )
     with atomic_write(path) as stream:
@@ -79,6 +86,13 @@ def paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
+def with_terms(text: str) -> str:
+    """Plain words, in which terms of the glossary link to what the page says of them."""
+    named = "|".join(re.escape(term) for term in sorted(terms(), key=len, reverse=True))
+    linked = lambda found: f'<a class="term" href="#{_anchor(found[1])}">{found[0]}</a>'  # noqa: E731
+    return re.sub(rf"\b({named})s?\b", linked, escape(text), flags=re.IGNORECASE)
+
+
 def note(text: str) -> str:
     """Plain words in passing."""
     return f'<p class="note">{escape(text)}</p>'
@@ -89,22 +103,23 @@ def bullets(items: Sequence[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(item)}</li>' for item in items)}</ul>"
 
 
-def table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """Lay text out in rows; the first cell of a row names it."""
+def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), *, named: Callable[[str], str] = escape) -> str:
+    """Lay text out in rows; the first cell of a row names it, in HTML that `named` gives."""
     head = "".join(f"<th scope='col'>{escape(cell)}</th>" for cell in header)
     body = "".join(
-        f"<tr><th scope='row'>{escape(first)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in rest)}</tr>"
+        f"<tr><th scope='row'>{named(first)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in rest)}</tr>"
         for first, *rest in rows
     )
     head = f"<thead><tr>{head}</tr></thead>" if head else ""
     return f"<div class='scroll'><table>{head}<tbody>{body}</tbody></table></div>"
 
 
-def verdict(text: str, reason: str, *, is_good: bool) -> str:
+def verdict(text: str, reason: str, answer: str = "", *, is_good: bool) -> str:
     """The answer in words, first thing on the page."""
     mark, kind = ("&#10004;", "good") if is_good else ("&#10008;", "refused")
     words = f"<strong><span aria-hidden='true'>{mark}</span> {escape(text)}</strong>"
-    return f'<div class="verdict {kind}">{words}<p>{escape(reason)}</p></div>'
+    told = f"<p class='answer'>{escape(answer)}</p>" if answer else ""
+    return f'<div class="verdict {kind}">{words}{told}<p>{with_terms(reason)}</p></div>'
 
 
 def to_copy(name: str, text: str, *, is_wrapped: bool = False) -> str:
@@ -113,9 +128,23 @@ def to_copy(name: str, text: str, *, is_wrapped: bool = False) -> str:
     return f'{button}<pre id="{name}" tabindex="0"{" class=wrapped" if is_wrapped else ""}>{escape(text)}</pre>'
 
 
-def details(summary: str, html: str) -> str:
+def details(summary: str, html: str, *, is_open: bool = False) -> str:
     """What is opened on demand."""
-    return f"<details><summary>{escape(summary)}</summary>{html}</details>"
+    return f"<details{' open' if is_open else ''}><summary>{escape(summary)}</summary>{html}</details>"
+
+
+def _terms_of(sections: Sequence[Section]) -> list[Section]:
+    """What the terms mean that the sections link to, folded."""
+    text = "".join(block for section in sections for block in section.blocks)
+    used = {term: said for term, said in terms().items() if f'href="#{_anchor(term)}"' in text}
+    told = "".join(
+        f'<dt id="{_anchor(term)}">{escape(term)}</dt><dd>{escape(said)}</dd>' for term, said in used.items()
+    )
+    return [Section("Terms", [details(f"What {len(used)} words mean", f"<dl>{told}</dl>")])] if used else []
+
+
+def _anchor(term: str) -> str:
+    return "term-" + re.sub(r"[^a-z0-9]+", "-", term.lower())
 
 
 def _contents(sections: Sequence[Section]) -> str:
@@ -139,14 +168,20 @@ def _figure(figure: "Figure") -> str:
     title, _, small = str(figure.layout.title.text or "").partition("<br>")
     small = small.removeprefix("<sub>").removesuffix("</sub>")
     bare = figure.to_dict()
-    bare["layout"] = {**bare["layout"], "margin": {"l": 8, "r": 8, "t": 34, "b": 8}}
+    bare["layout"] = {**bare["layout"], "margin": {"l": 8, "r": 8, "t": 30, "b": 8}}
     bare["layout"].pop("title", None)
-    alt = (bare["layout"].pop("meta", None) or {}).get("alt", title)
-    keys = " Arrow keys turn it, plus and minus zoom, 0 shows it as it was." if "scene" in bare["layout"] else ""
+    bare["layout"]["legend"] = {**bare["layout"].get("legend", {}), "y": 1.0, "yanchor": "top"}
+    meta = bare["layout"].pop("meta", None) or {}
+    is_scene = "scene" in bare["layout"]
+    keys = " Arrow keys turn it, plus and minus zoom, 0 shows it as it was." if is_scene else ""
+    alt, shape = meta.get("alt", title), SCENE_SHAPE if is_scene else meta.get("shape")
+    if any(trace.get("visible") == "legendonly" for trace in bare["data"]):
+        small += "; click a grey name to show what is hidden"
     # '<' would end the script element early where a name holds '</script>'.
     content = to_json_plotly(bare).replace("<", "\\u003c")
     caption = f"<figcaption>{title} <small>{small}</small></figcaption>"
     place = f'class="plot" tabindex="0" role="img" style="height:{bare["layout"].get("height", 400)}px"'
+    place += f' data-shape="{shape:.4g}"' if shape else ""
     data = f'<script type="application/json">{content}</script>'
     return f'<figure>{caption}<div {place} aria-label="{escape(alt + keys)}">{data}</div></figure>'
 

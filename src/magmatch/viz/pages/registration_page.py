@@ -8,7 +8,6 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.glossary import terms_in
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
 from magmatch.viz.figures.registration_figures import (
@@ -19,9 +18,20 @@ from magmatch.viz.figures.registration_figures import (
     time_figure,
 )
 from magmatch.viz.figures.residuals import LARGEST_ORDINARY, compare
-from magmatch.viz.pages.page import Section, bullets, columns, figure_row, note, paragraph, table, verdict, write_page
+from magmatch.viz.pages.page import (
+    Section,
+    bullets,
+    columns,
+    details,
+    figure_row,
+    note,
+    paragraph,
+    verdict,
+    write_page,
+)
 from magmatch.viz.pages.registration_tables import (
     again,
+    answer_words,
     certainty,
     figures_table,
     free_directions,
@@ -54,16 +64,11 @@ def write_report(
     else:
         sections += certainty(result, None)
     sections += other_poses(result, base, target)
-    sections += _time(result)
+    sections.append(
+        Section("In numbers", [columns([transform_table(result)], [figures_table(result)]), *_time(result)])
+    )
     sections.append(again(result, command))
-    sections.append(Section("Terms", [table([[term, said] for term, said in _terms(result).items()])]))
     write_page(path, _title(result), sections)
-
-
-def _terms(result: RegistrationResult) -> dict[str, str]:
-    """Definitions of the words that the verdict and the key figures use."""
-    figures = "overlap, normalised residual, fitness, keypoint, probability, log odds, NEES, degenerate direction"
-    return terms_in(f"{result.reason} {MEANING[result.status]} {figures}")
 
 
 def _survey(read: Survey | FieldMap) -> Survey:
@@ -80,11 +85,9 @@ def _answer(result: RegistrationResult) -> Section:
     return Section(
         "",
         [
-            verdict(headline(result), result.reason, is_good=result.is_accepted),
+            verdict(headline(result), result.reason, answer_words(result), is_good=result.is_accepted),
             paragraph(MEANING[result.status]),
-            "<h2 id='next'>What to do next</h2>",
-            bullets(next_steps(result)),
-            columns([figures_table(result)], [transform_table(result)]),
+            details("What to do next", bullets(next_steps(result)), is_open=not result.is_accepted),
         ],
     )
 
@@ -99,7 +102,7 @@ def _field(base: Survey | FieldMap, target: Survey | FieldMap, result: Registrat
     ]
     matches = match_figure(base, target, result)
     if matches is not None:
-        blocks.append(figure_row([matches]))
+        blocks.append(details("Matching keypoints", figure_row([matches])))
     return [Section("The field of both maps", blocks)]
 
 
@@ -133,6 +136,6 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
     return [Section(title, blocks)]
 
 
-def _time(result: RegistrationResult) -> list[Section]:
+def _time(result: RegistrationResult) -> list[str]:
     figure = time_figure(result)
-    return [] if figure is None else [Section("Time", [figure_row([figure])])]
+    return [] if figure is None else [details("Time per stage", figure_row([figure]))]

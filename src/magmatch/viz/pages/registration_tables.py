@@ -15,7 +15,7 @@ from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure
 from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.residuals import compare
-from magmatch.viz.pages.page import Section, details, figure_row, note, paragraph, subheading, table, to_copy
+from magmatch.viz.pages.page import Section, details, figure_row, note, paragraph, table, to_copy, with_terms
 from magmatch.viz.verdict import percent
 
 # Other poses that are listed, and samples that give their numbers.
@@ -35,23 +35,33 @@ EVIDENCE = {
 MM, DEG = 1e3, 180 / np.pi
 
 
+def answer_words(result: RegistrationResult) -> str:
+    """The transform in a line, and how sure it is; nothing where there is none."""
+    T = result.T_base_target
+    if T is None:
+        return ""
+    words = f"Turned by {turn_words(T)}, moved by {length_text(float(np.linalg.norm(T.translation)))}"
+    turn, shift = result.standard_deviations or (None, None)
+    return words if turn is None or shift is None else f"{words}; sd {angle_text(turn)}, {length_text(shift)}"
+
+
 def figures_table(result: RegistrationResult) -> str:
-    """Key figures."""
-    rows = [["Overlap", f"{result.overlap:.0%} of the target's samples"]]
+    """Key figures; what only a specialist asks for is folded."""
+    rows = [["Probability", "not computed" if result.probability is None else percent(result.probability)]]
+    if result.base is not None:
+        rows.insert(0, ["In map", result.base])
+    rows.append(["Overlap", f"{result.overlap:.0%} of the target's samples"])
     if result.residual is not None:
         rows.append(["Normalised residual", f"{result.residual:.2f} (1: model and noise explain all)"])
-    if result.fitness is not None:
-        rows.append(["Fitness", f"{result.fitness:.3g} (cross product of aligned vectors)"])
-    rows.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
-    rows.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
-    if result.base is not None:
-        rows.insert(0, ["Map", result.base])
-    rows.append(["Probability", "not computed" if result.probability is None else percent(result.probability)])
-    rows += _sensor(result.sensor or Sensor())
     rows += [[f"Calibrated {side}", words] for side, words in calibration_words(result.sensor).items()]
     rows += [["Free direction", d.words] for d in result.degenerate_directions]
-    weighed = _weighed(result)
-    return table(rows) + (details("Numbers behind the decision", table(weighed)) if weighed else "")
+    others = (
+        [] if result.fitness is None else [["Fitness", f"{result.fitness:.3g} (cross product of aligned vectors)"]]
+    )
+    others.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
+    others.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
+    others += [*_sensor(result.sensor or Sensor()), *_weighed(result)]
+    return table(rows, named=with_terms) + details("Numbers behind the decision", table(others, named=with_terms))
 
 
 def transform_table(result: RegistrationResult) -> str:
@@ -87,9 +97,11 @@ def certainty(result: RegistrationResult, target: Survey | None) -> list[Section
             ),
         ]
     blocks += [
-        subheading("Standard deviations in the target's axes, about its frame's origin"),
-        table(_deviations(result)),
-        note("Square roots of the covariance's diagonal. A distant origin makes the shifts large."),
+        details(
+            "Standard deviations in the target's axes, about its frame's origin",
+            table(_deviations(result))
+            + note("Square roots of the covariance's diagonal. A distant origin makes the shifts large."),
+        ),
     ]
     return [Section(title, blocks)]
 
@@ -166,7 +178,7 @@ def again(result: RegistrationResult, command: str | None) -> Section:
             ),
             to_copy("command", command, is_wrapped=True),
             table(inputs, ["input", "SHA-256"]) if inputs else "",
-            f"<details><summary>settings.yaml</summary>{to_copy('settings', settings)}</details>",
+            details("settings.yaml", to_copy("settings", settings)),
         ],
     )
 
