@@ -13,10 +13,11 @@ Walks *with their own odometry* drift; their true pose is the best fit of the od
 Right: within 0.5 m (museum: 1 m) and 3 degrees or two stated standard deviations; wrong: accepted more than 1.5 m or
 8 degrees off, or between different places. *Best candidate right*: the first pose, accepted or not, within 0.5 m
 (1 m) and 8 degrees: headings are known so well. With odometry right is within three stated standard deviations.
-Rows stay in FOLDER, a second run goes on where the first ended. ``--quick`` takes every eighth pair, ``--pairs``
-lists all.
+Maps of bases are made before, once, and are not in the seconds. Rows stay in FOLDER, a second run goes on where the
+first ended. ``--quick`` takes every eighth pair, ``--pairs`` lists all.
 """
 
+import logging
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -83,11 +84,12 @@ def site_of(walk: str) -> str:
     return walk.split("_", maxsplit=1)[0] if walk.startswith("inf") else walk.rsplit("_", 1)[0]
 
 
-def map_of_others(data: Path, out: Path, walk: str) -> mm.FieldMap:
-    """Map of the other walks of its room or route, made once."""
-    path = out / f"others-{walk}.map"
+@cache
+def map_of(data: Path, out: Path, *walks: str) -> mm.FieldMap:
+    """Map of walks, made once."""
+    path = out / f"{'+'.join(walks)}.map"
     if not path.exists():
-        mm.build_map([survey(data, out, other) for other in others(walk)]).save(path)
+        mm.build_map([survey(data, out, walk) for walk in walks]).save(path)
     return mm.FieldMap.load(path)
 
 
@@ -137,13 +139,12 @@ def one(data: Path, out: Path, name: str) -> dict[str, Any]:
     moved = kind.startswith("odo")
     target = survey(data, out, f"odo-{walk}" if moved else walk)
     T_base_true = RigidTransform.identity()
-    base: mm.Survey | mm.FieldMap
     if kind.endswith("map"):
-        base = map_of_others(data, out, walk)
+        base = map_of(data, out, *others(walk))
     elif kind == "odo-odo":
-        base, T_base_true = survey(data, out, f"odo-{base_walk}"), to_truth(data, out, base_walk).inv()
+        base, T_base_true = map_of(data, out, f"odo-{base_walk}"), to_truth(data, out, base_walk).inv()
     else:
-        base = survey(data, out, base_walk)
+        base = map_of(data, out, base_walk)
     rng = np.random.default_rng(crc32(name.rsplit(" ", len(mode.split()))[0].encode()))
     turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
     T_new_target = RigidTransform.from_components([*rng.uniform(-50, 50, 2), 0.0], turn)
@@ -209,6 +210,7 @@ def main() -> None:
     asked = arguments(
         __doc__, data=Path, out=Path, quick=False, jobs=1, minutes=np.inf, pairs=False, save=saver,
     )  # fmt: skip
+    logging.getLogger("magmatch").setLevel(logging.ERROR)
     asked.out.mkdir(parents=True, exist_ok=True)
     drawn = {pair: crc32(pair.encode()) for pair in pairs(asked.data, asked.out)}
     # In an order of their own, those that drift last: a run that ends early has some of every kind.

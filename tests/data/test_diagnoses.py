@@ -92,6 +92,29 @@ def test_a_survey_as_it_should_be_is_told_of_nothing_wherever_it_lies(seed, wild
     assert diagnose(replace(survey, orientations=None, times=None)) == []
 
 
+def with_hard_iron(survey, microtesla, direction):
+    """The survey by a sensor that adds a constant in its own axes."""
+    iron = Rotation.from_euler("zy", direction).apply([1e-6 * microtesla, 0, 0])
+    return replace(survey, field=survey.field + survey.orientations.apply(iron))
+
+
+DIRECTIONS = st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5))
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(seed=st.integers(0, 10**6), microtesla=st.floats(0, 100), direction=DIRECTIONS)
+def test_hard_iron_is_no_wrong_frame(seed, microtesla, direction):
+    assert [one.kind for one in diagnose(with_hard_iron(walk(seed), microtesla, direction)) if one.is_of_frames] == []
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(seed=st.integers(0, 10**6), microtesla=st.floats(0, 30), direction=DIRECTIONS)
+def test_hard_iron_hides_no_forgotten_frame(seed, microtesla, direction):
+    wrong = MISTAKES["readings in the sensor's axes"][0](with_hard_iron(walk(seed), microtesla, direction))
+    (found,) = diagnose(wrong)
+    assert "--field-frame sensor" in found.remedy
+
+
 @pytest.mark.parametrize("axes", [name for name, axes in AXES.items() if axes[2, 2] != 1])
 def test_orientations_in_other_axes_than_the_path_are_told(axes):
     survey = walk()
