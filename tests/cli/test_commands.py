@@ -226,15 +226,28 @@ def test_datasets_lists_licences(run):
         assert "licence: MIT" in outcome.out
 
 
-def test_warnings_come_after_the_work_and_once(run, tmp_path, place):
-    survey = read_survey(place / "base.csv")
+def flat_copy(survey, path):
     rows = np.column_stack([survey.positions * [1, 1, 0], survey.field])
-    np.savetxt(tmp_path / "flat.csv", rows, delimiter=",", header="x,y,z,bx,by,bz", comments="", fmt="%.17g")
-    out = tmp_path / "aligned.csv"
-    outcome = run("transform", tmp_path / "flat.csv", "--by", place / "result.json", "--out", out)
-    first, *rest = outcome.err.splitlines()
-    assert first.startswith("Wrote")
-    assert sum("on one plane" in line for line in rest) == 1
+    np.savetxt(path, rows, delimiter=",", header="x,y,z,bx,by,bz", comments="", fmt="%.17g")
+    return path
+
+
+def test_warnings_of_files_come_before_the_work_and_once_for_all_files(run, tmp_path, place):
+    survey = read_survey(place / "base.csv")
+    copies = [flat_copy(survey, tmp_path / f"{name}.csv") for name in ("first", "second", "third", "fourth", "fifth")]
+    outcome = run("map", *copies, "--prior", "spline", "--out", tmp_path / "flat.map")
+    (said,) = [line for line in outcome.err.splitlines() if "on one plane" in line]
+    assert said.startswith(f"warning: {copies[0]}: ")
+    assert said.endswith(f"(also {copies[1]}, {copies[2]}, 2 others)")
+    lines = [line for line in outcome.err.splitlines() if not line.startswith("Compiling")]
+    assert lines.index(said) < next(k for k, line in enumerate(lines) if line.startswith("Mapped"))
+
+
+def test_a_command_that_cannot_read_a_file_says_that_alone(run, tmp_path, place):
+    flat = flat_copy(read_survey(place / "base.csv"), tmp_path / "flat.csv")
+    outcome = run("register", tmp_path / "missing.csv", flat)
+    assert outcome.code == 2
+    assert len(outcome.err.splitlines()) == 1
 
 
 def test_verbose_says_each_step(place, run, tmp_path):

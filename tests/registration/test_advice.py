@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.registration.advice import remedy, with_advice
+from magmatch.registration.advice import diagnosis, remedy, with_advice
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.result import RegistrationResult, Status
 
@@ -33,51 +33,71 @@ def turning(one):
 ROOM, FLAT = survey(), survey(height=0.02)
 
 
+def asked(base, target, prior=ANY_POSE):
+    """The remedy for two surveys."""
+    return remedy({"base": base, "target": target}, prior)
+
+
 @pytest.mark.parametrize("side", ["base", "target"])
 @pytest.mark.parametrize("plain", [ROOM, FLAT])
 def test_vectors_that_point_every_way_ask_for_the_sensors_axes_of_the_side_they_are_of(side, plain):
-    pair = {"base": plain, "target": plain} | {side: turning(plain)}
-    said = remedy(pair["base"], pair["target"], ANY_POSE)
+    said = diagnosis({"base": plain, "target": plain} | {side: turning(plain)})
     assert f"--{side}-field-frame sensor" in said
-    assert f"the {side}'s vectors" in said
-    assert "--gravity-aligned" not in said
+    assert said.startswith(f"{side}: the field vectors point every way")
 
 
-def test_of_two_such_surveys_the_base_is_named_first():
-    assert "--base-field-frame sensor" in remedy(turning(ROOM), turning(ROOM), ANY_POSE)
+def test_what_is_wrong_with_both_is_said_once():
+    said = diagnosis({"base": turning(ROOM), "target": turning(ROOM)})
+    assert said.startswith("both surveys: ")
+    assert said.count("--field-frame sensor") == 1
+
+
+def test_nothing_is_wrong_with_surveys_as_they_should_be():
+    assert diagnosis({"base": ROOM, "target": FLAT}) == ""
 
 
 def test_two_flat_surveys_ask_whether_z_is_up_where_that_is_not_said():
-    assert "--gravity-aligned" in remedy(FLAT, FLAT, ANY_POSE)
-    assert "both surveys are flat" in remedy(FLAT, FLAT, ANY_POSE)
+    assert "--gravity-aligned" in asked(FLAT, FLAT)
+    assert "both surveys are flat" in asked(FLAT, FLAT)
     for base, target, prior in ((FLAT, FLAT, UPRIGHT), (ROOM, FLAT, ANY_POSE), (FLAT, ROOM, ANY_POSE)):
-        assert "flat" not in remedy(base, target, prior)
+        assert "flat" not in asked(base, target, prior)
+    assert "flat" not in remedy({"target": FLAT}, ANY_POSE)
 
 
 def test_flatness_is_of_the_survey_and_not_of_its_axes():
     T = RigidTransform.from_components([30.0, -5.0, 2.0], Rotation.from_rotvec([0.4, 0.9, -0.3]))
-    assert remedy(FLAT.transformed(T), FLAT, ANY_POSE) == remedy(FLAT, FLAT, ANY_POSE)
-    assert remedy(ROOM.transformed(T), ROOM, ANY_POSE) == remedy(ROOM, ROOM, ANY_POSE)
+    assert asked(FLAT.transformed(T), FLAT) == asked(FLAT, FLAT)
+    assert asked(ROOM.transformed(T), ROOM) == asked(ROOM, ROOM)
 
 
 def test_else_more_survey_or_a_better_known_pose_helps():
-    said = remedy(ROOM, ROOM, ANY_POSE)
+    said = asked(ROOM, ROOM)
     assert "survey more" in said
     # What a disturbed place does to vectors is no turning sensor.
-    assert remedy(survey(wild=15e-6), ROOM, ANY_POSE) == said
+    assert diagnosis({"base": survey(wild=15e-6), "target": ROOM}) == ""
 
 
 def test_an_inconsistent_answer_gets_one_clause_more_and_three_sentences_at_most():
     reason = "probably different places: the best pose has probability 0.2 (3 nats of evidence, 18 are needed)"
     answer = RegistrationResult(Status.INCONSISTENT, reason, None, probability=0.2)
     for base, prior in ((ROOM, ANY_POSE), (FLAT, ANY_POSE), (turning(ROOM), ANY_POSE), (FLAT, UPRIGHT)):
-        advised = with_advice(answer, base, base, prior)
-        assert advised.reason == f"{reason}; {remedy(base, base, prior)}"
+        surveys = {"base": base, "target": base}
+        advised = with_advice(answer, surveys, prior)
+        wrong = diagnosis(surveys)
+        assert advised.reason == (f"{wrong}; {reason}" if wrong else f"{reason}; {remedy(surveys, prior)}")
         assert len([s for s in re.split(r"[.;!?](?:\s|$)", advised.reason) if s]) <= 3
         assert (advised.status, advised.probability) == (answer.status, answer.probability)
 
 
-@pytest.mark.parametrize("status", [s for s in Status if s is not Status.INCONSISTENT])
-def test_any_other_answer_is_left_as_it_is(status):
+@pytest.mark.parametrize("status", [s for s in Status if s not in {Status.INCONSISTENT, Status.ACCEPTED}])
+def test_any_refusal_begins_with_what_is_wrong_with_a_survey(status):
     answer = RegistrationResult(status, "so it is", None)
-    assert with_advice(answer, turning(ROOM), ROOM, ANY_POSE) is answer
+    said = with_advice(answer, {"base": turning(ROOM), "target": ROOM}, ANY_POSE).reason
+    assert said.startswith("base: the field vectors point every way")
+    assert said.endswith("; so it is")
+    assert with_advice(answer, {"base": ROOM, "target": ROOM}, ANY_POSE) is answer
+
+
+def test_an_accepted_answer_is_left_as_it_is():
+    answer = RegistrationResult(Status.ACCEPTED, "so it is", None)
+    assert with_advice(answer, {"base": turning(ROOM), "target": FLAT}, ANY_POSE) is answer

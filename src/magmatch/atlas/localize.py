@@ -12,8 +12,10 @@ import numpy as np
 from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.atlas.atlas import Atlas, AtlasEntry
 from magmatch.atlas.retrieval import count_agreement, count_votes
+from magmatch.data.diagnoses import warn
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.maps import require_target, survey_of
@@ -74,14 +76,18 @@ def localize_keeping_map(
     require_target(target)
     whole_number_of(seed, "seed")
     clock, config, survey = Clock(), atlas.config, survey_of(target)
+    diagnoses = warn([survey])
     length = float(np.median([entry.table.length for entry in atlas.entries]))
     search = choose_search(survey, length) if config.search == "auto" else config.search
     with one_blas_thread():
         if search == "pairs":
             used, answer = target, _localize_walk(atlas, target, survey, seed, clock)
         else:
-            used, answer = _localize_map(atlas, target, survey, seed, clock)
-    found = (atlas.load(entry).field_map.survey for entry in atlas.entries if entry.name == answer.base)
+            can_help = not any(one.is_of_frames for one in diagnoses)
+            used, answer = _localize_map(atlas, target, survey, seed, clock, can_calibrate=can_help)
+    found = [atlas.load(entry).field_map.survey for entry in atlas.entries if entry.name == answer.base]
+    surveys = dict(zip(("base", "target") if found else ("target",), (*found, survey), strict=True))
+    answer = with_advice(answer, surveys, config.prior)
     return used, stamped(answer, (*found, survey), config, seed, clock)
 
 
@@ -100,11 +106,11 @@ def _localize_walk(
 
 
 def _localize_map(
-    atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Clock
+    atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Clock, *, can_calibrate: bool
 ) -> tuple[FieldMap, RegistrationResult]:
     """The better supported answer: for a target as it is, and calibrated where its readings turn with its sensor."""
     found = _compare_map(atlas, target, seed, clock)
-    if not atlas.config.calibrate:
+    if not (atlas.config.calibrate and can_calibrate):
         return found
     with clock("calibrate"):
         calibrated = calibrate(found[0], survey)

@@ -112,10 +112,13 @@ def build(
 
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:
     """Say so where readings turn with their sensor: what a map makes of them is no field of the place."""
+    from magmatch.data.diagnoses import diagnose
     from magmatch.preparation.sensor_trace import turns_with_sensor
 
     for survey in surveys:
-        if turns_with_sensor(survey, field_map.hyperparameters):
+        # Of vectors in a wrong frame that was said, with what helps.
+        is_wrong = any(one.is_of_frames for one in diagnose(survey))
+        if not is_wrong and turns_with_sensor(survey, field_map.hyperparameters):
             log.warning("%s: its readings turn with the sensor; 'magmatch prepare' calibrates it", survey.name)
 
 

@@ -2,22 +2,29 @@
 """Words on stderr: what the library logs, as progress while it works and as warnings once it is done."""
 
 import logging
+import re
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.status import Status
+
+# Loggers of what reads files.
+READING = "magmatch.data"
+FIGURES = re.compile(r"[-+.,\d]*\d")
 
 
 class Narrator(logging.Handler):
     """Follows the library's log.
 
     Information becomes a line that comes and goes while work is under way, where stderr is a terminal; what is above
-    it (that loops are compiled) stays. Warnings are
-    held back until the command has done its work: a command that fails says one thing only, what is wrong.
+    it (that loops are compiled) stays. Warnings are held back while files are read, since a command that fails
+    says one thing only, what is wrong; they are said before the work begins, and those of the work at its end. Each
+    is said once for all files that it is about.
 
     Attributes
     ----------
@@ -32,7 +39,10 @@ class Narrator(logging.Handler):
         self.is_verbose = False
         self.is_debugging = False
         self._status: Status | None = None
-        self._warnings: list[str] = []
+        self._is_working = False
+        # Files and words by kind of warning, held back; kinds and files held back or said.
+        self._warnings: dict[str, tuple[list[str], str]] = {}
+        self._known: set[tuple[str, str]] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take one message of the library."""
@@ -40,9 +50,14 @@ class Narrator(logging.Handler):
         is_warning = record.levelno >= logging.WARNING
         if self.is_verbose:
             say(f"warning: {message}" if is_warning else message)
-        elif is_warning:
-            self._warnings.append(message)
-        elif record.levelno > logging.INFO:
+            return
+        if is_warning:
+            self._hold(record)
+            return
+        if not (self._is_working or record.name.startswith(READING)):
+            self._is_working = True
+            self.finish()
+        if record.levelno > logging.INFO:
             self.rest()
             say(message)
         elif sys.stderr.isatty():
@@ -55,11 +70,26 @@ class Narrator(logging.Handler):
             self._status = None
 
     def finish(self) -> None:
-        """Say the warnings that were held back, each once."""
+        """Say the warnings that were held back."""
+        from magmatch.data.survey import in_short
+
         self.rest()
-        for message in dict.fromkeys(self._warnings):
-            say(f"warning: {message}")
+        for files, words in self._warnings.values():
+            alike = f" (also {', '.join(in_short(files[1:]))})" if files[1:] else ""
+            say(f"warning: {files[0] + ': ' if files[0] else ''}{words}{alike}")
         self._warnings.clear()
+
+    def _hold(self, record: logging.LogRecord) -> None:
+        """Keep a warning; one that differs from another in its file and figures alone is no other."""
+        files, words = "", record.getMessage()
+        if record.msg.startswith("%s: ") and isinstance(record.args, tuple):
+            files = str(record.args[0])
+            words = words.removeprefix(f"{files}: ")
+        kind = FIGURES.sub("", words)
+        for file in files.split(", "):
+            if (kind, Path(file).name) not in self._known:
+                self._known.add((kind, Path(file).name))
+                self._warnings.setdefault(kind, ([], words))[0].append(file)
 
     def _follow(self, message: str) -> None:
         text = message.replace("[", "\\[")  # rich would take brackets for markup

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from magmatch.arguments import expect_kind
+from magmatch.data.diagnoses import diagnose
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.units import (
-    ORDINARY_FIELD,
     TESLA_PER_UNIT,
     UNITS_PER_SECOND,
     TimeUnit,
@@ -34,8 +34,6 @@ FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than 
 SINCE_1970 = (9e8, 4.5e9)  # s; the years 1998 to 2112
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
-# Variance in the other frame over that in the declared one. Tablet walks: 0.12 to 0.75 the right way round.
-WRONG_FRAME = 0.7
 CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 
 
@@ -55,8 +53,9 @@ def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str
     """Refuse what cannot be a survey and list what is odd about one that can."""
     require_survey(survey, layout)
     layout = layout or SurveyFormat()
-    doubts = (_doubt_field, _doubt_extent, _doubt_shape, _doubt_repeats, _doubt_times, _doubt_frame)
-    return [warning for doubt in doubts for warning in doubt(survey, layout)]
+    doubts = (_doubt_field, _doubt_extent, _doubt_shape, _doubt_repeats, _doubt_times)
+    found = [str(diagnosis) for diagnosis in diagnose(survey, layout.field_unit)]
+    return [*found, *(warning for doubt in doubts for warning in doubt(survey, layout))]
 
 
 def require_survey(survey: Any, layout: SurveyFormat | None = None, name: str = "survey") -> None:
@@ -145,13 +144,7 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
         raise _refuse(survey, "all samples lie at one point, expected a surveyed region")
 
 
-def _doubt_field(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
-    median = float(np.median(np.linalg.norm(survey.field, axis=1)))
-    if not ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
-        number = median / TESLA_PER_UNIT[layout.field_unit]
-        unit = likely_field_unit(number)
-        hint = f"; if the file is in {unit}, say --field-unit {unit}" if unit else ""
-        yield f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT){hint}"
+def _doubt_field(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
     if float(survey.field.std(axis=0).max()) < CONSTANT_FIELD:
         yield f"the field is constant (varies less than {field_text(CONSTANT_FIELD)}): nothing tells places apart"
 
@@ -216,16 +209,3 @@ def _likely_time_unit(survey: Survey) -> TimeUnit | None:
     interval = float(np.median(np.diff(survey.times)))
     step = float(np.median(np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)))
     return "ms" if interval > SLOW[0] and step < SLOW[1] * interval else None
-
-
-def _doubt_frame(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
-    """Turned the wrong way, the Earth's part of the field spreads out; turned right, it stands still."""
-    if survey.orientations is None:
-        return
-    other_field = survey.orientations.apply(survey.field, inverse=layout.field_frame == "sensor")
-    if other_field.var(axis=0).sum() < WRONG_FRAME * survey.field.var(axis=0).sum():
-        right = "sensor" if layout.field_frame == "survey" else "survey"
-        yield (
-            f"the field looks like vectors in the {right} frame, though read as {layout.field_frame} frame "
-            f"(--field-frame {right})"
-        )

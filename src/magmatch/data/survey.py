@@ -2,7 +2,7 @@
 """The first noun: a survey, samples of the magnetic field at known positions."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from itertools import pairwise
@@ -49,6 +49,7 @@ FRAME_COLUMN, ACCURACY_COLUMN, DEFAULT_FRAME = "survey_frame", "pose_sd", "surve
 COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION, ACCURACY_COLUMN)
 # Metadata of Parquet files, and first comment of older CSV files: the same two as JSON.
 SCHEMA = "magmatch.survey/1"
+MOST_NAMES = 3
 T = TypeVar("T")
 FieldFrame = Literal["survey", "sensor"]
 
@@ -215,7 +216,7 @@ class Survey:
             field=np.concatenate([s.field for s in parts]),
             orientations=reduce(_concatenate, orientations) if len(orientations) == len(parts) else None,
             frame=self.frame,
-            name="+".join(s.name for s in parts),
+            name="+".join(in_short([s.name for s in parts])),
             pose_sd=max(s.pose_sd for s in parts),
         )
 
@@ -434,6 +435,11 @@ def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
     ends = np.cumsum([0, *(len(survey) for survey in surveys)])
     parts = (survey.subset(kept[a:b]) for survey, (a, b) in zip(surveys, pairwise(ends), strict=True))
     return tuple(part for part in parts if len(part))
+
+
+def in_short(names: Sequence[str]) -> list[str]:
+    """Names of a few things; of many, the first two and how many more."""
+    return [*names] if len(names) <= MOST_NAMES else [*names[:2], f"{len(names) - 2} others"]
 
 
 def _as_survey(name: str, step: Callable[[], T]) -> T:

@@ -9,6 +9,7 @@ import numpy as np
 
 from magmatch.arguments import column_of, expect_kind
 from magmatch.data.checks import require_survey
+from magmatch.data.diagnoses import warn
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
@@ -67,6 +68,7 @@ def prepare(
         Nothing is left after removing what was asked to be removed.
     """
     require_survey(survey)
+    warn([survey])
     config, channels = config or PreparationConfig(), channels or {}
     expect_kind(config, "config", (PreparationConfig,))
     if trajectory is not None:

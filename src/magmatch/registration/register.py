@@ -2,6 +2,8 @@
 """The verb of this room: two surveys (or maps) in, one transform or a reasoned refusal out."""
 
 from magmatch.arguments import whole_number_of
+from magmatch.data.diagnoses import warn
+from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.maps import require_base, require_target, survey_of
@@ -49,9 +51,11 @@ def register_keeping_maps(
     config = settings_of(config)
     whole_number_of(seed, "seed")
     clock, samples = Clock(), survey_of(target)
+    diagnoses = warn((survey_of(base), samples))
     with one_blas_thread():
         outcome = register_once(base, target, samples, config, seed, clock)
-        if config.calibrate:
+        # Vectors in a wrong frame are told at once: no calibration puts them right.
+        if config.calibrate and not any(found.is_of_frames for found in diagnoses):
             with clock("calibrate"):
                 calibrated = calibrate_sensors(base, outcome, samples)
             if calibrated:
@@ -60,4 +64,5 @@ def register_keeping_maps(
                 )
                 outcome = better_supported(outcome, again, calibrated.sides)
     base_map, used, answer = outcome
+    answer = with_advice(answer, {"base": survey_of(base), "target": samples}, config.prior)
     return base_map, used, stamped(answer, (survey_of(base), samples), config, seed, clock)

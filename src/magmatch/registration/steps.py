@@ -5,7 +5,6 @@ from typing import Any
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import no_pose, state_answer
@@ -52,7 +51,7 @@ def register_once(
             break
     # None accepted: the more probable refusal, the first where both are equal.
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
-    return index.field_map, used, with_advice(answer, index.field_map.survey, samples, config.prior)
+    return index.field_map, used, answer
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:

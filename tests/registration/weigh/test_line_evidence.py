@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from hand_made import prepared_map, seen_from, some_field, turn_about
@@ -223,12 +224,41 @@ def test_an_unrelated_walk_is_the_most_likely_of_smooth_fields_about_nothing(wal
     null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH)
     spread2 = walk.field.var(axis=0).mean() + NOISE.nugget_sd**2
     constant = (walk.field**2).mean()
+    errors = NOISE.misfit_sd**2 * np.exp(-d / NOISE.misfit_length) + NOISE.constant_sd**2
+    errors += 2 * constant * NOISE.attitude_sd**2 * np.exp(-d / NOISE.drift_length)
+    errors += NOISE.nugget_sd**2 * np.eye(len(d))
+    # Walks differ by a factor on the whole, whose logarithm is normal.
+    deviates = np.linspace(-4, 4, 161)
+    log_prior = -0.5 * deviates**2
     tried = []
     for factor in (0.55, 0.8, 1.2, 1.7, 2.6):
         for strength in (0.5, 1.0, 2.0, 4.0):
-            K = strength**2 * spread2 / (1 + d**2 / (2 * (factor * LENGTH) ** 2)) + constant
-            K = 1e12 * (K + NOISE.nugget_sd**2 * np.eye(len(d)))
-            tried.append(multivariate_normal(np.zeros(len(d)), K).logpdf(1e6 * walk.field.T).sum())
+            K = strength**2 * spread2 / (1 + d**2 / (2 * (factor * LENGTH) ** 2)) + constant + errors
+            found = [
+                multivariate_normal(np.zeros(len(d)), 1e12 * np.exp(NOISE.spread * z) * K)
+                .logpdf(1e6 * walk.field.T)
+                .sum()
+                for z in deviates
+            ]
+            tried.append(logsumexp(found + log_prior) - logsumexp(log_prior))
     # In microtesla, and with the factor of 2 pi.
     constant = 3 * len(d) * (0.5 * np.log(2 * np.pi) + np.log(1e6))
     assert null.log_likelihood(np.ones(len(d), dtype=bool)) == pytest.approx(max(tried) + constant, rel=1e-9)
+
+
+@pytest.mark.parametrize("times", [1.0, 2.0, 3.0])
+def test_a_rough_walk_is_no_evidence_for_a_place_where_nothing_varies(times):
+    """What a pose in a calm place explains by the walk's errors alone, unrelated walks explain as well."""
+    t, earth = np.linspace(0, 12, 100)[:, None], np.array([18e-6, 3e-6, -45e-6])
+    x = t * [1.0, 0, 0]
+    d = cdist(x, x)
+    turning = 2 * NOISE.attitude_sd**2 * (earth @ earth) / 3 * np.exp(-d / NOISE.drift_length)
+    C = NOISE.isotropic(d, np.zeros(len(x))) + turning
+    L = np.linalg.cholesky(C)
+    for seed in range(5):
+        z = times * np.random.default_rng(seed).standard_normal((len(x), 3))
+        walk = Walk(HERE, x, earth + L @ z, np.ones(len(x)))
+        posed = NOISE.factor((z**2).sum(), 3 * len(x))[1] - 3 * np.log(np.diag(L)).sum()
+        null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
+        # That both fields agree in the mean is evidence, of some nats a component.
+        assert posed - null < 25

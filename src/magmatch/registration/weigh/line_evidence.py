@@ -139,10 +139,15 @@ def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UnrelatedWalk:
-    """The walk's field as a smooth random field of its own, the most likely one: what a pose has to beat."""
+    """The walk's field as a smooth random field of its own, the most likely one: what a pose has to beat.
+
+    The walk's own errors, and how they differ from walk to walk, are those that a pose may plead too: else a rough
+    walk would match whatever is calm.
+    """
 
     field: Vectors
     covariance: Matrix
+    noise: PathNoise
 
     @classmethod
     def most_likely(cls, walk: Walk, distance: Matrix, noise: PathNoise, length: float) -> "UnrelatedWalk":
@@ -152,17 +157,20 @@ class UnrelatedWalk:
         d2 = distance[np.ix_(some, some)] ** 2
         spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
         constant = float((walk.field**2).sum(axis=1).mean()) / 3
-        best, chosen = -np.inf, (length, spread2, noise.nugget_sd**2)
+        errors = noise.isotropic(distance, np.zeros(n))
+        errors = errors + 2 * constant * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
+        best, chosen = -np.inf, (length, spread2)
         for factor, strength in product(NULL_LENGTHSCALES, NULL_STRENGTHS):
-            numbers = factor * length, strength**2 * spread2, noise.nugget_sd**2
-            found = _log_likelihood(walk.field[some], _unrelated_covariance(d2, *numbers, constant))
+            numbers = factor * length, strength**2 * spread2
+            K = _unrelated_covariance(d2, *numbers, constant) + errors[np.ix_(some, some)]
+            found = _log_likelihood(walk.field[some], K, noise)
             if found > best:
                 best, chosen = found, numbers
-        return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant))
+        return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant) + errors, noise)
 
     def log_likelihood(self, rows: Mask) -> float:
         """Log density of some bins' field (the factor of 2 pi left out)."""
-        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)])
+        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -324,16 +332,16 @@ def _strained(fits: _Fits, config: LineConfig) -> Matrix:
     return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
 
 
-def _unrelated_covariance(d2: Matrix, length: float, variance: float, nugget: float, constant: float) -> Matrix:
+def _unrelated_covariance(d2: Matrix, length: float, variance: float, constant: float) -> Matrix:
     # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant + nugget * np.eye(len(d2))
+    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant
     return K
 
 
-def _log_likelihood(values: Vectors, K: Matrix) -> float:
+def _log_likelihood(values: Vectors, K: Matrix, noise: PathNoise) -> float:
     L = _cholesky(K)
     z = _solve(L, values)
-    return float(-0.5 * (z**2).sum() - 3 * np.log(np.diag(L)).sum())
+    return noise.factor(float((z**2).sum()), 3 * len(L))[1] - float(3 * np.log(np.diag(L)).sum())
 
 
 def _cholesky(C: Matrix) -> Matrix:
