@@ -123,7 +123,7 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
         message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
         raise DataFormatError(folder, message)
     opened = {path: open_index(path, config) for path in paths}
-    stale = [path for path, index in opened.items() if index is None]
+    stale = [path for path, index in opened.items() if index is None or not index.is_whole]
     for number, path in enumerate(stale, 1):
         log.info("indexing %s (%d of %d)", path.name, number, len(stale))
         opened[path] = _kept(path, config)
@@ -169,6 +169,6 @@ def _kept(path: Path, config: RegistrationConfig) -> IndexFile:
     """Index a map and open what was kept."""
     make_index(path, config)
     index = open_index(path, config)
-    if index is None:
+    if index is None or not index.is_whole:
         raise DataFormatError(path, "its index cannot be kept beside it; make the folder writable")
     return index

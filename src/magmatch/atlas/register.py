@@ -10,6 +10,7 @@ from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_target
 from magmatch.registration.register import register_keeping_maps
 from magmatch.registration.result import RegistrationResult
@@ -50,8 +51,8 @@ def register(
 
 def register_anywhere(
     base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
-) -> tuple[FieldMap | None, Target, RegistrationResult]:
-    """Register, and hand on the base's map (None where none of many fits) and the target as they were used."""
+) -> tuple[FieldMap | MapIndex | None, Target, RegistrationResult]:
+    """Register, and hand on the base (None where none of many fits) and the target as they were used."""
     if isinstance(base, str | os.PathLike) and is_folder(base):
         require_target(target)
         base, config = open_atlas(base, config), None
@@ -64,4 +65,4 @@ def register_anywhere(
         raise ConfigurationError(msg)
     used, result = localize_keeping_map(base, target, seed=seed)
     named = [entry for entry in base.entries if entry.name == result.base]
-    return base.load(named[0]).field_map if named else None, used, result
+    return base.load(named[0]) if named else None, used, result
