@@ -99,7 +99,10 @@ def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
 
 
 def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monkeypatch):
-    survey, compared = Survey(*room(inside=True, n=1900)), []
+    t, (points, _) = np.linspace(0, 1, 2400)[:, None], room(inside=True, n=4)
+    points = BOX * (0.5 + 0.45 * np.sin(2 * np.pi * t * [3.0, 17.0, 1.0]))
+    noise = np.random.default_rng(2).normal(scale=1e-6, size=points.shape)
+    survey, compared = Survey(points, field_at(points, inside=True) + noise), []
     monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
 
     def watched(numbers, samples, *others):

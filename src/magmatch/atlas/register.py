@@ -9,6 +9,7 @@ from magmatch.atlas.localize import localize_keeping_map
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
+from magmatch.progress import Progress, followed
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_target
@@ -18,7 +19,12 @@ from magmatch.registration.steps import Base, Target
 
 
 def register(
-    base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+    base: Base | Atlas | str | Path,
+    target: Target,
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> RegistrationResult:
     """Find the rigid transform between two magnetic surveys of one place, or say why there is none.
 
@@ -33,6 +39,8 @@ def register(
         Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method. An `Atlas` has its own.
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
@@ -46,7 +54,8 @@ def register(
     TypeError
         Neither surveys nor maps; says what makes one of what was given.
     """
-    return register_anywhere(base, target, config, seed=seed)[2]
+    with followed(progress):
+        return register_anywhere(base, target, config, seed=seed)[2]
 
 
 def register_anywhere(

@@ -15,6 +15,7 @@ from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
+from magmatch.progress import tell
 from magmatch.registration.maps import map_of
 from magmatch.registration.result import Calibration, Sensor
 from magmatch.registration.steps import Base, Outcome, Target
@@ -150,7 +151,7 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
         again = sides["base"].survey
     if "target" in sides:
         samples = target = sides["target"].survey
-    log.info("registering once more, calibrated")
+    tell("registering once more, calibrated")
     return CalibratedPair(again, target, samples, sides)
 
 

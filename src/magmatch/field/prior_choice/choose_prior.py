@@ -27,9 +27,10 @@ from magmatch.field.variogram import typical_length
 log = logging.getLogger(__name__)
 
 PREFERRED = "spline"
-# Samples of a first round, from a few places of a large survey: most that would lose on all of it have lost already.
-# Along a path they are thinned from more, since it is by its stretches that priors are told apart.
-_N_QUALIFYING, _N_PLACES, _THINNED = 800, 8, 6
+# Samples of a first round, for large surveys along paths: most that would lose on all of it have lost already. They
+# are thinned from more, in a few places far apart, since it is by its stretches that priors are told apart. In a
+# volume a part tells too little: there priors differ by how they fill it.
+_N_QUALIFYING, _N_AROUND, _N_PLACES = 800, 4800, 8
 
 
 def choose_prior(
@@ -43,8 +44,8 @@ def choose_prior(
     # Chosen once, from all samples: a part would not show what a prior cannot afford to follow on the whole.
     known = choose_all_numbers(names, samples, config, box)
     taken, compared = Candidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
-    if len(known) > 1 and len(samples) > 2 * _N_QUALIFYING:
-        part = _qualifying(samples, folds)
+    if len(known) > 1 and folds.is_path and len(samples) > 2 * _N_QUALIFYING:
+        part = _qualifying(samples)
         compared = compare(known, part, divide(part.positions, length), box)
         ahead = (other.name for other in compared[1:] if lead(other, compared[0]) > 1)
         known = {name: known[name] for name in (PREFERRED, *ahead)}
@@ -62,11 +63,10 @@ def choose_prior(
     return config.model_copy(update={"prior": taken.name, "comparison": errors}), replace(h, **given_numbers(config))
 
 
-def _qualifying(samples: Survey, folds: Folds) -> Survey:
+def _qualifying(samples: Survey) -> Survey:
     """The samples of a first round."""
-    thinned = _THINNED if folds.is_path else 1
-    rows = np.flatnonzero(choose_part(samples.positions, thinned * _N_QUALIFYING, _N_PLACES))
-    return samples.subset(rows[::thinned])
+    rows = np.flatnonzero(choose_part(samples.positions, _N_AROUND, _N_PLACES))
+    return samples.subset(rows[:: -(-len(rows) // _N_QUALIFYING)])
 
 
 def _is_possible(name: str, samples: Survey, folds: Folds) -> bool:

@@ -15,6 +15,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import LinearModel
 from magmatch.field.prior_choice.numbers import FAILURES
 from magmatch.field.priors import prior_over
+from magmatch.progress import tell
 from magmatch.typing import Indices, Mask, Scalars
 
 log = logging.getLogger(__name__)
@@ -47,7 +48,8 @@ def compare(
     """How priors with these numbers do on the same samples; the first one must be possible, others may fail."""
     few, left_out, part = _thinned(samples, folds, folds.left_out)
     compared: list[Candidate] = []
-    for name, h in numbers.items():
+    for k, (name, h) in enumerate(numbers.items()):
+        tell(f"comparing prior {name}", k / len(numbers))
         try:
             # Laid over all samples: what is compared is the field between them, not how far each basis reaches.
             model = prior_over(name, box).build(few.positions, few.field, h)

@@ -15,6 +15,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.linear_model import Prior
 from magmatch.field.priors import prior_over
+from magmatch.progress import tell
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +46,7 @@ def choose_all_numbers(
 
 def likely_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
     """Numbers that fit the data: all that the mean needs."""
-    log.info("choosing hyperparameters of prior %s", prior.name)
+    tell(f"choosing hyperparameters of prior {prior.name}")
     return replace(prior.choose_hyperparameters(samples.positions, samples.field), **given_numbers(config))
 
 

@@ -20,6 +20,7 @@ from magmatch._version import __version__
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.field.storage.archive import fingerprint_archive
+from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.mapped_arrays import MappedArrays, open_mapped, write_mapped
 from magmatch.registration.index.walk_index import WalkIndex, index_walks
@@ -271,7 +272,13 @@ def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | 
     return IndexFile(content, config) if content.attributes.get("key") == key else None
 
 
-def make_index(map_path: str | Path, config: RegistrationConfig, field_map: FieldMap | None = None) -> MapIndex:
+def make_index(
+    map_path: str | Path,
+    config: RegistrationConfig,
+    field_map: FieldMap | None = None,
+    *,
+    progress: Progress | None = None,
+) -> MapIndex:
     """Index a saved map and keep the index beside it, where the folder can be written.
 
     Parameters
@@ -280,15 +287,17 @@ def make_index(map_path: str | Path, config: RegistrationConfig, field_map: Fiel
     config : RegistrationConfig
     field_map : FieldMap, optional
         The map, where it was read already.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
     MapIndex
     """
     key = index_key(map_path, config)
-    index = prepare_index(field_map or FieldMap.load(map_path), config)
-    with one_blas_thread():
-        log.info("listing pairs of points for walks")
+    with one_blas_thread(), followed(progress):
+        index = prepare_index(field_map or FieldMap.load(map_path), config)
+        tell("listing pairs of points for walks")
         index.walks  # noqa: B018  # asked for, it is prepared
     try:
         index.save(index_path(map_path), key)
