@@ -26,7 +26,7 @@ def measured(asked) -> Iterator[str]:
                 spent.append(cpu)
         spline, auto = (min(spent) for spent in seconds.values())
         yield (
-            f"{name:16s} {len(survey):6d} samples  spline {spline:5.1f} s  auto {auto:5.1f} s ({built.config.prior})  "
+            f"{name:16s} {len(survey):6d} samples  spline {spline:.1f} s  auto {auto:.1f} s ({built.config.prior})  "
             f"ratio {auto / spline:.2f}"
         )
 
