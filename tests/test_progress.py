@@ -25,10 +25,11 @@ class Heard(list):
 
 
 def test_every_verb_tells_the_same_callback_and_gives_the_same_answer(pair, tmp_path):
+    turned = mm.simulate("office-hand-held", 3, SimulationConfig(n_samples=300)).target
     calls = {
         "map": lambda heard: mm.build_map(pair.base, progress=heard),
         "register": lambda heard: mm.register(pair.base, pair.target, progress=heard),
-        "prepare": lambda heard: mm.prepare(pair.target, progress=heard),
+        "prepare": lambda heard: mm.prepare(turned, progress=heard),
     }
     told = {name: Heard() for name in calls}
     given = {name: call(told[name]) for name, call in calls.items()}
