@@ -6,6 +6,9 @@ import shutil
 
 import pytest
 
+from magmatch.field.map import FieldMap
+from magmatch.registration.config import PRESETS
+from magmatch.registration.index.map_index import index_key, keep_index, open_index, prepare_index
 from magmatch.registration.result import RegistrationResult
 
 
@@ -43,12 +46,52 @@ def test_index_is_written_once_and_again_for_another_map(place, run, tmp_path):
 def test_with_and_without_index_the_answer_is_the_same(place, run, tmp_path):
     path = tmp_path / "room.map"
     shutil.copy(place / "base.map", path)
-    without = json.loads(run("register", path, place / "target.map", "--json").out)
+    without = json.loads(run("register", path, place / "target.map", "--json", "--no-keep-index").out)
+    assert not (tmp_path / "room.map.index").exists()
     run("index", path)
     assert (
         json.loads(run("register", path, place / "target.map", "--json").out)["T_base_target"]
         == (without["T_base_target"])
     )
+
+
+def test_what_a_registration_prepared_is_kept_beside_the_map_and_the_rest_is_named_once(place, run, tmp_path):
+    path, kept = tmp_path / "room.map", tmp_path / "room.map.index"
+    shutil.copy(place / "base.map", path)
+    words = ("register", path, place / "target.map", "--json")
+    first = run(*words)
+    assert kept.is_file()
+    assert first.err.count(f"magmatch index {path}") == 1
+    content, second = kept.read_bytes(), run(*words)
+    assert "magmatch index" not in second.err
+    assert kept.read_bytes() == content
+    found = [json.loads(outcome.out) for outcome in (first, second)]
+    for name in ("T_base_target", "covariance", "probability"):
+        assert found[0][name] == found[1][name]
+    assert "Wrote" in run("index", path).err  # the rest
+
+
+def test_where_nothing_can_be_kept_the_answer_is_the_same(place, run, tmp_path):
+    path = tmp_path / "room.map"
+    shutil.copy(place / "base.map", path)
+    (tmp_path / "room.map.index").mkdir()  # nothing can be written under this name
+    outcome = run("register", path, place / "target.map", "--json")
+    assert outcome.code == 0, outcome.err
+    assert "cannot" not in outcome.err
+    assert [p.name for p in tmp_path.iterdir() if p.is_file()] == ["room.map"]
+
+
+def test_nothing_is_kept_of_a_map_that_changed_meanwhile(place, tmp_path):
+    path, config = tmp_path / "room.map", PRESETS["default"]
+    shutil.copy(place / "base.map", path)
+    key = index_key(path, config)
+    index = prepare_index(FieldMap.load(path), config)
+    shutil.copy(place / "target.map", path)
+    assert not keep_index(path, config, index, key)
+    assert open_index(path, config) is None
+    shutil.copy(place / "base.map", path)
+    assert keep_index(path, config, index, key)
+    assert not open_index(path, config).is_whole
 
 
 def test_a_folder_without_maps_is_refused_in_one_line(place, run, tmp_path):

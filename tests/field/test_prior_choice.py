@@ -13,6 +13,7 @@ from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice import choose_prior as choice
 from magmatch.field.prior_choice import verdict
 from magmatch.field.prior_choice.cross_validation import Candidate, compare
+from magmatch.field.prior_choice.numbers import choose_all_numbers
 from magmatch.field.priors import DENSE_PRIORS, PRIORS
 from magmatch.field.variogram import typical_length
 
@@ -86,15 +87,36 @@ def test_only_a_clear_margin_leaves_the_spline():
     assert verdict.best(few).name == "spline"
 
 
-def test_only_what_loses_by_more_than_chance_is_dropped_early():
+def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
     scatter = np.tile([-1.0, 1.0], 20)
     spline = Candidate("spline", H, np.zeros(40))
     # The mean of 40 such differences is known to 0.16.
-    for loss, stays in ((-0.1, True), (0.1, True), (0.2, False)):
-        assert verdict.may_be_better(Candidate("harmonic", H, scatter + loss), spline) == stays
-    assert verdict.may_be_better(
-        Candidate("harmonic", H, spline.log_errors[:5] + 9), Candidate("spline", H, np.zeros(5))
-    )
+    for gain in (-0.1, 0.1, 0.2):
+        ahead = verdict.lead(Candidate("harmonic", H, scatter - gain), spline)
+        np.testing.assert_allclose(ahead, gain / 0.16, rtol=0.02)
+    few = Candidate("harmonic", H, spline.log_errors[:5] + 9)
+    assert verdict.lead(few, Candidate("spline", H, np.zeros(5))) == np.inf
+
+
+def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monkeypatch):
+    t, (points, _) = np.linspace(0, 1, 2400)[:, None], room(inside=True, n=4)
+    points = BOX * (0.5 + 0.45 * np.sin(2 * np.pi * t * [3.0, 17.0, 1.0]))
+    noise = np.random.default_rng(2).normal(scale=1e-6, size=points.shape)
+    survey, compared = Survey(points, field_at(points, inside=True) + noise), []
+    monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
+
+    def watched(numbers, samples, *others):
+        compared.append((list(numbers), len(samples)))
+        return compare(numbers, samples, *others)
+
+    monkeypatch.setattr(choice, "compare", watched)
+    # The box is declared: else the charges may stand in the holes that the magnets leave among the samples.
+    config = FieldConfig(prior="auto", domain=(0.0, 0.0, 0.0, *BOX))
+    chosen, _ = choice.choose_prior(survey, config, RigidTransform.identity())
+    assert chosen.prior == "spline"
+    assert [names for names, _ in compared] == [["spline", "harmonic"]]
+    assert compared[0][1] < len(survey) / 2
+    assert chosen.comparison["harmonic"] > chosen.comparison["spline"]
 
 
 def test_further_parts_are_asked_only_where_they_may_change_what_is_taken():
@@ -113,7 +135,8 @@ def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
     points, field = room(inside=False, n=900)
     survey, folds = Survey(points, field), divide(points, typical_length(points, field))
     config = FieldConfig(prior="auto")
-    spline, harmonic = compare(["spline", "harmonic"], survey, folds, config, None)
+    known = choose_all_numbers(["spline", "harmonic"], survey, config, None)
+    spline, harmonic = compare(known, survey, folds, None)
     assert harmonic.error < spline.error
     monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
     # More proof than some parts can give, less than all of them do.

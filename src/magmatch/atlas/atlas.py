@@ -11,6 +11,7 @@ from magmatch.data.formats.sniff import sniff
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
+from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
 from magmatch.registration.search.pair_search import PairTable
@@ -92,7 +93,9 @@ class Atlas:
 
 
 @single_threaded
-def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> Atlas:
+def open_atlas(
+    folder: str | Path, config: RegistrationConfig | None = None, *, progress: Progress | None = None
+) -> Atlas:
     """Open a folder of saved maps; maps whose index is missing or stale are indexed, which takes seconds each.
 
     Parameters
@@ -101,6 +104,8 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
         Every saved map in it counts, whatever its name; other files are passed over.
     config : RegistrationConfig, optional
         Preset ``default`` unless given.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
@@ -123,10 +128,11 @@ def open_atlas(folder: str | Path, config: RegistrationConfig | None = None) -> 
         message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
         raise DataFormatError(folder, message)
     opened = {path: open_index(path, config) for path in paths}
-    stale = [path for path, index in opened.items() if index is None]
-    for number, path in enumerate(stale, 1):
-        log.info("indexing %s (%d of %d)", path.name, number, len(stale))
-        opened[path] = _kept(path, config)
+    stale = [path for path, index in opened.items() if index is None or not index.is_whole]
+    with followed(progress):
+        for number, path in enumerate(stale):
+            tell(f"indexing {path.name} ({number + 1} of {len(stale)})", number / len(stale))
+            opened[path] = _kept(path, config)
     entries = [AtlasEntry(path, index, index.table()) for path, index in opened.items() if index is not None]
     return Atlas(folder, tuple(entries), config)
 
@@ -169,6 +175,6 @@ def _kept(path: Path, config: RegistrationConfig) -> IndexFile:
     """Index a map and open what was kept."""
     make_index(path, config)
     index = open_index(path, config)
-    if index is None:
+    if index is None or not index.is_whole:
         raise DataFormatError(path, "its index cannot be kept beside it; make the folder writable")
     return index

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verb of this room: an atlas and a target in, the map that holds it and the pose in that map out."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -15,6 +14,7 @@ from magmatch.atlas.retrieval import count_agreement, count_votes
 from magmatch.data.diagnoses import warn
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.progress import Progress, followed, tell
 from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.map_strategy import MapStrategy
@@ -29,13 +29,13 @@ from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Scalars
 
-log = logging.getLogger(__name__)
-
 # Maps that are searched in full: at least and at most so many, and those with this share of the most votes.
 MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 4, 8, 0.5
 
 
-def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> RegistrationResult:
+def localize(
+    atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0, progress: Progress | None = None
+) -> RegistrationResult:
     """Find the map that holds a survey, and the pose in it; or say why there is none.
 
     Parameters
@@ -45,6 +45,8 @@ def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> Regis
     target : Survey or FieldMap
     seed : int
         Same atlas, target and seed give the same answer bit for bit.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
@@ -52,7 +54,8 @@ def localize(atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0) -> Regis
         ``base`` names the map; alternatives name theirs. An answer is accepted only where no pose in any map comes
         near it, and it pays for a search through all of them.
     """
-    return localize_keeping_map(atlas, target, seed=seed)[1]
+    with followed(progress):
+        return localize_keeping_map(atlas, target, seed=seed)[1]
 
 
 def localize_keeping_map(
@@ -95,7 +98,7 @@ def _localize_walk(
     atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Clock
 ) -> RegistrationResult:
     """Ask all maps for votes, then compare the likeliest with the walk."""
-    log.info("asking %d maps", len(atlas.entries))
+    tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
         votes = count_votes([entry.table for entry in atlas.entries], survey, atlas.config.walks.search, seed)
     likely = shortlist(atlas.entries, votes)
@@ -116,7 +119,7 @@ def _localize_map(
         calibrated = calibrate(found[0], survey)
     if calibrated is None:
         return found
-    log.info("searching once more, calibrated")
+    tell("searching once more, calibrated")
     again = attempted(_compare_map, atlas, calibrated.survey, seed, clock)
     return better_supported(found, again, {"target": calibrated})
 
@@ -126,7 +129,7 @@ def _compare_map(
 ) -> tuple[FieldMap, RegistrationResult]:
     """Score a few poses in every map, then compare the likeliest with the target's map."""
     strategy = MapStrategy.of(target, atlas.config, seed, clock)
-    log.info("asking %d maps", len(atlas.entries))
+    tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
         bases = (atlas.load(entry).base for entry in atlas.entries)
         votes = count_agreement(bases, strategy.prepared, atlas.config, seed)
@@ -138,8 +141,8 @@ def _best_of(
 ) -> RegistrationResult:
     """Weigh poses in each map and decide on the best of all; it pays for a search through the whole atlas."""
     weighed = {}
-    for entry in likely:
-        log.info("searching %s", entry.name)
+    for k, entry in enumerate(likely):
+        tell(f"searching {entry.name}", k / len(likely))
         with clock("load"):
             base = atlas.load(entry)
         with clock("prepare"):

@@ -9,7 +9,9 @@ from magmatch.atlas.localize import localize_keeping_map
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
+from magmatch.progress import Progress, followed
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_target
 from magmatch.registration.register import register_keeping_maps
 from magmatch.registration.result import RegistrationResult
@@ -17,7 +19,12 @@ from magmatch.registration.steps import Base, Target
 
 
 def register(
-    base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+    base: Base | Atlas | str | Path,
+    target: Target,
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> RegistrationResult:
     """Find the rigid transform between two magnetic surveys of one place, or say why there is none.
 
@@ -32,6 +39,8 @@ def register(
         Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method. An `Atlas` has its own.
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
@@ -45,13 +54,14 @@ def register(
     TypeError
         Neither surveys nor maps; says what makes one of what was given.
     """
-    return register_anywhere(base, target, config, seed=seed)[2]
+    with followed(progress):
+        return register_anywhere(base, target, config, seed=seed)[2]
 
 
 def register_anywhere(
     base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
-) -> tuple[FieldMap | None, Target, RegistrationResult]:
-    """Register, and hand on the base's map (None where none of many fits) and the target as they were used."""
+) -> tuple[FieldMap | MapIndex | None, Target, RegistrationResult]:
+    """Register, and hand on the base (None where none of many fits) and the target as they were used."""
     if isinstance(base, str | os.PathLike) and is_folder(base):
         require_target(target)
         base, config = open_atlas(base, config), None
@@ -64,4 +74,4 @@ def register_anywhere(
         raise ConfigurationError(msg)
     used, result = localize_keeping_map(base, target, seed=seed)
     named = [entry for entry in base.entries if entry.name == result.base]
-    return base.load(named[0]).field_map if named else None, used, result
+    return base.load(named[0]) if named else None, used, result

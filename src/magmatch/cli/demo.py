@@ -36,7 +36,7 @@ def demo(
     from magmatch.cli.registering import with_help, with_wait
     from magmatch.data.read import read_survey
     from magmatch.registration.config import PRESETS
-    from magmatch.registration.maps import as_map
+    from magmatch.registration.maps import as_map, map_of
     from magmatch.registration.register import register_keeping_maps
 
     with_help()
@@ -44,7 +44,7 @@ def demo(
     with as_file(files("magmatch.data") / "samples" / "office") as folder:
         base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
     settings = PRESETS["default"]
-    base_map, mapped, result = register_keeping_maps(base, target, settings, seed=seed)
+    used, mapped, result = register_keeping_maps(base, target, settings, seed=seed)
     result = with_wait(result, loaded)
     out.mkdir(exist_ok=True)
     result.save(out / "result.json")
@@ -53,7 +53,7 @@ def demo(
         from magmatch.viz.pages.registration_page import write_report
 
         target_map, command = as_map(mapped, settings.field), f"magmatch demo --seed {seed}"
-        write_report(out / "report.html", base_map, target_map, result, command)
+        write_report(out / "report.html", map_of(used), target_map, result, command)
     except MissingExtraError as error:
         report = None
         say(f"No report: {error}")

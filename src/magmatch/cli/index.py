@@ -23,7 +23,8 @@ def index(
 ) -> None:
     """Prepare maps for many registrations.
 
-    Writes MAP.index beside each map, which spares 'magmatch register' that work for each target. An index that is up
+    Writes MAP.index beside each map, which spares 'magmatch register' that work for each target; 'register' itself
+    keeps there what it needed. An index that is up
     to date is left alone; an outdated one is never used. 'register' indexes the maps of a folder itself.
     """
     from magmatch.atlas.atlas import is_atlas, maps_in
@@ -32,7 +33,8 @@ def index(
 
     settings = registration_config("default", config)
     for path in [found for given in maps for found in (maps_in(given) if is_atlas(given) else (given,))]:
-        if open_index(path, settings) is None:
+        kept = open_index(path, settings)
+        if kept is None or not kept.is_whole:
             make_index(path, settings, read_map(path))
             say(f"Wrote {index_path(path)}")
         else:

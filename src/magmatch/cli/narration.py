@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magmatch.progress import followed
+
 if TYPE_CHECKING:
     from rich.status import Status
 
@@ -60,8 +62,8 @@ class Narrator(logging.Handler):
         if record.levelno > logging.INFO:
             self.rest()
             say(message)
-        elif sys.stderr.isatty():
-            self._follow(message)
+        else:
+            self.follow(message)
 
     def rest(self) -> None:
         """Take the progress line away."""
@@ -91,7 +93,12 @@ class Narrator(logging.Handler):
                 self._known.add((kind, Path(file).name))
                 self._warnings.setdefault(kind, ([], words))[0].append(file)
 
-    def _follow(self, message: str) -> None:
+    def follow(self, message: str, share: float | None = None) -> None:
+        """Show what is under way, where stderr is a terminal."""
+        if self.is_verbose or not sys.stderr.isatty():
+            return
+        if share:
+            message += f" ({share:.0%})"
         text = message.replace("[", "\\[")  # rich would take brackets for markup
         if self._status is None:
             from rich.console import Console
@@ -114,7 +121,8 @@ def narrated() -> Iterator[Narrator]:
         with warnings.catch_warnings():
             # Warnings of NumPy and numba are for developers; ours come through the log.
             warnings.simplefilter("ignore")
-            yield narrator
+            with followed(narrator.follow):
+                yield narrator
     finally:
         narrator.rest()
         logger.removeHandler(narrator)

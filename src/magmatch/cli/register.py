@@ -84,6 +84,9 @@ def register(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the preset's.")] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
+    keep_index: Annotated[
+        bool, typer.Option(help="Keep what is prepared of a saved map beside it, for later targets.")
+    ] = True,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
     """Find the transform from TARGET to BASE.
@@ -104,7 +107,7 @@ def register(
         require_plotly()
     loaded = perf_counter()
     read = read_survey_or_map(target, layouts, "target")
-    base_map, mapped, result = _register(base, read, layouts, settings, seed)
+    base_map, mapped, result = _register(base, read, layouts, settings, seed, keep_index)
     result = with_wait(result, loaded)
     if out is not None:
         result.save(out)
@@ -128,11 +131,20 @@ def command_again(base: Path, target: Path, layouts: Layouts, seed: int) -> str:
 
 
 def _register(
-    base: Path, target: "Survey | FieldMap", layouts: Layouts, settings: "RegistrationConfig", seed: int
+    base: Path,
+    target: "Survey | FieldMap",
+    layouts: Layouts,
+    settings: "RegistrationConfig",
+    seed: int,
+    keep: bool,
 ) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
     """Register against a file or a folder; the maps that the answer speaks of (no base where it speaks of none)."""
     from magmatch.atlas.atlas import is_atlas
     from magmatch.atlas.register import register_anywhere
+    from magmatch.registration.maps import map_of
 
-    known = base if is_atlas(base) else read_base(base, layouts, settings)
-    return register_anywhere(known, target, settings, seed=seed)
+    known = None if is_atlas(base) else read_base(base, layouts, settings, keep=keep)
+    used, mapped, result = register_anywhere(base if known is None else known.base, target, settings, seed=seed)
+    if known is not None:
+        known.keep(used, settings)
+    return None if used is None else map_of(used), mapped, result

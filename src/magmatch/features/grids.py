@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Where a map is asked for keypoints: points of a regular grid that turns with the survey (X* of the paper)."""
 
-import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +10,8 @@ from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
+from magmatch.progress import tell
 from magmatch.typing import Indices, Points, Scalars
-
-log = logging.getLogger(__name__)
 
 # Where less of the samples' box than this lies near a sample, the survey is a path, not a region.
 REGION_SHARE = 0.5
@@ -81,7 +79,7 @@ def inference_grid(field_map: FieldMap, config: FeatureConfig) -> InferencePoint
     cells = np.arange(grid.n_points, dtype=np.int64) if near_path is None else near_path
     positions = _cell_positions(grid, cells)
     is_known = field_map.knows(positions)
-    log.info("asking the map at %d points, %.3g m apart", int(is_known.sum()), spacing)
+    tell(f"asking the map at {int(is_known.sum())} points, {spacing:.3g} m apart")
     return InferencePoints(grid, cells[is_known], positions[is_known])
 
 

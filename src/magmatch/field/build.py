@@ -18,13 +18,20 @@ from magmatch.field.prior_choice.choose_prior import choose_prior
 from magmatch.field.prior_choice.numbers import choose_numbers
 from magmatch.field.priors import prior_over
 from magmatch.field.selection.outliers import find_outliers, hardly_moved
+from magmatch.progress import Progress, followed, tell
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
 
 
 @single_threaded
-def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = None, run: Runner = map) -> FieldMap:
+def build_map(
+    survey: Survey | Sequence[Survey],
+    config: FieldConfig | None = None,
+    run: Runner = map,
+    *,
+    progress: Progress | None = None,
+) -> FieldMap:
     """Infer the magnetic field of a place from a survey.
 
     Parameters
@@ -36,6 +43,8 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     run : callable, optional
         Runs the tasks of a map in tiles, such as `magmatch.field.tiles.distributed.DaskRunner`; one after the other
         here by default. The map is the same to the bit.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
@@ -49,7 +58,8 @@ def build_map(survey: Survey | Sequence[Survey], config: FieldConfig | None = No
     """
     config = FieldConfig() if config is None else config
     expect_kind(config, "config", (FieldConfig,), "FieldConfig(prior=...) makes one")
-    return map_samples(_surveys(survey), config, run)
+    with followed(progress):
+        return map_samples(_surveys(survey), config, run)
 
 
 def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = map) -> FieldMap:
@@ -68,7 +78,8 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = 
     if hardly_moved(samples, field_map.posterior, is_out):
         # Nor did they move the numbers, nor the tiles that did not see them.
         return field_map.without_samples(is_out, run)
-    return _choose_and_fit(subsets(surveys, ~is_out), config, run)[0]
+    # The prior stays; its numbers were those of the samples left out, too.
+    return _choose_and_fit(subsets(surveys, ~is_out), field_map.config, run)[0]
 
 
 def _surveys(given: Survey | Sequence[Survey]) -> tuple[Survey, ...]:
@@ -96,7 +107,7 @@ def _choose_and_fit(
         config, hyperparameters = choose_prior(samples, config, T_map_model)
     else:
         hyperparameters = choose_numbers(prior_over(config.prior, box), samples, config)
-    log.info("fitting the field of %s (%d samples, prior %s)", merged.name, len(merged), config.prior)
+    tell(f"fitting the field of {merged.name} ({len(merged)} samples, prior {config.prior})")
     unbounded = fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), {}, run)
     posterior, parts = within(box, unbounded), surveys if len(surveys) > 1 else ()
     return FieldMap(merged, posterior, T_map_model, config, T_map_model, samples, parts), unbounded, samples

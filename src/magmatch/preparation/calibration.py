@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Clock and sensor errors from the motion itself: passes of one place with other headings must see one field."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -16,10 +15,9 @@ from magmatch.preparation.least_squares import Block, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.time_offset import search_time_offset
+from magmatch.progress import tell
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask, Scalars, Vectors
-
-log = logging.getLogger(__name__)
 
 # s; loggers' offsets are of this order. What is known worse than half of it is not known.
 TIME_OFFSET_SD = 0.1
@@ -87,10 +85,10 @@ def calibrate(
         return None
     rows = rows[:: -(-len(rows) // config.n_samples)]
     part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
-    log.info("looking for the offset between the clocks")
+    tell("looking for the offset between the clocks")
     start = _rough(part, largest, sizes_of(config, switches))
     estimator = _Estimator(part, values, sizes_of(config, switches))
-    log.info("calibrating against a map of the place")
+    tell("calibrating against a map of the place")
     model, system = estimator.refined(start, set(switches))
     full = system.solve(switches)
     active, chosen = set(switches), full

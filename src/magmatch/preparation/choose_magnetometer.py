@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which readings of a phone to take: those its own calibration has been at, or the raw ones, calibrated here."""
 
-import logging
 from dataclasses import replace
 from typing import Any
 
@@ -9,8 +8,7 @@ from magmatch.data.survey import Survey
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.prepare import prepare
-
-log = logging.getLogger(__name__)
+from magmatch.progress import tell
 
 
 def prepare_either(
@@ -42,7 +40,7 @@ def prepare_either(
     """
     if raw is None:
         return prepare(own, config, **known)
-    log.info("preparing the phone's own readings, then the raw ones")
+    tell("preparing the phone's own readings, then the raw ones")
     done = {"the phone's own": prepare(own, config, **known), "raw": prepare(raw, config, **known)}
     reports = {name: report for name, (_, report) in done.items()}
     misfit = {name: _held_out(report) for name, report in reports.items()}

@@ -24,6 +24,7 @@ from magmatch.preparation.recalibrations import NO_CUTS, find_recalibrations, re
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.survey_steps import earth_step, find_disturbances, resampling_step
+from magmatch.progress import Progress, followed
 from magmatch.typing import Indices, Mask, Scalars
 
 log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ def prepare(
     channels: Mapping[str, Scalars] | None = None,
     place: Place | None = None,
     sensor: SensorModel | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Survey, PreparationReport]:
     """Correct a log's clock and sensor, and say what else is odd about it.
 
@@ -54,6 +56,8 @@ def prepare(
         Where and when, for the check against the Earth's field.
     sensor : SensorModel, optional
         Known correction of the sensor, such as another log's report has; made before all else, without its clock.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
@@ -89,7 +93,8 @@ def prepare(
         if len(cuts):
             sensor_log = cuts.joined(sensor_log)
             every |= cuts.channels(len(sensor_log))
-        calibration = calibrate(sensor_log, config, every, trusted(sensor_log, config))
+        with followed(progress):
+            calibration = calibrate(sensor_log, config, every, trusted(sensor_log, config))
     steps = [known_sensor_step(sensor)]
     steps += [recalibration_step(cuts, sensor_log, calibration)] if config.recalibration == "auto" else []
     steps += calibration_steps(survey, sensor_log, calibration, config, channels)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The target as a map: invariants find poses, both maps refine them, independent cells weigh them."""
 
-import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.progress import tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
@@ -23,8 +23,6 @@ from magmatch.registration.weigh.covariance import drift_covariance, enclosing
 from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.map_covariance import map_covariance
 from magmatch.registration.weigh.rank import rank_poses
-
-log = logging.getLogger(__name__)
 
 MapPair = Pair[PreparedMap, PreparedMap]
 WeighedMap = Weighed[PreparedMap, PreparedMap, PoseEvidence]
@@ -69,7 +67,7 @@ class MapStrategy:
 
     def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> WeighedMap:
         """Refine against both maps; each cell of the target adds evidence for or against."""
-        log.info("refining the best poses")
+        tell("refining the best poses")
         starts = [c.T_base_target for c in found.candidates]
         ranked = rank_poses(pair.base, pair.target, starts, pair.prior, self.config, self.seed)
         return Weighed(self, pair, found, ranked)

@@ -34,6 +34,11 @@ def survey_of(survey_or_map: Survey | FieldMap | MapIndex) -> Survey:
     return survey_or_map.survey if isinstance(survey_or_map, FieldMap) else survey_or_map
 
 
+def map_of(base: FieldMap | MapIndex) -> FieldMap:
+    """The map of a base that was used."""
+    return base.field_map if isinstance(base, MapIndex) else base
+
+
 def as_map(survey_or_map: Survey | FieldMap, config: FieldConfig) -> FieldMap:
     """Map a survey; a map is taken as it is."""
     return survey_or_map if isinstance(survey_or_map, FieldMap) else build_map(survey_or_map, config)

@@ -45,7 +45,7 @@ def register(
 def register_keeping_maps(
     base: Base, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
 ) -> Outcome:
-    """Register, and also return the base's map and the target as they were used: for pictures, say."""
+    """Register, and also return base and target as they were used: for pictures, or to keep what was prepared."""
     require_base(base)
     require_target(target)
     config = settings_of(config)
@@ -63,6 +63,6 @@ def register_keeping_maps(
                     register_once, calibrated.base, calibrated.target, calibrated.samples, config, seed, clock
                 )
                 outcome = better_supported(outcome, again, calibrated.sides)
-    base_map, used, answer = outcome
+    base_used, used, answer = outcome
     answer = with_advice(answer, {"base": survey_of(base), "target": samples}, config.prior)
-    return base_map, used, stamped(answer, (survey_of(base), samples), config, seed, clock)
+    return base_used, used, stamped(answer, (survey_of(base), samples), config, seed, clock)

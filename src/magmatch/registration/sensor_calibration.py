@@ -15,6 +15,8 @@ from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
+from magmatch.progress import tell
+from magmatch.registration.maps import map_of
 from magmatch.registration.result import Calibration, Sensor
 from magmatch.registration.steps import Base, Outcome, Target
 from magmatch.threads import side_by_side
@@ -130,11 +132,12 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
     base : Survey, FieldMap or MapIndex
         As given.
     found : tuple
-        Map of the base, target and answer of the registration as given.
+        Base, target and answer of the registration as given.
     samples : Survey
         All of the target's.
     """
-    base_map, target, _ = found
+    prepared, target, _ = found
+    base_map = map_of(prepared)
     asked = {"base": (base_map, base if isinstance(base, Survey) else base_map.survey)}
     # A walk that no map was made of is too short to tell.
     asked |= {"target": (target, samples)} if isinstance(target, FieldMap) else {}
@@ -142,12 +145,13 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
     sides = {side: one for side, one in zip(asked, calibrated, strict=True) if one is not None}
     if not sides:
         return None
-    again: Base = base_map if isinstance(base, Survey) else base
+    # What was prepared of it serves again.
+    again: Base = prepared
     if "base" in sides:
         again = sides["base"].survey
     if "target" in sides:
         samples = target = sides["target"].survey
-    log.info("registering once more, calibrated")
+    tell("registering once more, calibrated")
     return CalibratedPair(again, target, samples, sides)
 
 

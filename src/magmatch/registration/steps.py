@@ -11,7 +11,7 @@ from magmatch.registration.decide.answer import no_pose, state_answer
 from magmatch.registration.decide.decision import DecisionConfig, decide
 from magmatch.registration.decide.posterior import posterior_over
 from magmatch.registration.index.map_index import MapIndex, prepare_index
-from magmatch.registration.maps import as_map, map_base
+from magmatch.registration.maps import as_map, map_base, map_of
 from magmatch.registration.published.method import register_published
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.strategies import strategies
@@ -19,8 +19,8 @@ from magmatch.registration.strategy import Weighed
 
 Target = Survey | FieldMap
 Base = Target | MapIndex
-# Map of the base, the target as it was used, and the answer.
-Outcome = tuple[FieldMap, Target, RegistrationResult]
+# The base and the target as they were used, and the answer.
+Outcome = tuple[FieldMap | MapIndex, Target, RegistrationResult]
 
 
 def register_once(
@@ -33,8 +33,7 @@ def register_once(
     if config.search == "keypoints":
         with clock("maps"):
             target_map = as_map(target, config.field)
-        base_map = base.field_map if isinstance(base, MapIndex) else base
-        return base_map, target_map, register_published(base_map, target_map, config.keypoints, seed, clock)
+        return base, target_map, register_published(map_of(base), target_map, config.keypoints, seed, clock)
     with clock("prepare"):
         index = prepare_index(base, config)
     tried: list[tuple[Target, RegistrationResult]] = []
@@ -51,7 +50,7 @@ def register_once(
             break
     # None accepted: the more probable refusal, the first where both are equal.
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
-    return index.field_map, used, answer
+    return index, used, answer
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:

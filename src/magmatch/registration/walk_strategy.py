@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The target as a walk: pairs of points find poses, least squares along the path refines and weighs them."""
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.progress import tell
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
@@ -23,8 +23,6 @@ from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
-
-log = logging.getLogger(__name__)
 
 WalkPair = Pair[WalkIndex, Walk]
 WeighedWalk = Weighed[WalkIndex, Walk, LineEvidence]
@@ -55,7 +53,7 @@ class WalkStrategy:
 
     def search(self, pair: WalkPair) -> SearchResult:
         """Poses under which pairs of points agree."""
-        log.info("searching for the walk by pairs of points")
+        tell("searching for the walk by pairs of points")
         rng = np.random.default_rng(self.seed)
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
@@ -72,7 +70,7 @@ class WalkStrategy:
         if walks.noise.is_learned or not ranked:
             along: WeighedWalk = Weighed(self, pair, found, ranked)
             return along
-        log.info("weighing the walk's poses from both sides")
+        tell("weighing the walk's poses from both sides")
         mapped = self.mapped()
         as_maps = mapped.pair_with(walks.base, pair.prior.volume)
         to_model = pair.T_target_model.inv() * as_maps.T_target_model

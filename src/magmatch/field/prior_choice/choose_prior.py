@@ -8,6 +8,7 @@ do not (magnets among the samples, walks of any length), and it costs least.
 import logging
 from dataclasses import replace
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
@@ -17,17 +18,19 @@ from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.prior_choice.cross_validation import N_COMPARED, Candidate, compare, compare_on_the_rest
-from magmatch.field.prior_choice.numbers import given_numbers, likely_numbers
-from magmatch.field.prior_choice.verdict import best, is_undecided, may_be_better
-from magmatch.field.priors import DENSE_PRIORS, PRIORS, prior_over
+from magmatch.field.prior_choice.numbers import choose_all_numbers, given_numbers
+from magmatch.field.prior_choice.verdict import best, is_undecided, lead
+from magmatch.field.priors import DENSE_PRIORS, prior_over
 from magmatch.field.subset import choose_part
 from magmatch.field.variogram import typical_length
 
 log = logging.getLogger(__name__)
 
 PREFERRED = "spline"
-# Samples of a first round: on a part of a large survey most that would lose have lost already.
-_N_QUALIFYING = 800
+# Samples of a first round, for large surveys along paths: most that would lose on all of it have lost already. They
+# are thinned from more, in a few places far apart, since it is by its stretches that priors are told apart. In a
+# volume a part tells too little: there priors differ by how they fill it.
+_N_QUALIFYING, _N_AROUND, _N_PLACES = 800, 4800, 8
 
 
 def choose_prior(
@@ -38,25 +41,32 @@ def choose_prior(
     length = typical_length(samples.positions, samples.field)
     folds = divide(samples.positions, length)
     names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds))]
-    compared: list[Candidate] = []
-    if len(samples) > 2 * _N_QUALIFYING and len(names) > 1:
-        part = samples.subset(choose_part(samples.positions, _N_QUALIFYING, 3))
-        compared = compare(names, part, divide(part.positions, length), config, box)
-        names = [PREFERRED, *(other.name for other in compared[1:] if may_be_better(other, compared[0]))]
-    if len(names) > 1 or not compared:
-        compared = compare(names, samples, folds, config, box)
+    # Chosen once, from all samples: a part would not show what a prior cannot afford to follow on the whole.
+    known = choose_all_numbers(names, samples, config, box)
+    taken, compared = Candidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
+    if len(known) > 1 and folds.is_path and len(samples) > 2 * _N_QUALIFYING:
+        part = _qualifying(samples)
+        compared = compare(known, part, divide(part.positions, length), box)
+        ahead = (other.name for other in compared[1:] if lead(other, compared[0]) > 1)
+        known = {name: known[name] for name in (PREFERRED, *ahead)}
+    if len(known) > 1:
+        compared = compare(known, samples, folds, box)
         if is_undecided(compared):
-            close = [other for other in compared[1:] if may_be_better(other, compared[0])]
+            close = [other for other in compared[1:] if lead(other, compared[0]) > -1]
             compared = compare_on_the_rest([compared[0], *close], samples, folds)
         taken = best(compared)
-    else:
-        taken = replace(compared[0], hyperparameters=likely_numbers(PRIORS[PREFERRED], samples, config), fitted=None)
     errors = {candidate.name: candidate.error for candidate in compared if len(candidate.log_errors)}
     told = ", ".join(f"{name} {error:.3g} T" for name, error in errors.items())
     log.info("prior %s taken; typical error of left-out parts: %s", taken.name, told or "not compared")
     model = taken.fitted[0] if taken.fitted is not None and len(samples) <= N_COMPARED else None
     h = calibrated(prior_over(taken.name, box), samples.positions, samples.field, taken.hyperparameters, model)
     return config.model_copy(update={"prior": taken.name, "comparison": errors}), replace(h, **given_numbers(config))
+
+
+def _qualifying(samples: Survey) -> Survey:
+    """The samples of a first round."""
+    rows = np.flatnonzero(choose_part(samples.positions, _N_AROUND, _N_PLACES))
+    return samples.subset(rows[:: -(-len(rows) // _N_QUALIFYING)])
 
 
 def _is_possible(name: str, samples: Survey, folds: Folds) -> bool:

@@ -2,20 +2,20 @@
 """Errors of priors on left-out parts of the same survey."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.errors import MagmatchError
 from magmatch.field.box import Box
-from magmatch.field.config import FieldConfig
 from magmatch.field.folds import Folds
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import LinearModel
-from magmatch.field.prior_choice.numbers import likely_numbers
+from magmatch.field.prior_choice.numbers import FAILURES
 from magmatch.field.priors import prior_over
+from magmatch.progress import tell
 from magmatch.typing import Indices, Mask, Scalars
 
 log = logging.getLogger(__name__)
@@ -42,20 +42,21 @@ class Candidate:
         return float(np.exp(self.log_errors.mean()))
 
 
-def compare(names: list[str], samples: Survey, folds: Folds, config: FieldConfig, box: Box | None) -> list[Candidate]:
-    """How priors do on the same samples; the first one must be possible, others may fail."""
+def compare(
+    numbers: Mapping[str, Hyperparameters], samples: Survey, folds: Folds, box: Box | None
+) -> list[Candidate]:
+    """How priors with these numbers do on the same samples; the first one must be possible, others may fail."""
     few, left_out, part = _thinned(samples, folds, folds.left_out)
-    compared = []
-    for name in names:
-        prior = prior_over(name, box)
+    compared: list[Candidate] = []
+    for k, (name, h) in enumerate(numbers.items()):
+        tell(f"comparing prior {name}", k / len(numbers))
         try:
-            h = likely_numbers(prior, samples, config)
             # Laid over all samples: what is compared is the field between them, not how far each basis reaches.
-            model = prior.build(few.positions, few.field, h)
+            model = prior_over(name, box).build(few.positions, few.field, h)
             everything = model.observe(few.positions, few.field)
             errors = _log_errors(few, left_out, part, model, everything)
-        except (MagmatchError, ValueError, np.linalg.LinAlgError) as error:
-            if name == names[0]:
+        except FAILURES as error:
+            if not compared:
                 raise
             log.info("prior %s is not compared: %s", name, error)
         else:

@@ -2,15 +2,25 @@
 """Numbers of a prior: from the configuration where given, from the data otherwise."""
 
 import logging
+from collections.abc import Iterable
 from dataclasses import replace
 
+import numpy as np
+
 from magmatch.data.survey import Survey
+from magmatch.errors import MagmatchError
+from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.linear_model import Prior
+from magmatch.field.priors import prior_over
+from magmatch.progress import tell
 
 log = logging.getLogger(__name__)
+
+# Of a prior that a survey does not suit.
+FAILURES = (MagmatchError, ValueError, np.linalg.LinAlgError)
 
 
 def choose_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
@@ -19,9 +29,24 @@ def choose_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperp
     return replace(calibrated(prior, samples.positions, samples.field, h), **given_numbers(config))
 
 
+def choose_all_numbers(
+    names: Iterable[str], samples: Survey, config: FieldConfig, box: Box | None
+) -> dict[str, Hyperparameters]:
+    """Numbers of several priors, those that fail left out; the first one must be possible."""
+    found: dict[str, Hyperparameters] = {}
+    for name in names:
+        try:
+            found[name] = likely_numbers(prior_over(name, box), samples, config)
+        except FAILURES as error:
+            if not found:
+                raise
+            log.info("prior %s is not compared: %s", name, error)
+    return found
+
+
 def likely_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
     """Numbers that fit the data: all that the mean needs."""
-    log.info("choosing hyperparameters of prior %s", prior.name)
+    tell(f"choosing hyperparameters of prior {prior.name}")
     return replace(prior.choose_hyperparameters(samples.positions, samples.field), **given_numbers(config))
 
 

@@ -26,16 +26,14 @@ def is_undecided(candidates: list[Candidate]) -> bool:
     return any(not _is_clearly_better(other, candidates[0]) for other in ahead)
 
 
-def may_be_better(other: Candidate, preferred: Candidate) -> bool:
-    """Whether a prior does not lose by more than chance on few samples."""
+def lead(other: Candidate, preferred: Candidate) -> float:
+    """By how many standard errors of the parts' mean a prior is ahead; infinite where too few parts tell nothing."""
     gain = preferred.log_errors - other.log_errors
-    return len(gain) < FEWEST_PARTS or bool(gain.mean() + _standard_error(gain) > 0)
+    if len(gain) < FEWEST_PARTS:
+        return np.inf
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), np.finfo(float).tiny))
 
 
 def _is_clearly_better(other: Candidate, preferred: Candidate) -> bool:
     gain = preferred.log_errors - other.log_errors
-    return len(gain) >= FEWEST_PARTS and bool(gain.mean() > max(LEAST_GAIN, LEAST_T * _standard_error(gain)))
-
-
-def _standard_error(gain: np.ndarray) -> float:
-    return float(gain.std(ddof=1)) / float(np.sqrt(len(gain)))
+    return len(gain) >= FEWEST_PARTS and gain.mean() > LEAST_GAIN and lead(other, preferred) > LEAST_T

@@ -8,7 +8,7 @@ its samples where a covariance is asked for.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import count
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from magmatch.field.tiles.tile_fit import Samples, fit_weights
 from magmatch.field.tiles.tile_tasks import TileTasks
 from magmatch.field.tiles.tiled_posterior import FACTORED_BYTES, TiledPosterior
 from magmatch.field.tiles.tiles import Tiling
+from magmatch.progress import tell
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
@@ -87,11 +88,17 @@ class TiledModel:
         """Fit those tiles that are not known yet."""
         found, factored = dict(known), TileCache(FACTORED_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
+        n_fitted = count(1)
+
+        def noted(weights: Scalars) -> Scalars:
+            tell("fitting tiles", next(n_fitted) / len(numbers))
+            return weights
+
         if run is map:
             # Outliers and draws ask for the factors next: made here, some of them stay.
-            fitted: Iterable[Scalars] = side_by_side(partial(_fit_here, tasks, factored), numbers)
+            fitted: Iterable[Scalars] = side_by_side(lambda k: noted(_fit_here(tasks, factored, k)), numbers)
         else:
-            fitted = run(fit_weights, map(tasks.task, numbers)) if numbers else ()
+            fitted = map(noted, run(fit_weights, map(tasks.task, numbers))) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
         return TiledPosterior(tasks, [found[index] for index in self.tiles], factored)

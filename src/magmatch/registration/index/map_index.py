@@ -9,7 +9,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from magmatch._version import __version__
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.field.storage.archive import fingerprint_archive
+from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.mapped_arrays import MappedArrays, open_mapped, write_mapped
 from magmatch.registration.index.walk_index import WalkIndex, index_walks
@@ -33,7 +34,7 @@ from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.index/3"
+SCHEMA = "magmatch.index/4"
 SUFFIX = ".index"
 # Arrays of `PreparedMap` and of `PairTable` that are stored as they are.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
@@ -48,16 +49,24 @@ class MapIndex:
     ----------
     base : PreparedMap
     make_walks : callable
-        Gives what walks need besides, the same each time; it takes seconds where it is not read from a file.
+        Gives what walks need besides; it takes seconds where it is not read from a file.
     """
 
     base: PreparedMap
     make_walks: Callable[[], WalkIndex]
+    _walks: list[WalkIndex] = field(default_factory=list, init=False, repr=False)
 
     @property
     def walks(self) -> WalkIndex:
         """What walks need besides, computed when first asked for."""
-        return self.make_walks()
+        if not self._walks:
+            self._walks.append(self.make_walks())
+        return self._walks[0]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether what walks need was asked for."""
+        return bool(self._walks)
 
     @property
     def length(self) -> float:
@@ -70,7 +79,7 @@ class MapIndex:
         return self.base.field_map
 
     def save(self, path: str | Path, key: str) -> None:
-        """Write the index; see `open_index`.
+        """Write what was prepared so far; see `open_index`.
 
         Parameters
         ----------
@@ -79,20 +88,12 @@ class MapIndex:
         key : str
             Of `index_key`.
         """
-        base, raster, table = self.base, self.base.raster, self.walks.table
+        base, raster = self.base, self.base.raster
         known = np.flatnonzero(raster.sd >= 0)
         arrays = {f"prepared.{name}": getattr(base, name) for name in PREPARED} | {
             "raster.rows": known.astype(np.int32),
             "raster.field": raster.field.reshape(-1, 3)[known],
             "raster.sd": raster.sd.ravel()[known],
-            "table.positions": table.positions,
-            "table.field": table.field,
-            "table.first": table.first.astype(np.int32),
-            "table.second": table.second.astype(np.int32),
-            "tree.points": table.tree.points,
-            "tree.rows": table.tree.rows,
-            "tree.axes": table.tree.axes,
-            "tree.values": table.tree.values,
         }
         draws = base.draws()
         if all(isinstance(weights, np.ndarray) for weights in draws):
@@ -108,9 +109,21 @@ class MapIndex:
             },
             "volume": raster.volume,
             "n_draws": len(draws),
-            "noise": asdict(self.walks.noise),
-            "table": {name: float(getattr(table, name)) for name in TABLE_SCALARS},
         }
+        if self.is_whole:
+            table = self.walks.table
+            arrays |= {
+                "table.positions": table.positions,
+                "table.field": table.field,
+                "table.first": table.first.astype(np.int32),
+                "table.second": table.second.astype(np.int32),
+                "tree.points": table.tree.points,
+                "tree.rows": table.tree.rows,
+                "tree.axes": table.tree.axes,
+                "tree.values": table.tree.values,
+            }
+            attributes["noise"] = asdict(self.walks.noise)
+            attributes["table"] = {name: float(getattr(table, name)) for name in TABLE_SCALARS}
         write_mapped(path, SCHEMA, attributes, arrays)
 
 
@@ -119,6 +132,12 @@ class IndexFile:
     """An index as it lies on the disk, opened but hardly read."""
 
     content: MappedArrays
+    config: RegistrationConfig
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it holds what walks need, too."""
+        return "table" in self.content.attributes
 
     @property
     def volume(self) -> float:
@@ -126,7 +145,7 @@ class IndexFile:
         return float(self.content.attributes["volume"])
 
     def table(self) -> PairTable:
-        """Pairs of points, read as they are asked for."""
+        """Pairs of points, read as they are asked for; of a whole index."""
         arrays, scalars = self.content.arrays, self.content.attributes["table"]
         tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in ("points", "rows", "axes", "values")))
         return PairTable(
@@ -171,9 +190,12 @@ class IndexFile:
             draws=cache(partial(_draws, arrays.get("draws"), field_map, about["n_draws"])),
             **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
         )
+        if not self.is_whole:
+            return _index_over(base, self.config)
         table = self.table()
-        walks = WalkIndex(base, table.length, PathNoise(**about["noise"]), table)
-        return MapIndex(base, lambda: walks)
+        index = MapIndex(base, partial(WalkIndex, base, table.length, PathNoise(**about["noise"]), table))
+        assert index.walks.table is table
+        return index
 
     def _raster(self) -> Raster:
         arrays, about = self.content.arrays, self.content.attributes["raster"]
@@ -190,7 +212,11 @@ def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapI
     # With more threads sums come in another order, and an index would give other bits than the map itself.
     with one_blas_thread():
         prepared = prepare(base, config.invariants.n_draws, _base_rng())
-    return MapIndex(prepared, cache(lambda: index_walks(prepared, config.walks.search, _base_rng())))
+    return _index_over(prepared, config)
+
+
+def _index_over(base: PreparedMap, config: RegistrationConfig) -> MapIndex:
+    return MapIndex(base, lambda: index_walks(base, config.walks.search, _base_rng()))
 
 
 def _base_rng() -> np.random.Generator:
@@ -243,10 +269,16 @@ def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | 
     except DataFormatError as error:
         log.debug("no index: %s", error)
         return None
-    return IndexFile(content) if content.attributes.get("key") == key else None
+    return IndexFile(content, config) if content.attributes.get("key") == key else None
 
 
-def make_index(map_path: str | Path, config: RegistrationConfig, field_map: FieldMap | None = None) -> MapIndex:
+def make_index(
+    map_path: str | Path,
+    config: RegistrationConfig,
+    field_map: FieldMap | None = None,
+    *,
+    progress: Progress | None = None,
+) -> MapIndex:
     """Index a saved map and keep the index beside it, where the folder can be written.
 
     Parameters
@@ -255,15 +287,42 @@ def make_index(map_path: str | Path, config: RegistrationConfig, field_map: Fiel
     config : RegistrationConfig
     field_map : FieldMap, optional
         The map, where it was read already.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
 
     Returns
     -------
     MapIndex
     """
     key = index_key(map_path, config)
-    index = prepare_index(field_map or FieldMap.load(map_path), config)
+    with one_blas_thread(), followed(progress):
+        index = prepare_index(field_map or FieldMap.load(map_path), config)
+        tell("listing pairs of points for walks")
+        index.walks  # noqa: B018  # asked for, it is prepared
     try:
         index.save(index_path(map_path), key)
     except OSError as error:
         log.warning("the index of %s cannot be kept: %s", map_path, error)
     return index
+
+
+def keep_index(map_path: str | Path, config: RegistrationConfig, index: MapIndex, key: str) -> bool:
+    """Keep what a registration prepared of a saved map beside it, where that can be; whether it could.
+
+    Parameters
+    ----------
+    map_path : path
+    config : RegistrationConfig
+    index : MapIndex
+        Of the map as it was read.
+    key : str
+        Of `index_key`, from before the map was read: where the file has changed since, nothing is kept.
+    """
+    try:
+        if index_key(map_path, config) != key:
+            return False
+        index.save(index_path(map_path), key)
+    except (OSError, DataFormatError) as error:
+        log.debug("no index is kept: %s", error)
+        return False
+    return True

@@ -6,7 +6,6 @@ poses last for metres. Stretches of the base survey are left out, predicted from
 the residuals' covariance are the most likely ones; where the base never passes a place twice, they stay near a guess.
 """
 
-import logging
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -18,10 +17,9 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
+from magmatch.progress import tell
 from magmatch.registration.prepared.walk import bin_along_path
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
-
-log = logging.getLogger(__name__)
 
 # Of the base's path: length of a left-out stretch in correlation lengths; each set that is left out takes a refit.
 STRETCH_LENGTH = 5.0
@@ -149,7 +147,7 @@ def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generato
         drift_length=4 * length,
     )
     stretches = predict_stretches(field_map, length, rng)
-    log.info("learning the residuals along a path from %d left-out stretches", len(stretches))
+    tell(f"learning the residuals along a path from {len(stretches)} left-out stretches")
     if not stretches:
         return guess
     return most_likely(guess, stretches)

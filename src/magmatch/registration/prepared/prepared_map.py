@@ -16,6 +16,7 @@ from magmatch.errors import SurveyError
 from magmatch.features.invariants import rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldFunction, FieldValues, gradient_norm, gradient_of
+from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import thin
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.raster import Raster, rasterize
@@ -93,6 +94,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     -------
     PreparedMap
     """
+    tell(f"evaluating the map of {field_map.survey.name}")
     survey = known_samples(field_map)
     posterior = field_map.posterior
     some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Global search without a guess: every point carries a frame, so one pair of points gives a whole pose."""
 
-import logging
-
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
@@ -11,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.compiled import compiled_ahead
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
+from magmatch.progress import tell
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.annealing import anneal_poses
@@ -18,8 +17,6 @@ from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
-
-log = logging.getLogger(__name__)
 
 
 class InvariantSearchConfig(Settings):
@@ -68,7 +65,7 @@ def invariant_search(
     anchors = choose_anchors(target, config.n_anchors, rng)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
-    log.info("scoring %d hypotheses", neighbours.size)
+    tell(f"scoring {neighbours.size} hypotheses")
     anchor_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
     R = align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
     pb, pt = base.points[neighbours.ravel()], target.points[anchors]
@@ -91,7 +88,7 @@ def invariant_search(
     best = distinct_poses(R, moved, scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
     R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
 
-    log.info("refining the best hypotheses")
+    tell("refining the best hypotheses")
     schedule = np.outer(COARSE_SCHEDULE, sd)
     R, pb, scores = anneal_poses(
         R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.3

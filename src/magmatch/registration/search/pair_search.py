@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Global search for a short walk: a line has no gradient across itself, so hypotheses come from pairs of points."""
 
-import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
+from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import thin
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
@@ -21,8 +21,6 @@ from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
-
-log = logging.getLogger(__name__)
 
 # Granted inaccuracy per annealing step, as a share of that of a pose from one pair.
 SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
@@ -127,7 +125,7 @@ def pair_search(
     evidence = _evidence(base, table, walk)
     some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
     rows = np.tile(some, (len(pt), 1))
-    log.info("scoring %d hypotheses", len(R))
+    tell(f"scoring {len(R)} hypotheses")
     scores = score_poses(R, pb, pair_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
     best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.length, config)
     R, pb, pair_rows = R[best], pb[best], pair_rows[best]

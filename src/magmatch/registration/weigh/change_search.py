@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Where residuals show that something moved: poses that explain the cells which still agree."""
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.progress import tell
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
@@ -22,8 +22,6 @@ from magmatch.registration.weigh.evidence import (
 )
 from magmatch.registration.weigh.null_model import NullModel
 from magmatch.typing import Indices
-
-log = logging.getLogger(__name__)
 
 # Shares of the cells that are tried beside a change, whatever agrees without one.
 WIDER_SHARES = (0.7, 0.85)
@@ -52,7 +50,7 @@ def poses_beside_changes(
         for T in [*starts, model.T_base_target]
     ]
     agreements.sort(key=lambda pair: -pair[0])
-    log.info("something may have moved; looking for poses beside changes")
+    tell("something may have moved; looking for poses beside changes")
     found = [
         _best_followed(base, target, replace(model, T_base_target=T), null_model, prior, config, seed)
         for agreement, T in agreements[: config.n_candidates]
