@@ -8,8 +8,8 @@ one before by odometry gains by how much better odometry predicts it than the pr
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 from scipy.spatial.transform import RigidTransform
+from scipy.special import logsumexp
 
 from magmatch.typing import Covariance6, Matrix, Scalars
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import skew
 from magmatch.slam.config import SlamConfig
-from magmatch.typing import Covariance6, Indices, Matrix, Points, Scalars, Tensors
+from magmatch.typing import Covariance6, Indices, Matrix, Points, Tensors
 
 N_LASTING = 2
 # Of what nobody doubts: the first node of a component, and directions in which odometry does not drift.
@@ -136,7 +136,7 @@ class PoseGraph:
     def _doubt(self) -> None:
         if not self.closures:
             return
-        i, j, r, _, _, P = self._closure_rows()
+        _, _, r, _, _, P = self._closure_rows()
         chi2 = np.einsum("ei,eij,ej->e", r, P, r)
         for k, c in enumerate(self.closures):
             odds = min(c.log_odds, MOST_ODDS) - 0.5 * max(chi2[k] - 6.0, 0.0)
