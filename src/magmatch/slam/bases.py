@@ -48,7 +48,7 @@ class Base:
         return int(self.node[int(np.argmin(np.linalg.norm(self.survey.positions - point, axis=1)))])
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(eq=False, slots=True)
 class BaseMaker:
     """Makes bases with numbers that are known: all logs of a place share them.
 

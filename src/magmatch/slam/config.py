@@ -46,8 +46,8 @@ class SlamConfig(Settings):
     is_planar: bool = False
     # Length of a window, in field lengths: long against the field's changes, short against the odometry's drift.
     window_length: float = Field(default=6.0, gt=0)
-    # With what probability a closure must be right.
-    min_probability: float = Field(default=0.99, gt=0.5, lt=1)
+    # With what probability a closure must be right to enter the graph, which counts it by that and may vote it out.
+    min_probability: float = Field(default=0.8, gt=0.5, lt=1)
     # How probable it is that a window passes where another has passed, and that its neighbour then does too.
     revisit_share: float = Field(default=0.5, gt=0, lt=1)
     keeps_on: float = Field(default=0.8, gt=0, lt=1)

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a window passes a stretch that was walked before: registration's search and evidence, with the graph as prior."""
+"""Where a window passes what was walked before: registration's search and evidence, with the graph as prior."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, skew
 from magmatch.registration.decide.posterior import effective_evidence, is_same_answer
+from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.prepared.pose_prior import UP, PosePrior
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
@@ -86,6 +88,18 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
         )
         for e in kept
     ]
+
+
+def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:
+    """What a window shows where a base knows the field: the material that its noise is learned from."""
+    prepared, walk = base.index.base, window.walk
+    T = prepared.T_map_model.inv() * T_base_log * walk.T_survey_walk
+    points = T.apply(walk.positions)
+    values = prepared.posterior.evaluate(points, order=1).rotated(T.inv())
+    _, sd, _, is_known = prepared.raster.lookup(points)
+    rows = np.flatnonzero(is_known)
+    G = gradient_of(values)[rows]
+    return Stretch(walk.positions[rows], (walk.field - values.field)[rows], sd[rows], G, walk.field[rows])
 
 
 def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -> PosePrior:

@@ -44,10 +44,10 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
 def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:
     """What does not repeat from walk to walk, before any two were compared."""
     return PathNoise(
-        misfit_sd=0.35 * numbers.signal_sd,
+        misfit_sd=0.25 * numbers.signal_sd,
         misfit_length=length,
-        nugget_sd=numbers.noise_sd,
-        constant_sd=0.2 * numbers.signal_sd,
+        nugget_sd=0.25 * numbers.noise_sd,
+        constant_sd=0.1 * numbers.signal_sd,
         map_factor=1.0,
         map_length=length,
         attitude_sd=ATTITUDE_SD,

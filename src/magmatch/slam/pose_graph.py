@@ -133,6 +133,13 @@ class PoseGraph:
             if np.abs(xi).max() < SMALL and (step > TRUSTING_STEPS + 1 or not self.closures):
                 break
 
+    def forget_closures(self) -> None:
+        """Back to odometry alone."""
+        self.closures.clear()
+        self.p, self.R = self.start.copy(), np.tile(np.eye(3), (len(self.p), 1, 1))
+        self.lasting = np.zeros_like(self.lasting)
+        self.solve()
+
     def _doubt(self) -> None:
         if not self.closures:
             return

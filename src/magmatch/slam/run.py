@@ -3,15 +3,17 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from magmatch.data.checks import require_part
 from magmatch.data.survey import Survey
 from magmatch.registration.clock import Clock
+from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, PathNoise, most_likely
 from magmatch.slam.bases import Base, BaseMaker
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.loop_closure import residuals
 from magmatch.slam.numbers import guessed_noise, shared_numbers
 from magmatch.slam.odometry import odometry_graph
 from magmatch.slam.pose_graph import PoseGraph
@@ -26,6 +28,7 @@ log = logging.getLogger(__name__)
 
 # Closures make others possible: so often at most all are looked for again.
 MOST_ROUNDS = 4
+LEARNING_ROUNDS = 1
 
 
 def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> Session:
@@ -63,10 +66,13 @@ def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> S
             sum(len(p.windows) for p in paths),
             config.window_length * length,
         )
-        maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
+        guess = guessed_noise(numbers, length)
+        maker = BaseMaker(numbers, guess, length, config)
         graph = odometry_graph(paths, config)
         graph.solve()
-        places = _Places(paths, graph, maker, {})
+        places = _Places(paths, graph, maker, guess)
+        with clock("noise"):
+            places.learn_noise()
         with clock("closures"):
             for _ in range(MOST_ROUNDS):
                 if not (places.close_near() + places.close_far()):
@@ -81,7 +87,26 @@ class _Places:
     paths: list[Path]
     graph: PoseGraph
     maker: BaseMaker
-    made: dict[int, Base]
+    guess: PathNoise
+    made: dict[int, Base] = field(default_factory=dict)
+
+    def learn_noise(self) -> None:
+        """Learn from the surest closures what does not repeat, and forget them: they come back."""
+        for _ in range(LEARNING_ROUNDS):
+            self.close_near()
+            windows = {w.node: w for path in self.paths for w in path.windows}
+            stretches = []
+            for c in self.graph.closures:
+                window = windows[c.second]
+                T = self.graph.center(c.first) * c.T_first_second * window.T_log_node.inv()
+                stretches.append(residuals(window, self.stretch(c.first), T))
+            stretches = [s for s in stretches if len(s.positions) >= MIN_BINS]
+            self.graph.forget_closures()
+            if len(stretches) < PRIOR_STRETCHES:
+                return
+            self.maker.noise = most_likely(self.guess, stretches)
+            log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
+            self.made.clear()
 
     def close_near(self) -> int:
         """Look for closures where the graph expects them; how many were found."""
