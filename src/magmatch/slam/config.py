@@ -41,6 +41,8 @@ class SlamConfig(Settings):
     """Everything that shapes slam, stage by stage."""
 
     odometry: OdometryConfig = Field(default_factory=OdometryConfig)
+    # Standard deviations of single logs, by name, where they differ from `odometry.sd`.
+    sd_of_logs: dict[str, tuple[float, float]] = Field(default_factory=dict)
     # Whether z is up in the odometry's frames, and whether all poses lie at one height too.
     is_gravity_aligned: bool = True
     is_planar: bool = False
@@ -53,3 +55,8 @@ class SlamConfig(Settings):
     keeps_on: float = Field(default=0.8, gt=0, lt=1)
     search: PairSearchConfig = Field(default_factory=PairSearchConfig)
     evidence: LineConfig = Field(default_factory=LineConfig)
+
+    def odometry_of(self, name: str) -> OdometryConfig:
+        """How the odometry of a log drifts."""
+        sd = self.sd_of_logs.get(name)
+        return self.odometry if sd is None else self.odometry.model_copy(update={"sd": sd})

@@ -5,13 +5,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from magmatch.data.survey import Survey
 from magmatch.slam.bending import bend, lasting_errors
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.pose_graph import SURE, Edges, PoseGraph
+from magmatch.slam.pose_graph import LEVEL_SD, SURE, Edges, PoseGraph
 from magmatch.slam.windows import Path
 
 # Points of the path between two nodes that say how odometry bends.
 BEND_POINTS = 16
+# Tilt that a body on one floor keeps within, rms: a steady carrier's, not a climber's, rad.
+MOST_TILT = np.radians(10.0)
 
 
 def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
@@ -22,7 +25,7 @@ def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
         for k in range(len(path.windows) - 1):
             rows = np.unique(np.linspace(path.middles[k], path.middles[k + 1], BEND_POINTS).astype(np.int64))
             points = path.survey.positions[rows]
-            loads = bend(points, 0, config.odometry, upright=upright, planar=planar)[-1]
+            loads = bend(points, 0, config.odometry_of(path.survey.name), upright=upright, planar=planar)[-1]
             errors = lasting_errors(points, 0, upright=upright)[-1]
             random = loads[:, : -errors.shape[1]]
             covariance.append(random @ random.T + SURE**2 * np.eye(6))
@@ -42,3 +45,19 @@ def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
     centers = np.concatenate([p.centers for p in paths])
     log_of_node = np.repeat(np.arange(len(paths)), [len(p.windows) for p in paths])
     return PoseGraph(config, np.tile(np.eye(3), (len(centers), 1, 1)), centers, log_of_node, edges)
+
+
+def lie_level(surveys: Sequence[Survey]) -> bool:
+    """Whether every log keeps its height, as well as one floor is trusted to, and its body the same way up."""
+    return all(_lies_level(survey) for survey in surveys)
+
+
+def _lies_level(survey: Survey) -> bool:
+    if float(np.ptp(survey.positions[:, 2])) > 2 * LEVEL_SD:
+        return False
+    if survey.orientations is None:
+        return True
+    # The vertical in the body's axes, wherever those point: a sensor need not be mounted upright.
+    up = survey.orientations.inv().apply([0.0, 0.0, 1.0])
+    mean = up.mean(axis=0)
+    return float(np.linalg.norm(mean)) > float(np.cos(MOST_TILT))

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magmatch.data.checks import require_part
+from magmatch.arguments import expect_kind
+from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, PathNoise, most_likely
@@ -15,7 +16,7 @@ from magmatch.slam.bases import Base, BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.loop_closure import residuals
 from magmatch.slam.numbers import guessed_noise, shared_numbers
-from magmatch.slam.odometry import odometry_graph
+from magmatch.slam.odometry import lie_level, odometry_graph
 from magmatch.slam.pose_graph import PoseGraph
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.session import Session
@@ -51,8 +52,15 @@ def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> S
         A log holds NaN, impossible values or too few samples.
     """
     config, given = config or SlamConfig(), [logs] if isinstance(logs, Survey) else list(logs)
+    expect_kind(config, "config", (SlamConfig,))
+    if not given:
+        msg = "expected at least one log, got none"
+        raise ValueError(msg)
     for survey in given:
-        require_part(survey)
+        require_survey(survey, name="log")
+    if config.is_gravity_aligned and not config.is_planar and lie_level(given):
+        log.info("all poses lie at one height: taken as planar")
+        config = config.model_copy(update={"is_planar": True})
     clock = Clock()
     with one_blas_thread():
         with clock("numbers"):
@@ -77,7 +85,7 @@ def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> S
             for _ in range(MOST_ROUNDS):
                 if not (places.close_near() + places.close_far()):
                     break
-    return Session(paths, graph, tuple(biases), clock.seconds())
+    return Session(given, paths, graph, config, tuple(biases), clock.seconds())
 
 
 @dataclass(eq=False, slots=True)
