@@ -3,16 +3,18 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
+from scipy.special import expit
 
 from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
-from magmatch.geometry import path_walked, rotation_matrix
+from magmatch.geometry import log_se3, path_walked, rotation_matrix
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.map_index import prepare_index
@@ -20,7 +22,7 @@ from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.pose_graph import Closure, Edges, PoseGraph
+from magmatch.slam.pose_graph import MOST_ODDS, Closure, Edges, PoseGraph
 from magmatch.slam.session import Session
 from magmatch.slam.statement import covariance_about
 from magmatch.slam.windows import Path, Window
@@ -31,6 +33,8 @@ log = logging.getLogger(__name__)
 
 # No probability is nearer to one than this: odds stay finite.
 LEAST_DOUBT = 1e-12
+# Trees of closures tried for a start.
+N_TREES = 64
 
 
 def merge(
@@ -137,22 +141,44 @@ def _unconnected(centers: Points) -> PoseGraph:
 
 
 def _lay_out(graph: PoseGraph) -> None:
-    """Where the surest closures put the surveys: least squares must begin near its answer."""
-    group = np.arange(len(graph.p))
-    R, p = graph.R.copy(), graph.p.copy()
-    for c in sorted(graph.closures, key=lambda c: -c.log_odds):
-        a, b = group[c.first], group[c.second]
+    """Where the closures that agree put the surveys: least squares must begin near its answer.
+
+    Among many trees of closures, the surest first and then in chance's order, the one is taken with which most agree.
+    From a compromise between right and wrong ones all would seem wrong.
+    """
+    rng, n = np.random.default_rng(0), len(graph.p)
+    odds = np.array([min(c.log_odds, MOST_ODDS) for c in graph.closures])
+    best, most = None, -np.inf
+    for k in range(N_TREES if n > 2 else 1):
+        order = np.argsort(-odds if k == 0 else rng.permutation(len(odds)), kind="stable")
+        poses = _tree(graph, [graph.closures[c] for c in order])
+        # Along a tree errors add up: a tie that closes it is off by those of up to n.
+        doubted = odds - 0.5 * np.maximum(_squares(graph.closures, poses) / n - 6.0, 0.0)
+        if (agreed := float(np.logaddexp(0.0, doubted).sum())) > most:
+            best, most = (poses, doubted), agreed
+    if best is not None and graph.closures:
+        poses, doubted = best
+        graph.R, graph.p = np.stack([rotation_matrix(T) for T in poses]), np.stack([T.translation for T in poses])
+        graph.closures = [replace(c, weight=float(w)) for c, w in zip(graph.closures, expit(doubted), strict=True)]
+
+
+def _squares(closures: Sequence[Closure], poses: Sequence[RigidTransform]) -> np.ndarray:
+    """Normalised squared error of each closure between these poses."""
+    off = [log_se3(c.T_first_second.inv() * poses[c.first].inv() * poses[c.second]) for c in closures]
+    return np.array([xi @ np.linalg.solve(c.covariance, xi) for c, xi in zip(closures, off, strict=True)])
+
+
+def _tree(graph: PoseGraph, closures: Sequence[Closure]) -> list[RigidTransform]:
+    """Poses by the closures in their order, as far as none says again what others have said."""
+    group, poses = np.arange(len(graph.p)), [graph.pose(k) for k in range(len(graph.p))]
+    for c in closures:
+        a, b = int(group[c.first]), int(group[c.second])
         if a == b:
             continue
+        T = poses[c.first] * c.T_first_second * poses[c.second].inv()
         # The later group moves as a whole: the first survey of a component keeps its own frame.
-        moves, stays = (b, a) if a < b else (a, b)
-        T_first, T_second = (
-            RigidTransform.from_components(p[k], Rotation.from_matrix(R[k])) for k in (c.first, c.second)
-        )
-        T = T_first * c.T_first_second * T_second.inv()
-        T = T if moves == b else T.inv()
-        moved = group == moves
-        p[moved] = T.apply(p[moved])
-        R[moved] = rotation_matrix(T) @ R[moved]
-        group[moved] = stays
-    graph.R, graph.p = R, p
+        moves, T = (b, T) if a < b else (a, T.inv())
+        for k in np.flatnonzero(group == moves):
+            poses[k] = T * poses[k]
+        group[group == moves] = min(a, b)
+    return poses

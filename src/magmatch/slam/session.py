@@ -53,7 +53,7 @@ class Session:
     seconds: dict[str, float]
     seed: int = 0
     is_rigid: bool = False
-    _maps: dict[int, FieldMap] = field(default_factory=dict, repr=False)
+    _maps: dict[int, FieldMap] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def names(self) -> list[str]:

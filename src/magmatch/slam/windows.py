@@ -55,9 +55,7 @@ class Window:
         T, c = self.walk.T_survey_walk, self.config
         positions = T.apply(self.walk.positions)
         about = int(np.argmin(np.linalg.norm(positions - self.center, axis=1)))
-        loads = bend(
-            positions, about, c.odometry_of(self.survey.name), upright=c.is_gravity_aligned, planar=c.is_planar
-        )
+        loads = bend(positions, about, c.odometry, upright=c.is_gravity_aligned, planar=c.is_planar)
         bent: np.ndarray = np.sqrt(2.0) * turned(loads, rotation_matrix(T).T)
         return bent
 
