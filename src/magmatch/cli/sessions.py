@@ -48,8 +48,8 @@ def tell(result: "SlamResult") -> str:
     width = max(len(log.name) for log in result.logs)
     for log in result.logs:
         place, turn = log.sd
-        lines.append(
-            f"  {log.name:{width}}  frame {log.component}, {log.length:.1f} m, closures {log.n_closures}, moved "
-            f"{log.moved:.2f} m; its end is known to {place:.2f} m, {degrees(turn):.1f} degrees"
-        )
+        known = f"known to {place:.2g} m, {degrees(turn):.2g} degrees"
+        # Rigid surveys have no odometry, and are not moved but as a whole.
+        walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
+        lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")
     return "\n".join(lines)

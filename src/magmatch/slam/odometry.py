@@ -48,16 +48,14 @@ def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
 
 
 def lie_level(surveys: Sequence[Survey]) -> bool:
-    """Whether every log keeps its height, as well as one floor is trusted to, and its body the same way up."""
-    return all(_lies_level(survey) for survey in surveys)
+    """Whether all logs keep one height, as well as one floor is trusted to, and their bodies the same way up."""
+    heights = np.concatenate([survey.positions[:, 2] for survey in surveys])
+    return float(np.ptp(heights)) <= 2 * LEVEL_SD and all(_stays_upright(survey) for survey in surveys)
 
 
-def _lies_level(survey: Survey) -> bool:
-    if float(np.ptp(survey.positions[:, 2])) > 2 * LEVEL_SD:
-        return False
+def _stays_upright(survey: Survey) -> bool:
     if survey.orientations is None:
         return True
     # The vertical in the body's axes, wherever those point: a sensor need not be mounted upright.
     up = survey.orientations.inv().apply([0.0, 0.0, 1.0])
-    mean = up.mean(axis=0)
-    return float(np.linalg.norm(mean)) > float(np.cos(MOST_TILT))
+    return float(np.linalg.norm(up.mean(axis=0))) > float(np.cos(MOST_TILT))
