@@ -94,7 +94,7 @@ def _before(
             "cmin": limits[0],
             "cmax": limits[1],
             "showscale": k == logs[0],
-            "colorbar": colorbar("uT", y=-0.26, yanchor="top"),
+            "colorbar": colorbar("uT"),
         }
         traces.append(go.Scatter(x=x, y=y, mode="markers", marker=marker, name=label(session.names[k])))
     as_given = "as surveyed" if session.is_rigid else "as odometry has them"

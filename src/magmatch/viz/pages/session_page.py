@@ -6,7 +6,6 @@ from pathlib import Path
 
 import yaml
 
-from magmatch.glossary import terms_in
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.session import Session
 from magmatch.viz.figures.session_figures import session_figures, weakness_figure
@@ -53,8 +52,6 @@ def write_session_report(path: str | Path, session: Session, result: SlamResult,
     if result.closures:
         sections.append(_closures(result))
     sections.append(_again(result, command))
-    terms = terms_in(f"{result.reason} closure component window odometry probability")
-    sections.append(Section("Terms", [table([[term, said] for term, said in terms.items()])]))
     write_page(path, "magmatch: " + ", ".join(session.names), sections)
 
 
