@@ -48,6 +48,23 @@ def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, tmp_path):
     assert (tmp_path / "out" / "walk.tum").read_bytes() == tum
 
 
+def test_poses_of_a_file_of_their_own_come_back_at_their_own_times(run, logs, tmp_path):
+    walk = mm.read_survey(logs / "walk.csv")
+    few = np.arange(0, len(walk), 3)
+    mm.Trajectory(walk.times[few], walk.positions[few], walk.orientations[few]).save(tmp_path / "poses.tum")
+    rows = np.column_stack([walk.times, walk.orientations.inv().apply(walk.field)])
+    np.savetxt(tmp_path / "field.csv", rows, delimiter=",", header="t,bx,by,bz", comments="")
+    done = run(
+        "slam", tmp_path / "field.csv", "--trajectory", tmp_path / "poses.tum", "--field-frame", "sensor",
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    poses = mm.Trajectory.load(tmp_path / "out" / "field.tum")
+    np.testing.assert_array_equal(poses.times, walk.times[few])
+    truth = np.load(logs / "truth.npy")[few]
+    assert trajectory_error(truth, poses.positions) < 0.7 * trajectory_error(truth, walk.positions[few])
+
+
 def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path):
     done = run("slam", logs / "short.csv", "--odometry-sd", "0.2,2", "--out", tmp_path / "out")
     assert done.code == 3, done.err

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_survey_or_map
+from magmatch.cli.inputs import read_poses_of, read_survey_or_map
 from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_folder
 from magmatch.cli.sessions import deliver, require_pictures
@@ -54,6 +54,7 @@ def merge(
     settings = with_prior(registration_config("default", config), None, None, gravity_aligned, None, planar)
     read = [read_survey_or_map(path, layouts) for path in surveys]
     require_folder(out, [survey_of(one) for one in read], [*surveys, *([config] if config else [])])
+    poses = [read_poses_of(path, layouts) for path in surveys]
     session = run(read, settings, seed=seed)
     words = ["merge", *map(str, surveys), *layouts.words(), "--seed", str(seed)]
-    return deliver(session, out, words, json=json)
+    return deliver(session, out, words, poses, json=json)

@@ -12,6 +12,7 @@ from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json
 
 if TYPE_CHECKING:
+    from magmatch.data.trajectory import Trajectory
     from magmatch.slam.result import SlamResult
     from magmatch.slam.session import Session
 
@@ -23,14 +24,16 @@ def require_pictures() -> None:
     require_plotly()
 
 
-def deliver(session: "Session", out: Path, words: Sequence[str], *, json: bool) -> int:
+def deliver(
+    session: "Session", out: Path, words: Sequence[str], poses: "Sequence[Trajectory | None]", *, json: bool
+) -> int:
     """Write the folder, tell what is in it, and say whether all logs are in one frame."""
     from magmatch.slam.folder import write_folder
     from magmatch.viz.pages.session_page import write_session_report
 
     again = shlex.join(["magmatch", *words, "--config", "settings.yaml", "--out", str(out)])
     result = write_folder(
-        session, out, lambda session, result, path: write_session_report(path, session, result, again)
+        session, out, lambda session, result, path: write_session_report(path, session, result, again), poses
     )
     if json:
         put(as_json(result.to_dict()))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_samples
+from magmatch.cli.inputs import read_poses_of, read_samples
 from magmatch.cli.option_values import numbers, refuse
 from magmatch.cli.outputs import check_folder
 from magmatch.cli.sessions import deliver, require_pictures
@@ -68,8 +68,9 @@ def slam(
     settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
     surveys = [read_samples(path, layouts) for path in logs]
     require_folder(out, surveys, [*logs, *([config] if config else [])])
+    poses = [read_poses_of(path, layouts) for path in logs]
     session = run(surveys, settings)
-    return deliver(session, out, ["slam", *map(str, logs), *layouts.words()], json=json)
+    return deliver(session, out, ["slam", *map(str, logs), *layouts.words()], poses, json=json)
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

@@ -14,6 +14,7 @@ from magmatch.registration.clock import Clock
 from magmatch.slam.g2o import write_graph
 from magmatch.slam.result import SlamResult
 from magmatch.slam.session import Session
+from magmatch.slam.trajectories import corrected_poses
 
 RESULT, GRAPH, REPORT = "result.json", "graph.g2o", "report.html"
 # Writes the report, given what it is of and where it goes.
@@ -46,7 +47,12 @@ def require_folder(folder: str | Path, surveys: Sequence[Survey], files: Iterabl
         raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
 
 
-def write_folder(session: Session, folder: str | Path, report: WriteReport | None = None) -> SlamResult:
+def write_folder(
+    session: Session,
+    folder: str | Path,
+    report: WriteReport | None = None,
+    poses: Sequence[Trajectory | None] | None = None,
+) -> SlamResult:
     """Write trajectories, surveys, maps, graph and result.
 
     They are written beside the folder and moved there once whole, the result last: whoever finds it finds the rest.
@@ -58,6 +64,8 @@ def write_folder(session: Session, folder: str | Path, report: WriteReport | Non
         New, or an earlier result of the same logs, which is replaced.
     report : callable, optional
         Writes the report.
+    poses : sequence of Trajectory or None, optional
+        Each log's own poses, where they have other times than its samples.
 
     Returns
     -------
@@ -76,19 +84,21 @@ def write_folder(session: Session, folder: str | Path, report: WriteReport | Non
     beside = folder.resolve().with_name(f".{folder.resolve().name[:50]}.tmp-{secrets.token_hex(4)}")
     beside.mkdir()
     try:
-        result = _write(session, beside, report)
+        result = _write(session, beside, report, poses or [None] * len(session.given))
         _move(beside, folder)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return result
 
 
-def _write(session: Session, folder: Path, report: WriteReport | None) -> SlamResult:
+def _write(
+    session: Session, folder: Path, report: WriteReport | None, poses: Sequence[Trajectory | None]
+) -> SlamResult:
     clock = Clock()
-    for name, survey in zip(session.names, session.trajectories, strict=True):
+    for name, survey, path, own in zip(session.names, session.trajectories, session.paths, poses, strict=True):
         survey.save(folder / f"{name}.csv")
-        if survey.times is not None and survey.orientations is not None and len(survey) > 1:
-            Trajectory(survey.times, survey.positions, survey.orientations).save(folder / f"{name}.tum")
+        if (there := corrected_poses(path, session.graph, own)) is not None:
+            there.save(folder / f"{name}.tum")
     with clock("maps"):
         for k in range(len(session.components)):
             session.map(k).save(folder / ("map.map" if k == 0 else f"map_{k + 1}.map"))
