@@ -71,6 +71,13 @@ def test_a_robot_that_stands_is_left_where_it_is():
     np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-3)
 
 
+def test_a_constant_field_tells_no_place_from_another():
+    log, _ = drifting_walk(Place(1), 1)
+    session = slam(replace(log, field=np.tile([2e-5, 0.0, -4.5e-5], (len(log), 1))))
+    assert session.result().status == "unchanged"
+    np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-6)
+
+
 def test_neither_times_nor_orientations_are_needed():
     log, truth = drifting_walk(Place(1), 1)
     session = slam(replace(log, times=None, orientations=None))

@@ -11,8 +11,8 @@ from magmatch.slam.run import slam
 
 pytest.importorskip("plotly", reason="pictures are drawn with the extra 'viz'")
 
-from magmatch.viz.figures.session_figures import session_figures, weakness_figure  # noqa: E402
-from magmatch.viz.pages.session_page import write_session_report  # noqa: E402
+from magmatch.viz.figures.session_figures import session_figures, weakness_figure
+from magmatch.viz.pages.session_page import write_session_report
 
 
 @pytest.fixture(scope="module")

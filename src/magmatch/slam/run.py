@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.arguments import expect_kind
-from magmatch.data.checks import require_survey
+from magmatch.data.checks import CONSTANT_FIELD, extent, require_survey
 from magmatch.data.survey import Survey
 from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, PathNoise, most_likely
@@ -62,6 +62,8 @@ def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> S
         log.info("all poses lie at one height: taken as planar")
         config = config.model_copy(update={"is_planar": True})
     clock = Clock()
+    if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
+        return _uninformed(given, config, clock)
     with one_blas_thread():
         with clock("numbers"):
             numbers, length = shared_numbers(given)
@@ -86,6 +88,14 @@ def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> S
                 if not (places.close_near() + places.close_far()):
                     break
     return Session(given, paths, graph, config, tuple(biases), clock.seconds())
+
+
+def _uninformed(given: list[Survey], config: SlamConfig, clock: Clock) -> Session:
+    """Logs as they came: where the field is constant, nothing tells places apart, and it has no length."""
+    paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
+    graph = odometry_graph(paths, config)
+    graph.solve()
+    return Session(given, paths, graph, config, ((np.zeros(3), np.zeros(3)),) * len(given), clock.seconds())
 
 
 @dataclass(eq=False, slots=True)
