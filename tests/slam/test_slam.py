@@ -50,10 +50,6 @@ def test_a_walk_that_passes_nothing_twice_stays_as_it_came():
     np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-6)
 
 
-EMPTY_WINDOWS = pytest.mark.xfail(reason="cut gives windows without samples", strict=True)
-
-
-@EMPTY_WINDOWS
 def test_odometry_that_jumps_is_no_fault_of_the_program():
     log, _ = drifting_walk(Place(1), 1)
     jump = np.where(np.arange(len(log)) > 300, 30.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
@@ -61,7 +57,6 @@ def test_odometry_that_jumps_is_no_fault_of_the_program():
     assert np.isfinite(session.trajectories[0].positions).all()
 
 
-@EMPTY_WINDOWS
 def test_a_robot_that_stands_is_left_where_it_is():
     rng = np.random.default_rng(0)
     n = 200

@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -55,7 +56,8 @@ class Window:
         T, c = self.walk.T_survey_walk, self.config
         positions = T.apply(self.walk.positions)
         about = int(np.argmin(np.linalg.norm(positions - self.center, axis=1)))
-        loads = bend(positions, about, c.odometry, upright=c.is_gravity_aligned, planar=c.is_planar)
+        odometry, upright = c.odometry_of(self.survey.name), c.is_gravity_aligned
+        loads = bend(positions, about, odometry, upright=upright, planar=c.is_planar)
         bent: np.ndarray = np.sqrt(2.0) * turned(loads, rotation_matrix(T).T)
         return bent
 
@@ -113,7 +115,12 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig) -> list[Pa
         walked = _walked(survey, BIN_LENGTH * length)
         n = max(int(walked[-1] / (config.window_length * length)), 1)
         number = np.minimum((walked / max(walked[-1], 1e-9) * n).astype(np.int64), n - 1)
-        middles = np.searchsorted(walked, (np.arange(n) + 0.5) / n * walked[-1])
+        # Where odometry jumps, whole windows hold no sample: they are none.
+        number = np.unique(number, return_inverse=True)[1]
+        n = int(number[-1]) + 1
+        ends = np.searchsorted(number, np.arange(n + 1))
+        half = [(walked[a] + walked[b - 1]) / 2 for a, b in pairwise(ends)]
+        middles = np.clip(np.searchsorted(walked, half), ends[:-1], ends[1:] - 1)
         windows = tuple(
             Window(log, first + k, survey.subset(number == k), survey.positions[middle], length, config)
             for k, middle in enumerate(middles)
