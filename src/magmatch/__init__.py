@@ -39,6 +39,11 @@ if TYPE_CHECKING:
     from magmatch.registration.index.map_index import MapIndex
     from magmatch.registration.result import RegistrationResult, Status
     from magmatch.simulation.simulate import simulate
+    from magmatch.slam.config import SlamConfig
+    from magmatch.slam.merge import merge
+    from magmatch.slam.result import SlamResult
+    from magmatch.slam.run import slam
+    from magmatch.slam.session import Session
     from magmatch.viz.view import view
 
 _HOMES = {
@@ -59,6 +64,9 @@ _HOMES = {
     "RegistrationConfig": "registration.config",
     "RegistrationResult": "registration.result",
     "RegularGrid": "grid",
+    "Session": "slam.session",
+    "SlamConfig": "slam.config",
+    "SlamResult": "slam.result",
     "Status": "registration.result",
     "Survey": "data.survey",
     "SurveyError": "errors",
@@ -67,11 +75,13 @@ _HOMES = {
     "build_map": "field.build",
     "extract_features": "features.extract",
     "localize": "atlas.localize",
+    "merge": "slam.merge",
     "open_atlas": "atlas.atlas",
     "prepare": "preparation.prepare",
     "read_survey": "data.read",
     "register": "atlas.register",
     "simulate": "simulation.simulate",
+    "slam": "slam.run",
     "view": "viz.view",
 }
 
@@ -93,6 +103,9 @@ __all__ = [
     "RegistrationConfig",
     "RegistrationResult",
     "RegularGrid",
+    "Session",
+    "SlamConfig",
+    "SlamResult",
     "Status",
     "Survey",
     "SurveyError",
@@ -101,11 +114,13 @@ __all__ = [
     "build_map",
     "extract_features",
     "localize",
+    "merge",
     "open_atlas",
     "prepare",
     "read_survey",
     "register",
     "simulate",
+    "slam",
     "view",
 ]
 

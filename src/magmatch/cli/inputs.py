@@ -9,6 +9,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
+    from magmatch.data.trajectory import Trajectory
     from magmatch.field.map import FieldMap
     from magmatch.registration.result import RegistrationResult
 
@@ -42,6 +43,14 @@ def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
 
     read = read_survey_or_map(path, layouts, survey)
     return read if isinstance(read, Survey) else read.survey
+
+
+def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":
+    """Read a log's poses at their own times, where they are not its samples'."""
+    from magmatch.data.formats.sniff import sniff
+    from magmatch.data.read import read_poses
+
+    return None if sniff(path) == "map" else read_poses(path, layouts.of())
 
 
 def read_result(path: Path) -> "RegistrationResult":

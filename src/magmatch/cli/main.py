@@ -18,12 +18,14 @@ from magmatch.cli.glossary import glossary
 from magmatch.cli.index import index
 from magmatch.cli.info import info
 from magmatch.cli.map import build
+from magmatch.cli.merge import merge
 from magmatch.cli.narration import narrated, put
 from magmatch.cli.odometry import odometry
 from magmatch.cli.prepare import prepare
 from magmatch.cli.query import query
 from magmatch.cli.register import register
 from magmatch.cli.simulate import simulate
+from magmatch.cli.slam import slam
 from magmatch.cli.transform import transform
 from magmatch.cli.view import view
 
@@ -35,16 +37,18 @@ Examples:
 
 \b
 Exit codes:
-  0  done (register: accepted)
+  0  done (register: accepted; slam, merge: all in one frame)
   1  a fault of the machine or the program
   2  bad input or usage, one line on stderr
-  3  registered, but not accepted
+  3  registered, but not accepted (slam, merge: not everything is in one frame)
 """
 
 # In the order of the help page.
 COMMANDS = (
     register,
     transform,
+    slam,
+    merge,
     odometry,
     prepare,
     build,

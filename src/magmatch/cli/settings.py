@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from magmatch.registration.config import RegistrationConfig
 
 Config = TypeVar("Config", bound=BaseModel)
+# Schemas of results, which hold the settings they were made with.
+RESULTS = ("magmatch.registration/", "magmatch.slam/")
 # Bytes of settings, and of a result that is taken for its settings; stated in docs/formats.md.
 MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
 
@@ -59,9 +61,9 @@ def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read a YAML file of settings, or take those of a registration result."""
+    """Read a YAML file of settings, or take those of an earlier result."""
     content = _parsed(path)
-    if isinstance(content, dict) and str(content.get("schema", "")).startswith("magmatch.registration/"):
+    if isinstance(content, dict) and str(content.get("schema", "")).startswith(RESULTS):
         content = content.get("config")
     if content is None:
         return {}

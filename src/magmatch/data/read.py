@@ -11,7 +11,9 @@ from magmatch.data.checks import check_survey
 from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.formats.euroc import read_euroc_field
+from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.mat import read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import Sensor
@@ -20,6 +22,7 @@ from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
 from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError, SurveyError
 from magmatch.typing import Scalars
 
@@ -99,6 +102,19 @@ def read_raw_magnetometer(path: str | Path, format: SurveyFormat | None = None) 
         logger.warning("%s; its readings without the phone's own calibration are left aside", error)
         return None
     return replace(survey, name=Path(path).name)
+
+
+def read_poses(path: str | Path, format: SurveyFormat | None = None) -> Trajectory | None:
+    """Read a log's poses at their own times; None where each sample has its own, or they are positions only."""
+    layout = format or SurveyFormat()
+    if sniff(path) == "log":
+        recording = read_log(path, layout)
+        return recording.trajectory if recording.has_orientations else None
+    if layout.trajectory is None:
+        return None
+    poses = load_trajectory(layout.trajectory, layout)
+    recording = Recording(Path(path), poses.times[:0], poses.positions[:0], poses)
+    return recording.carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic)).trajectory
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:

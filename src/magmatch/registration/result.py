@@ -87,6 +87,7 @@ def _expect(is_so: Any, expected: str, found: Any) -> None:
 
 
 Transform = Annotated[RigidTransform, _read_as(Four[Four[Number]], transform_from_matrix)]
+Covariance = Annotated[np.ndarray, _read_as(Six[Six[Number]], _covariance)]
 Rows = Annotated[np.ndarray, _read_as(list[Three[Number]], lambda rows: np.array(rows, dtype=float).reshape(-1, 3))]
 
 
@@ -216,7 +217,7 @@ class RegistrationResult:
     reason: str
     base: str | None = field(default=None, kw_only=True)
     T_base_target: Transform | None
-    covariance: Annotated[np.ndarray, _read_as(Six[Six[Number]], _covariance)] | None = None
+    covariance: Covariance | None = None
     probability: Fraction | None = None
     evidence: dict[str, Number | None] = field(default_factory=dict)
     overlap: Annotated[Fraction, NULL_IS_NAN] = 0.0

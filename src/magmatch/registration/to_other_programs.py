@@ -62,6 +62,19 @@ def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quatern
     return np.asarray((inverse + inverse.T) / 2)
 
 
+def g2o_vertex(node: int, T: RigidTransform) -> str:
+    """A pose as a line of g2o."""
+    return f"VERTEX_SE3:QUAT {node} {_pose(T)}"
+
+
+def g2o_edge(
+    first: int, second: int, T: RigidTransform, covariance: Covariance6, tangent: RotationTangent = "quaternion"
+) -> str:
+    """A measured relative pose as a line of g2o; covariance of xi in ``T Exp(xi)``, rotation first."""
+    information = g2o_information(covariance, tangent)
+    return f"EDGE_SE3:QUAT {first} {second} {_pose(T)} {_row(information[np.triu_indices(6)].tolist())}"
+
+
 def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTangent = "quaternion") -> None:
     """Write base and target as vertices 0 and 1 and the registration as the edge between them.
 
@@ -82,13 +95,11 @@ def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTan
     if result.covariance is None or np.linalg.eigvalsh(result.covariance)[0] <= 0:
         msg = "the result has no covariance of full rank, which an edge of a pose graph needs"
         raise SurveyError(msg)
-    information = g2o_information(result.covariance, tangent)
-    pose = _row([*T.translation.tolist(), *T.rotation.as_quat().tolist()])
     lines = [
         f"# magmatch: T_base_target; information of (translation, rotation as {tangent}) of Z^-1 T_true",
-        f"VERTEX_SE3:QUAT 0 {_row([0.0] * 6 + [1.0])}",
-        f"VERTEX_SE3:QUAT 1 {pose}",
-        f"EDGE_SE3:QUAT 0 1 {pose} {_row(information[np.triu_indices(6)].tolist())}",
+        g2o_vertex(0, RigidTransform.identity()),
+        g2o_vertex(1, T),
+        g2o_edge(0, 1, T, result.covariance, tangent),
         "",
     ]
     with atomic_write(path) as stream:
@@ -124,6 +135,10 @@ def write_static_transform(result: RegistrationResult, path: str | Path, base: s
     }
     with atomic_write(path) as stream:
         stream.write(yaml.safe_dump(content, sort_keys=False).encode())
+
+
+def _pose(T: RigidTransform) -> str:
+    return _row([*T.translation.tolist(), *T.rotation.as_quat().tolist()])
 
 
 def _row(numbers: list[float]) -> str:

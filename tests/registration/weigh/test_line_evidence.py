@@ -200,7 +200,7 @@ def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk)
 def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):
     found = weighed(base, walk)
     assert weighed(base, walk, prior=PosePrior(2.0)).log_evidence - found.log_evidence == pytest.approx(np.log(10))
-    tight = PosePrior(20.0, found.T_base_target * turn_about(found.center, np.full(6, 0.01)), np.full(6, 1e-5))
+    tight = PosePrior(20.0, found.T_base_target * turn_about(found.center, np.full(6, 0.01)), 1e-10 * np.eye(6))
     held = weighed(base, walk, prior=tight)
     step = held.T_base_target.inv() * tight.T_base_target
     assert np.abs(step.apply(found.center) - found.center).max() < 1e-4

@@ -14,12 +14,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import rotation_matrix, skew
 from magmatch.settings import Settings
-from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Tensors, Vector3
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
 # Standard deviations within which a pose must lie to be searched.
 REACH = 3.5
-# Poses drawn about a rough one, and how many more neighbours are tried where a prior will leave most of them out.
-N_DRAWN = 300
+# Poses drawn about a rough one: so many for each that is told apart by the search, within bounds; and how many more
+# neighbours are tried where a prior will leave most of them out.
+N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
 MORE_NEIGHBOURS = 4
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -68,8 +69,8 @@ class PosePrior:
         Of the region in which the target may lie.
     T_base_target : RigidTransform or None
         Rough pose.
-    sd : (6,) array
-        Of the rough pose, rotation first (rad, m), about the middle of the target.
+    covariance : (6, 6) array or None
+        Of the rough pose: of xi in ``T Exp(xi)`` about the middle of the target, rotation first (rad, m).
     up_base, up_target : (3,) arrays or None
         The vertical in either model frame.
     gravity_sd : float, rad
@@ -82,7 +83,7 @@ class PosePrior:
 
     volume: float
     T_base_target: RigidTransform | None = None
-    sd: np.ndarray | None = None
+    covariance: Covariance6 | None = None
     up_base: Vector3 | None = None
     up_target: Vector3 | None = None
     gravity_sd: float = 0.01
@@ -157,33 +158,39 @@ class PosePrior:
         chi2 : float
             Squared residual over its variance.
         """
-        A, v, chi2 = np.zeros((6, 6)), np.zeros(6), 0.0
+        A, v, chi2 = self.rows_of_many(rotation_matrix(T)[None], T.apply(center)[None], center)
+        return A[0], v[0], float(chi2[0])
+
+    def rows_of_many(self, R: Tensors, moved: Points, center: Vector3) -> tuple[np.ndarray, Matrix, Scalars]:
+        """`rows` of many poses at once: they turn by R (h, 3, 3) and put the centre at ``moved`` (h, 3)."""
+        h = len(R)
+        A, v, chi2 = np.zeros((h, 6, 6)), np.zeros((h, 6)), np.zeros(h)
         if self.up_base is not None and self.up_target is not None:
-            seen = T.rotation.inv().apply(self.up_base)
-            r = self.up_target - seen
-            J = -skew(seen[None])[0] / self.gravity_sd
-            A[:3, :3] += J.T @ J
-            v[:3] += J.T @ r / self.gravity_sd
-            chi2 += float(r @ r) / self.gravity_sd**2
+            seen = self.up_base @ R
+            r = (self.up_target - seen) / self.gravity_sd
+            J = -skew(seen) / self.gravity_sd
+            A[:, :3, :3] += np.swapaxes(J, 1, 2) @ J
+            v[:, :3] += np.einsum("hij,hi->hj", J, r)
+            chi2 += (r**2).sum(axis=1)
             if self.height is not None:
-                h = (float(T.apply(center) @ self.up_base - center @ self.up_target) - self.height) / self.height_sd
-                slope = np.concatenate([np.zeros(3), seen]) / self.height_sd
-                A += np.outer(slope, slope)
-                v += slope * h
-                chi2 += h * h
-        if self.T_base_target is not None and self.sd is not None:
-            difference = self.T_base_target.inv() * T
-            turn = difference.rotation.as_rotvec()
-            shift = difference.apply(center) - center
-            J = np.zeros((6, 6))
+                off = (moved @ self.up_base - center @ self.up_target - self.height) / self.height_sd
+                slope = np.concatenate([np.zeros((h, 3)), seen], axis=1) / self.height_sd
+                A += slope[:, :, None] * slope[:, None, :]
+                v += slope * off[:, None]
+                chi2 += off**2
+        if self.T_base_target is not None and self.covariance is not None:
+            R0, p0 = rotation_matrix(self.T_base_target), self.T_base_target.apply(center)
+            difference = R0.T @ R
+            turn = Rotation.from_matrix(difference).as_rotvec()
+            J = np.zeros((h, 6, 6))
             # Of log(R Exp(theta)) to first order in the angle already there.
-            J[:3, :3] = np.eye(3) + 0.5 * skew(turn[None])[0]
-            J[3:, 3:] = rotation_matrix(difference)
-            r = np.concatenate([turn, shift]) / self.sd
-            J /= self.sd[:, None]
-            A += J.T @ J
-            v += J.T @ r
-            chi2 += float(r @ r)
+            J[:, :3, :3] = np.eye(3) + 0.5 * skew(turn)
+            J[:, 3:, 3:] = difference
+            r, P = np.concatenate([turn, (moved - p0) @ R0], axis=1), np.linalg.inv(self.covariance)
+            PJ = P @ J
+            A += np.swapaxes(J, 1, 2) @ PJ
+            v += np.einsum("hij,hi->hj", PJ, r)
+            chi2 += np.einsum("hi,ij,hj->h", r, P, r)
         return A, v, chi2
 
     def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:
@@ -210,11 +217,15 @@ class PosePrior:
             if self.height is not None:
                 off = np.abs(moved @ self.up_base - center @ self.up_target - self.height)
                 is_admitted &= off < REACH * np.hypot(self.height_sd, slack[1])
-        if self.T_base_target is not None and self.sd is not None:
-            turn = self.T_base_target.rotation.inv() * Rotation.from_matrix(R)
-            apart = np.abs(moved - self.T_base_target.apply(center)).max(axis=1)
-            is_admitted &= turn.magnitude() < REACH * np.hypot(self.sd[0], slack[0])
-            is_admitted &= apart < REACH * np.hypot(self.sd[3], slack[1])
+        if self.T_base_target is not None and self.covariance is not None:
+            turn = (self.T_base_target.rotation.inv() * Rotation.from_matrix(R)).as_rotvec()
+            shift = self.T_base_target.inv().apply(moved) - center
+            for off, C, own in (
+                (turn, self.covariance[:3, :3], slack[0]),
+                (shift, self.covariance[3:, 3:], slack[1]),
+            ):
+                wide = np.linalg.inv(C + own**2 * np.eye(3))
+                is_admitted &= np.einsum("hi,ij,hj->h", off, wide, off) < REACH**2
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:
@@ -233,12 +244,22 @@ class PosePrior:
         moved : (n, 3) array, m
             Where each puts the middle of the target; nothing where there is no rough pose.
         """
-        if self.T_base_target is None or self.sd is None:
+        if self.T_base_target is None or self.covariance is None:
             return np.zeros((0, 3, 3)), np.zeros((0, 3))
-        xi = rng.standard_normal((n, 6)) * self.sd
+        power, axes = np.linalg.eigh(self.covariance)
+        xi = rng.standard_normal((n, 6)) * np.sqrt(np.maximum(power, 0.0)) @ axes.T
         xi[:1] = 0.0
         R = (self.T_base_target.rotation * Rotation.from_rotvec(xi[:, :3])).as_matrix()
         return R, self.T_base_target.apply(center + xi[:, 3:])
+
+    def _n_drawn(self, slack: tuple[float, float]) -> int:
+        """How many poses cover the rough one's spread, each worth what a search can tell apart."""
+        if self.covariance is None:
+            return 0
+        scale = np.repeat(slack, 3)
+        power = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
+        places = N_PER_PLACE * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
+        return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(
         self, poses: Hypotheses, anchors_target: Points, center: Vector3, slack: tuple[float, float],
@@ -269,7 +290,7 @@ class PosePrior:
         R, anchors_base, rows = poses
         moved = anchors_base + np.einsum("nij,nj->ni", R, center - anchors_target[rows])
         kept = self.admits(R, moved, center, slack)
-        drawn, moved = self.draw(N_DRAWN, center, rng)
+        drawn, moved = self.draw(self._n_drawn(slack), center, rng)
         drawn_rows = np.arange(len(drawn), dtype=np.int64) % len(anchors_target)
         anchors_drawn = moved + np.einsum("nij,nj->ni", drawn, anchors_target[drawn_rows] - center)
         return (
@@ -293,7 +314,7 @@ def pose_prior(
     return PosePrior(
         volume=volume,
         T_base_target=None if T is None else T_base_model.inv() * T * T_target_model,
-        sd=None if T is None else np.repeat([config.sd_rotation, config.sd_translation], 3),
+        covariance=None if T is None else np.diag(np.repeat([config.sd_rotation**2, config.sd_translation**2], 3)),
         up_base=T_base_model.rotation.inv().apply(UP) if is_aligned else None,
         up_target=T_target_model.rotation.inv().apply(UP) if is_aligned else None,
         gravity_sd=config.gravity_sd,

@@ -105,12 +105,34 @@ def weigh_walk(
     length: float,
     prior: PosePrior,
     config: LineConfig,
+    bending: np.ndarray | None = None,
 ) -> list[LineEvidence]:
-    """Refine poses of a walk and order them by their evidence."""
+    """Refine poses of a walk and order them by their evidence.
+
+    Parameters
+    ----------
+    base : PreparedMap
+    walk : Walk
+    starts : list of RigidTransform
+        Base model frame from the walk's frame.
+    noise : PathNoise
+    length : float, m
+        The base's correlation length.
+    prior : PosePrior
+    config : LineConfig
+    bending : (n, 6, m) array, optional
+        How m independent errors of unit variance turn (rad) and shift (m) each bin of a walk whose shape is known
+        by dead reckoning alone, about its own place, walk's axes; takes the place of the noise's drift.
+
+    Returns
+    -------
+    list of LineEvidence
+        Best first.
+    """
     if not starts or len(walk) < config.min_bins:
         return []
     distance = cdist(walk.positions, walk.positions)
-    squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0))
+    squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
     null = UnrelatedWalk.most_likely(walk, distance, noise, length)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
@@ -201,6 +223,7 @@ class _LeastSquares:
     length: float
     prior: PosePrior
     center: Vector3
+    bending: np.ndarray | None = None
 
     def run(self, R: Tensors, p: Points, strain: Matrix, n_steps: int, *, is_full: bool) -> _Fits:
         """Take steps; the last evaluation only states chi^2 and information."""
@@ -237,10 +260,9 @@ class _LeastSquares:
         information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
         v = np.einsum("hki,hk->hi", JW, z)
         if not self.prior.is_flat:
-            for k in range(n_poses):
-                known_before, slope, _ = self.prior.rows(self.pose(R[k], p[k]), self.center)
-                information[k] += known_before
-                v[k] += slope
+            known_before, slope, _ = self.prior.rows_of_many(R, p, self.center)
+            information += known_before
+            v += slope
         return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
 
     def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
@@ -249,15 +271,31 @@ class _LeastSquares:
 
     def _alike_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
         """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""
+        C = self.noise.isotropic(self.distance, sd)
+        if self.bending is not None:
+            moved = self._moved(G).reshape(*known.shape, -1)
+            return _isolate(C + moved @ np.swapaxes(moved, 1, 2) / 3, known)
         moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
         moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
-        C = self.noise.isotropic(self.distance, sd)
         return _isolate(C + moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length), known)
 
     def _full_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
         """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
-        field = np.broadcast_to(self.walk.field, (*known.shape, 3))
-        return _isolate(self.noise.full(self.distance, sd, G, field), np.repeat(known, 3, axis=1))
+        if self.bending is None:
+            field = np.broadcast_to(self.walk.field, (*known.shape, 3))
+            C = self.noise.full(self.distance, sd, G, field)
+        else:
+            moved = self._moved(G)
+            moved = moved.reshape(len(moved), -1, moved.shape[-1])
+            alike = self.noise.isotropic(self.distance, sd)
+            C = moved @ np.swapaxes(moved, 1, 2) + np.kron(alike, np.eye(3))
+        return _isolate(C, np.repeat(known, 3, axis=1))
+
+    def _moved(self, G: Tensors) -> np.ndarray:
+        """What errors of the walk's shape do to its residuals, (h, n, 3, m)."""
+        assert self.bending is not None
+        turns = np.broadcast_to(skew(self.walk.field), G.shape)
+        return np.asarray(np.concatenate([turns, G], axis=3) @ self.bending)
 
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:

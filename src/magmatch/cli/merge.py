@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch merge``: rigid surveys of one place into one frame and one map."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_poses_of, read_survey_or_map
+from magmatch.cli.option_values import refuse
+from magmatch.cli.outputs import check_folder
+from magmatch.cli.sessions import deliver, require_pictures
+from magmatch.cli.settings import registration_config
+
+EXAMPLES = (
+    "magmatch merge monday.csv tuesday.csv friday.csv --out hall",
+    "magmatch merge east.map west.map --out building",
+    "magmatch merge robot.csv phone.csv table.csv --field-unit uT --planar --out room",
+)
+
+
+@command("merge", EXAMPLES, surveys=())
+def merge(
+    surveys: Annotated[
+        list[Path],
+        typer.Argument(help="Surveys or saved maps, each rigid in a frame of its own.", metavar="SURVEY..."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for surveys, maps, graph, report and result.")],
+    layouts: Layouts,
+    gravity_aligned: Annotated[bool, typer.Option("--gravity-aligned", help="z points up in all surveys.")] = False,
+    planar: Annotated[bool, typer.Option("--planar", help="As --gravity-aligned, and heights are the same.")] = False,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file of settings of the registration, or an earlier result.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> int:
+    """Bring SURVEYs into one frame and one map.
+
+    Every pair is registered; pairs that contradict the others are voted out. For logs whose poses drift see 'slam'.
+
+    Exit code 0: all are in one frame; 3: not all. What is known is written all the same.
+    """
+    from magmatch.cli.prior import with_prior
+    from magmatch.registration.maps import survey_of
+    from magmatch.slam.folder import require_folder
+    from magmatch.slam.merge import merge as run
+
+    if len(surveys) < 2:
+        refuse("SURVEY", "at least two surveys", str(surveys[0]))
+    check_folder(out)
+    require_pictures()
+    settings = with_prior(registration_config("default", config), None, None, gravity_aligned, None, planar)
+    read = [read_survey_or_map(path, layouts) for path in surveys]
+    require_folder(out, [survey_of(one) for one in read], [*surveys, *([config] if config else [])])
+    poses = [read_poses_of(path, layouts) for path in surveys]
+    session = run(read, settings, seed=seed)
+    words = ["merge", *map(str, surveys), *layouts.words(), "--seed", str(seed)]
+    return deliver(session, out, words, poses, json=json)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What `slam` and `merge` do with their session: write the folder, tell, and give the exit code."""
+
+import shlex
+from collections.abc import Sequence
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magmatch.cli.boundary import DONE, NOT_ACCEPTED
+from magmatch.cli.narration import put, say
+from magmatch.cli.outputs import as_json
+
+if TYPE_CHECKING:
+    from magmatch.data.trajectory import Trajectory
+    from magmatch.slam.result import SlamResult
+    from magmatch.slam.session import Session
+
+
+def require_pictures() -> None:
+    """Ask for what draws the report before the work, not after."""
+    from magmatch.viz.figures.plotting import require_plotly
+
+    require_plotly()
+
+
+def deliver(
+    session: "Session", out: Path, words: Sequence[str], poses: "Sequence[Trajectory | None]", *, json: bool
+) -> int:
+    """Write the folder, tell what is in it, and say whether all logs are in one frame."""
+    from magmatch.slam.folder import write_folder
+    from magmatch.viz.pages.session_page import write_session_report
+
+    again = shlex.join(["magmatch", *words, "--config", "settings.yaml", "--out", str(out)])
+    result = write_folder(
+        session, out, lambda session, result, path: write_session_report(path, session, result, again), poses
+    )
+    if json:
+        put(as_json(result.to_dict()))
+    if session.graph.config.is_planar:
+        say("Taken as planar: every pose lies at one height")
+    say(tell(result))
+    say(f"Wrote {out}")
+    return DONE if result.is_connected else NOT_ACCEPTED
+
+
+def tell(result: "SlamResult") -> str:
+    """Tell a session in a line, and one for each log."""
+    status = result.status.replace("_", " ").capitalize()
+    lines = [f"{status}: {result.reason}"]
+    width = max(len(log.name) for log in result.logs)
+    for log in result.logs:
+        place, turn = log.sd
+        known = f"known to {place:.2g} m, {degrees(turn):.2g} degrees"
+        # Rigid surveys have no odometry, and are not moved but as a whole.
+        walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
+        lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")
+    return "\n".join(lines)

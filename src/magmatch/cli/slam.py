@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch slam``: logs whose poses drift, corrected and in one frame."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_poses_of, read_samples
+from magmatch.cli.option_values import numbers, refuse
+from magmatch.cli.outputs import check_folder
+from magmatch.cli.sessions import deliver, require_pictures
+from magmatch.cli.settings import merged, read_settings
+
+if TYPE_CHECKING:
+    from magmatch.slam.config import SlamConfig
+
+EXAMPLES = (
+    "magmatch slam walk.csv --out corrected",
+    "magmatch slam monday.mcap tuesday.mcap --out building",
+    "magmatch slam robot.csv phone.csv --odometry-sd 0.1,1 --odometry-sd phone:0.5,8 --out hall",
+    "magmatch slam phone.csv --field-frame sensor --field-unit uT --planar --out floor",
+    "magmatch slam drone.bag --no-gravity --json --out room > room.json",
+)
+SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
+
+
+@command("slam", EXAMPLES, surveys=())
+def slam(
+    logs: Annotated[
+        list[Path], typer.Argument(help="Logs with odometry and field, each in a frame of its own.", metavar="LOG...")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for trajectories, surveys, maps, graph, report and result.")],
+    layouts: Layouts,
+    odometry_sd: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="How far odometry is off after a walk of 10 m, as standard deviations: METRES,DEGREES, or "
+            "NAME:METRES,DEGREES for one log.  [default: 0.3,4]"
+        ),
+    ] = None,
+    planar: Annotated[
+        bool, typer.Option("--planar", help="All poses lie on one floor; found by itself where they show it.")
+    ] = False,
+    no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of the logs is not up.")] = False,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> int:
+    """Correct the drift of LOGs by the field, and bring them into one frame with one map.
+
+    Where a log passes a place again, its field shows it: such closures correct the poses, and tie logs to each other.
+
+    Exit code 0: every log is in one frame (a single log: corrected); 3: not all, or nothing to correct. What is known
+    is written all the same.
+    """
+    from magmatch.slam.config import SlamConfig
+    from magmatch.slam.folder import require_folder
+    from magmatch.slam.run import slam as run
+
+    if planar and no_gravity:
+        refuse("--planar", "z up, as one floor needs", "--no-gravity")
+    check_folder(out)
+    require_pictures()
+    settings = SlamConfig() if config is None else merged(SlamConfig(), read_settings(config), config)
+    switches = {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
+    settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
+    surveys = [read_samples(path, layouts) for path in logs]
+    require_folder(out, surveys, [*logs, *([config] if config else [])])
+    poses = [read_poses_of(path, layouts) for path in logs]
+    session = run(surveys, settings)
+    return deliver(session, out, ["slam", *map(str, logs), *layouts.words()], poses, json=json)
+
+
+def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":
+    """Put the stated drift into the settings: of all logs, or of those of a name."""
+    for text in said:
+        name, _, pair = text.rpartition(":")
+        sd = tuple(numbers("--odometry-sd", pair, 2, SD))
+        if min(sd) < 0:
+            refuse("--odometry-sd", SD, text)
+        if not name:
+            odometry = settings.odometry.model_copy(update={"sd": sd})
+            settings = settings.model_copy(update={"odometry": odometry})
+            continue
+        named = {path.name: sd for path in logs if name in (path.name, path.stem)}
+        if not named:
+            refuse("--odometry-sd", f"the name of a log ({', '.join(path.stem for path in logs)})", name)
+        settings = settings.model_copy(update={"sd_of_logs": settings.sd_of_logs | named})
+    return settings

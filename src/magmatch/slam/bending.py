@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How the errors of dead reckoning turn and shift the points of a path about one of them."""
+
+import numpy as np
+
+from magmatch.geometry import skew
+from magmatch.slam.config import OdometryConfig
+from magmatch.typing import Matrix, Points
+
+
+def bend(positions: Points, about: int, odometry: OdometryConfig, *, upright: bool, planar: bool) -> np.ndarray:
+    """What each error of unit variance does to each point of a path.
+
+    Between neighbouring points the heading and the place take a random step; a wrong scale and a wrong turn rate last
+    along the whole path.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m
+        Points along the path, odometry's frame.
+    about : int
+        The point that stays.
+    odometry : OdometryConfig
+    upright : bool
+        Whether only the heading drifts.
+    planar : bool
+        Whether the height does not.
+
+    Returns
+    -------
+    (n, 6, m) array
+        Turn (rad), then shift (m), of each point for each of m independent errors.
+    """
+    n = len(positions)
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    middles = (positions[1:] + positions[:-1]) / 2
+    i, u = np.arange(n)[:, None], np.arange(n - 1)[None, :]
+    # Which steps lie between the point that stays and another: those before it act the other way round.
+    between = ((u >= about) & (u < i)).astype(float) - ((u < about) & (u >= i)).astype(float)
+    axes = np.eye(3)
+    turning, moving = (axes[2:] if upright else axes), (axes[:2] if planar else axes)
+    arms = skew((positions[:, None] - middles[None]).reshape(-1, 3)).reshape(n, n - 1, 3, 3)
+    columns = []
+    for e in turning:
+        # A turn by e at a step carries all that follows around it.
+        carried = -arms @ e
+        loads = np.concatenate([np.broadcast_to(e, carried.shape), carried], axis=2) * between[:, :, None]
+        columns.append(np.moveaxis(loads * (odometry.rotation_sd * np.sqrt(steps))[None, :, None], 1, 2))
+    for e in moving:
+        loads = np.concatenate([np.zeros(3), e])[None, None] * between[:, :, None]
+        columns.append(np.moveaxis(loads * (odometry.translation_sd * np.sqrt(steps))[None, :, None], 1, 2))
+    columns.append(lasting_errors(positions, about, upright=upright) * [odometry.scale_sd, odometry.turn_rate_sd])
+    return np.concatenate(columns, axis=2)
+
+
+def lasting_errors(positions: Points, about: int, *, upright: bool) -> np.ndarray:
+    """What a unit error of scale (a share) and of turn rate (rad/m, about z) does to each point: (n, 6, 2)."""
+    n = len(positions)
+    found = np.zeros((n, 6, 2))
+    found[:, 3:, 0] = positions - positions[about]
+    if upright:
+        walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+        middles = (positions[1:] + positions[:-1]) / 2
+        steps = np.diff(walked)
+        # The integral of e_z x (p - p_u) over the path between.
+        mass = np.concatenate([[0.0], np.cumsum(steps)])
+        moment = np.concatenate([np.zeros((1, 3)), np.cumsum(middles * steps[:, None], axis=0)])
+        arm = positions * (mass - mass[about])[:, None] - (moment - moment[about])
+        found[:, 2, 1] = walked - walked[about]
+        found[:, 3:, 1] = np.cross([0.0, 0.0, 1.0], arm)
+    return found
+
+
+def turned(loads: np.ndarray, R: Matrix) -> np.ndarray:
+    """Loads with turns and shifts in other axes: ``R v`` for each."""
+    return np.concatenate([R @ loads[:, :3], R @ loads[:, 3:]], axis=1)

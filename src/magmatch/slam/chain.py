@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Neighbouring windows believe each other: forward and backward along a log over where each of its windows lies.
+
+States of a window are its candidate poses and "nowhere among what was searched". A candidate that follows from the
+one before by odometry gains by how much better odometry predicts it than the prior did.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.special import logsumexp
+
+from magmatch.typing import Covariance6, Matrix, Scalars
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Placed:
+    """A window's candidate pose in a frame that its neighbours' candidates share.
+
+    Attributes
+    ----------
+    T : RigidTransform
+        Shared frame from the window's node.
+    covariance : (6, 6) array
+        Of xi in ``T Exp(xi)`` about the node.
+    log_odds : float
+        Over nowhere, prior included.
+    log_prior : float
+        Density of the prior at the pose, per m^3 and rad^3.
+    """
+
+    T: RigidTransform
+    covariance: Covariance6
+    log_odds: float
+    log_prior: float
+
+
+def smooth(
+    windows: list[list[Placed]], log_transitions: list[Matrix], revisit: float, keeps_on: float
+) -> list[Scalars]:
+    """Probability of each candidate of each window; what is missing to one is nowhere.
+
+    Parameters
+    ----------
+    windows : list of list of Placed
+        Candidates, window by window.
+    log_transitions : list of (a, b) array
+        Between neighbouring windows: log density of b's pose as odometry predicts it from a's.
+    revisit, keeps_on : float
+        Share of windows that lie somewhere; and of those, whose next window does too.
+    """
+    leaves = 1 - keeps_on
+    enters = leaves * revisit / (1 - revisit)
+    forward: list[Scalars] = []
+    steps = []
+    for k, states in enumerate(windows):
+        own = np.array([0.0, *(s.log_odds - s.log_prior for s in states)])
+        prior = np.array([s.log_prior for s in states])
+        if k == 0:
+            start = np.concatenate([[np.log(1 - revisit)], np.log(revisit) + prior])
+            forward.append(start + own)
+            continue
+        before = windows[k - 1]
+        M = np.full((len(before) + 1, len(states) + 1), np.log(leaves))
+        M[0, 0] = np.log(max(1 - enters, 1e-9))
+        M[0, 1:] = np.log(enters) + prior
+        if before and states:
+            # Odometry may fail as well: a window may leave one place for another.
+            M[1:, 1:] = np.logaddexp(np.log(keeps_on) + log_transitions[k - 1], np.log(leaves * revisit) + prior)
+        steps.append((M, own))
+        forward.append(logsumexp(forward[-1][:, None] + M, axis=0) + own)
+    found = [np.zeros(0)] * len(windows)
+    backward = np.zeros(len(windows[-1]) + 1) if windows else np.zeros(1)
+    for k in range(len(windows) - 1, -1, -1):
+        log_p = forward[k] + backward
+        found[k] = np.exp(log_p - logsumexp(log_p))[1:]
+        if k:
+            M, own = steps[k - 1]
+            backward = logsumexp(M + (own + backward)[None, :], axis=1)
+    return found

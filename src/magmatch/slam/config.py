@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Settings of slam and merge."""
+
+import numpy as np
+from pydantic import Field
+
+from magmatch.registration.search.pair_search import PairSearchConfig
+from magmatch.registration.weigh.line_evidence import LineConfig
+from magmatch.settings import Settings
+
+# Path over which the odometry's standard deviations are stated, m.
+STATED_OVER = 10.0
+
+
+class OdometryConfig(Settings):
+    """How odometry drifts: a random walk of place and heading, and two errors that last."""
+
+    # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
+    sd: tuple[float, float] = (0.3, 4.0)
+    # Error of the length of each step, as a share; and of the turn rate (deg per 10 m).
+    scale_sd: float = Field(default=0.02, ge=0)
+    turn_sd: float = Field(default=2.0, ge=0)
+
+    @property
+    def translation_sd(self) -> float:
+        """Of a metre walked, m."""
+        return self.sd[0] / float(np.sqrt(STATED_OVER))
+
+    @property
+    def rotation_sd(self) -> float:
+        """Of a metre walked, rad."""
+        return float(np.radians(self.sd[1]) / np.sqrt(STATED_OVER))
+
+    @property
+    def turn_rate_sd(self) -> float:
+        """Lasting error of the turn rate, rad/m."""
+        return float(np.radians(self.turn_sd) / STATED_OVER)
+
+
+class SlamConfig(Settings):
+    """Everything that shapes slam, stage by stage."""
+
+    odometry: OdometryConfig = Field(default_factory=OdometryConfig)
+    # Standard deviations of single logs, by name, where they differ from `odometry.sd`.
+    sd_of_logs: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    # Whether z is up in the odometry's frames, and whether all poses lie at one height too.
+    is_gravity_aligned: bool = True
+    is_planar: bool = False
+    # Length of a window, in field lengths: long against the field's changes, short against the odometry's drift.
+    window_length: float = Field(default=6.0, gt=0)
+    # With what probability a closure must be right to enter the graph, which counts it by that and may vote it out.
+    min_probability: float = Field(default=0.8, gt=0.5, lt=1)
+    # How probable it is that a window passes where another has passed, and that its neighbour then does too.
+    revisit_share: float = Field(default=0.5, gt=0, lt=1)
+    keeps_on: float = Field(default=0.8, gt=0, lt=1)
+    search: PairSearchConfig = Field(default_factory=PairSearchConfig)
+    evidence: LineConfig = Field(default_factory=LineConfig)
+
+    def odometry_of(self, name: str) -> OdometryConfig:
+        """How the odometry of a log drifts."""
+        sd = self.sd_of_logs.get(name)
+        return self.odometry if sd is None else self.odometry.model_copy(update={"sd": sd})

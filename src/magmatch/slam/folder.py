@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What slam and merge leave in a folder: whole or not at all, and never in place of something else."""
+
+import secrets
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from magmatch.data.fingerprint import describe_input
+from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.errors import DataFormatError
+from magmatch.registration.clock import Clock
+from magmatch.slam.g2o import write_graph
+from magmatch.slam.result import SlamResult
+from magmatch.slam.session import Session
+from magmatch.slam.trajectories import corrected_poses
+
+RESULT, GRAPH, REPORT = "result.json", "graph.g2o", "report.html"
+# Writes the report, given what it is of and where it goes.
+WriteReport = Callable[[Session, SlamResult, Path], None]
+
+
+def require_folder(folder: str | Path, surveys: Sequence[Survey], files: Iterable[str | Path] = ()) -> None:
+    """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
+
+    Raises
+    ------
+    DataFormatError
+        It does; says what.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise DataFormatError(folder, "is a file, expected the name of a folder to write to")
+    inside = next((f for f in files if Path(f).resolve().is_relative_to(folder.resolve())), None)
+    if inside is not None:
+        raise DataFormatError(folder, f"holds an input ({inside}), which a result could replace; name another folder")
+    if not any(folder.iterdir()):
+        return
+    advice = "name a new folder, or delete this one"
+    if not (folder / RESULT).is_file():
+        raise DataFormatError(folder, f"is not empty, and holds no earlier result ({RESULT}); {advice}")
+    earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
+    if earlier != {describe_input(s)["sha256"] for s in surveys}:
+        raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
+
+
+def write_folder(
+    session: Session,
+    folder: str | Path,
+    report: WriteReport | None = None,
+    poses: Sequence[Trajectory | None] | None = None,
+) -> SlamResult:
+    """Write trajectories, surveys, maps, graph and result.
+
+    They are written beside the folder and moved there once whole, the result last: whoever finds it finds the rest.
+
+    Parameters
+    ----------
+    session : Session
+    folder : path
+        New, or an earlier result of the same logs, which is replaced.
+    report : callable, optional
+        Writes the report.
+    poses : sequence of Trajectory or None, optional
+        Each log's own poses, where they have other times than its samples.
+
+    Returns
+    -------
+    SlamResult
+        As written.
+
+    Raises
+    ------
+    DataFormatError
+        The folder holds something else.
+    """
+    folder = Path(folder)
+    require_folder(folder, session.given)
+    if not folder.resolve().parent.is_dir():
+        raise DataFormatError(folder, f"the folder {folder.resolve().parent} does not exist; create it first")
+    beside = folder.resolve().with_name(f".{folder.resolve().name[:50]}.tmp-{secrets.token_hex(4)}")
+    beside.mkdir()
+    try:
+        result = _write(session, beside, report, poses or [None] * len(session.given))
+        _move(beside, folder)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return result
+
+
+def _write(
+    session: Session, folder: Path, report: WriteReport | None, poses: Sequence[Trajectory | None]
+) -> SlamResult:
+    clock = Clock()
+    for name, survey, path, own in zip(session.names, session.trajectories, session.paths, poses, strict=True):
+        survey.save(folder / f"{name}.csv")
+        if (there := corrected_poses(path, session.graph, own)) is not None:
+            there.save(folder / f"{name}.tum")
+    with clock("maps"):
+        for k in range(len(session.components)):
+            session.map(k).save(folder / ("map.map" if k == 0 else f"map_{k + 1}.map"))
+    write_graph(session.graph, folder / GRAPH)
+    seconds = session.seconds
+    result = session.result()
+    if report is not None:
+        report(session, result, folder / REPORT)
+    total = seconds.get("total", 0.0) + clock.seconds()["total"]
+    session.seconds = {**seconds, **clock.seconds(), "total": total}
+    result = session.result()
+    result.save(folder / RESULT)
+    return result
+
+
+def _move(beside: Path, folder: Path) -> None:
+    """Take the place of the folder: in one step where it is new, file by file where it holds an earlier result."""
+    if not folder.exists() or not any(folder.iterdir()):
+        beside.replace(folder.resolve())
+        return
+    earlier = SlamResult.load(folder / RESULT)
+    stale = {f"{log.name}{ending}" for log in earlier.logs for ending in (".csv", ".tum")}
+    stale |= {f"map_{log.component + 1}.map" for log in earlier.logs}
+    new = {path.name for path in beside.iterdir()}
+    for name in sorted(stale - new):
+        (folder / name).unlink(missing_ok=True)
+    for name in sorted(new - {RESULT}):
+        (beside / name).replace(folder / name)
+    (beside / RESULT).replace(folder / RESULT)

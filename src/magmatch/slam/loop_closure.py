@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where a window passes what was walked before: registration's search and evidence, with the graph as prior."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.field.values import gradient_of
+from magmatch.geometry import rotation_matrix, skew
+from magmatch.registration.decide.posterior import effective_evidence, is_same_answer
+from magmatch.registration.prepared.path_noise import Stretch
+from magmatch.registration.prepared.pose_prior import UP, PosePrior
+from magmatch.registration.search.pair_search import pair_search
+from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
+from magmatch.slam.bases import Base
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.pose_graph import LEVEL_SD, UPRIGHT_SD
+from magmatch.slam.windows import Window
+from magmatch.typing import Covariance6, Matrix, Vector3
+
+# Poses nearer than this are one answer: in field lengths, and rad.
+SAME_SHIFT, SAME_TURN = 0.3, 0.1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rough:
+    """Where the graph expects a window.
+
+    Attributes
+    ----------
+    T_base_log : RigidTransform
+    covariance : (6, 6) array
+        Of xi in ``T Exp(xi)`` about the window's node, log's axes.
+    """
+
+    T_base_log: RigidTransform
+    covariance: Covariance6
+
+
+# From nowhere it is the volume of all that is searched, m^3.
+Expected = Rough | float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Match:
+    """A pose of a window in a base.
+
+    Attributes
+    ----------
+    T_base_log : RigidTransform
+        Frame of the base's samples from that of the window's log.
+    covariance : (6, 6) array
+        Of xi in ``T Exp(xi)`` about the window's node, log's axes.
+    evidence : float, nats
+        Over an unrelated field, prior included, of as many samples as are independent.
+    log_prior : float
+        Density of the prior at the pose, per m^3 and rad^3.
+    """
+
+    T_base_log: RigidTransform
+    covariance: Covariance6
+    evidence: float
+    log_prior: float
+
+
+def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) -> list[Match]:
+    """Poses of a window in a base, most likely first."""
+    index, walk = base.index, window.walk
+    prior = _prior(window, base, config, expected)
+    found = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
+    starts = [c.T_base_target for c in found.candidates]
+    weighed = weigh_walk(index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending)
+    to_node = _about(window.center - walk.T_survey_walk.apply(walk.positions.mean(axis=0)))
+    M = to_node @ np.kron(np.eye(2), rotation_matrix(walk.T_survey_walk))
+    # Poses that the data cannot tell apart are one answer.
+    same = SAME_SHIFT * index.length, SAME_TURN
+    kept: list[LineEvidence] = []
+    for e in weighed:
+        if np.isfinite(e.log_evidence) and not any(is_same_answer(e, other, same) for other in kept):
+            kept.append(e)
+    return [
+        Match(
+            index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv(),
+            M @ e.covariance @ M.T,
+            effective_evidence(e.log_evidence, e.misfit),
+            prior.log_density(e.T_base_target, e.center),
+        )
+        for e in kept
+    ]
+
+
+def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:
+    """What a window shows where a base knows the field: the material that its noise is learned from."""
+    prepared, walk = base.index.base, window.walk
+    T = prepared.T_map_model.inv() * T_base_log * walk.T_survey_walk
+    points = T.apply(walk.positions)
+    values = prepared.posterior.evaluate(points, order=1).rotated(T.inv())
+    _, sd, _, is_known = prepared.raster.lookup(points)
+    rows = np.flatnonzero(is_known)
+    G = gradient_of(values)[rows]
+    return Stretch(walk.positions[rows], (walk.field - values.field)[rows], sd[rows], G, walk.field[rows])
+
+
+def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -> PosePrior:
+    """What is known beforehand, between model frames."""
+    T_base, T_walk = base.index.base.T_map_model, window.walk.T_survey_walk
+    rough = C = None
+    if isinstance(expected, Rough):
+        rough = T_base.inv() * expected.T_base_log * T_walk
+        M = np.kron(np.eye(2), rotation_matrix(T_walk).T)
+        M = M @ _about(T_walk.apply(window.walk.positions.mean(axis=0)) - window.center)
+        C = M @ (expected.covariance + np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))) @ M.T
+    upright, planar = config.is_gravity_aligned, config.is_planar
+    return PosePrior(
+        volume=expected if isinstance(expected, float) else base.index.base.raster.volume,
+        T_base_target=rough,
+        covariance=C,
+        up_base=T_base.rotation.inv().apply(UP) if upright else None,
+        up_target=T_walk.rotation.inv().apply(UP) if upright else None,
+        gravity_sd=UPRIGHT_SD,
+        height=float(T_walk.translation[2] - T_base.translation[2]) if planar else None,
+        height_sd=LEVEL_SD,
+    )
+
+
+def _about(arm: Vector3) -> Matrix:
+    """Takes xi about one point to xi about another that lies ``arm`` from it."""
+    M = np.eye(6)
+    M[3:, :3] = -skew(arm[None])[0]
+    return M

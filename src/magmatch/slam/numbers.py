@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers of the field that all stretches share, from short parts of the logs: long ones are bent by drift."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
+from magmatch.field.fit import fit_posterior
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.prior_choice.numbers import likely_numbers
+from magmatch.field.priors import PRIORS
+from magmatch.geometry import path_walked
+from magmatch.registration.prepared.path_noise import ATTITUDE_SD, PathNoise
+from magmatch.registration.prepared.prepared_map import correlation_length_of
+
+# Parts looked at, their length in lengthscales and most samples of each.
+N_PARTS = 8
+PART_LENGTH = 25.0
+MOST_SAMPLES = 400
+
+
+def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
+    """Median numbers of short parts, and their median correlation length (m)."""
+    found, lengths = [], []
+    n_parts = max(N_PARTS // len(surveys), 2)
+    for survey in surveys:
+        walked = path_walked(survey.positions)
+        for middle in (np.arange(n_parts) + 0.5) / n_parts:
+            part = walked[-1] / N_PARTS
+            numbers, length = _numbers_of(_part(survey, walked, middle, part))
+            while part > PART_LENGTH * numbers.lengthscale:
+                part = PART_LENGTH * numbers.lengthscale
+                numbers, length = _numbers_of(_part(survey, walked, middle, part))
+            found.append(numbers)
+            lengths.append(length)
+    names = [f.name for f in fields(Hyperparameters)]
+    medians = {name: float(np.median([getattr(h, name) for h in found])) for name in names}
+    return replace(found[0], **medians), float(np.median(lengths))
+
+
+def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:
+    """What does not repeat from walk to walk, before any two were compared."""
+    return PathNoise(
+        misfit_sd=0.25 * numbers.signal_sd,
+        misfit_length=length,
+        nugget_sd=0.25 * numbers.noise_sd,
+        constant_sd=0.1 * numbers.signal_sd,
+        map_factor=1.0,
+        map_length=length,
+        attitude_sd=ATTITUDE_SD,
+        drift_sd=0.02 * length,
+        drift_length=4 * length,
+    )
+
+
+def _part(survey: Survey, walked: np.ndarray, middle: float, length: float) -> Survey:
+    center = np.clip(middle * walked[-1], length / 2, walked[-1] - length / 2)
+    steps = np.linspace(center - length / 2, center + length / 2, MOST_SAMPLES)
+    return survey.subset(np.unique(np.searchsorted(walked, steps).clip(0, len(survey) - 1)))
+
+
+def _numbers_of(part: Survey) -> tuple[Hyperparameters, float]:
+    samples = part.transformed(part.principal_frame().inv())
+    numbers = likely_numbers(PRIORS["spline"], samples, FieldConfig())
+    posterior = fit_posterior(samples, numbers, FieldConfig())
+    return numbers, correlation_length_of(posterior.evaluate(samples.positions, order=1))

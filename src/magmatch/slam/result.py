@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What slam and merge found, how sure they are, and what was rejected: one typed document."""
+
+from dataclasses import dataclass, field, fields
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
+
+from magmatch.arguments import expect_path
+from magmatch.data.document import plain, read_document, write_document
+from magmatch.errors import DataFormatError, first_fault
+from magmatch.registration.result import Count, Covariance, Fraction, Number, NumberOrNull, Three, Transform
+
+SCHEMA = "magmatch.slam/1"
+MAX_BYTES = 256 * 1024**2
+Length = Annotated[Number, Field(ge=0)]
+
+
+class SlamStatus(StrEnum):
+    """Whether the logs share a frame now."""
+
+    CONNECTED = "connected"  # every log is in one frame; a single log was corrected
+    PARTLY_CONNECTED = "partly_connected"  # closures were found, but not all logs hang together
+    UNCHANGED = "unchanged"  # nothing was passed twice
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LogResult:
+    """What became of one log.
+
+    Attributes
+    ----------
+    name : str
+        Stem of its file, made unique; its outputs are named so.
+    component : int
+        Which frame it is in; 0 holds the longest path.
+    T_map_log : RigidTransform or None
+        Corrected first pose times the inverse of the odometry's first; None where nothing ties it to any other log.
+    length : float, m
+        Path walked.
+    n_closures : int
+        Closures that the graph believes, with itself or others.
+    moved : float, m
+        Root mean square of how far samples were moved against the odometry, its first pose held.
+    sd : (2,) floats, m and rad
+        Standard deviation of its last node against the first of its component: place, and turn.
+    """
+
+    name: str
+    component: Count
+    T_map_log: Transform | None
+    length: Length
+    n_closures: Count
+    moved: Length
+    sd: Annotated[tuple[Length, Length], Field()]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ClosureResult:
+    """Two places of logs that the field says are near each other.
+
+    Attributes
+    ----------
+    log_a, log_b : str
+        Names of the logs.
+    t_a, t_b : float or None, s
+        On the logs' own clocks; None where a log has no times, or is rigid.
+    walked_a, walked_b : float, m
+        Path up to there.
+    T_a_b : RigidTransform
+        Pose of b's body at ``t_b`` in the axes of a's body at ``t_a``; of logs without orientations in the
+        odometry's axes there. Of rigid surveys: takes b's coordinates to a's.
+    covariance : (6, 6) array
+        Of xi in ``T_true = T_a_b Exp(xi)``, rotation first (rad, m).
+    probability : float
+        That it is right, before the graph was asked.
+    weight : float
+        How probable the graph leaves it; 0 where the graph rejected it.
+    """
+
+    log_a: str
+    t_a: Number | None
+    log_b: str
+    t_b: Number | None
+    T_a_b: Transform
+    covariance: Covariance
+    probability: Fraction
+    weight: Fraction
+    walked_a: Length = 0.0
+    walked_b: Length = 0.0
+
+
+class LogOdometry(TypedDict):
+    """Lasting errors of one log, as estimated."""
+
+    scale: Number  # a share, of the length of each step
+    turn_rate: Number  # rad/m
+    bias: Three[Number]  # T, of the magnetometer in its own axes
+    bias_sd: Three[NumberOrNull]
+
+
+class Odometry(TypedDict, total=False):
+    """How odometry was taken to drift, and its lasting errors by log."""
+
+    sd: tuple[Number, Number]  # m and degrees, of a walk of 10 m
+    logs: dict[str, LogOdometry]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SlamResult:
+    """The answer of `slam` or `merge`; fields stand in the order of the file.
+
+    Attributes
+    ----------
+    status, reason
+        Whether all logs share a frame, and in words what ties them or what to do.
+    logs : tuple of LogResult
+        In the order given.
+    closures : tuple of ClosureResult
+        Those that the graph rejected too.
+    odometry : dict
+        Noise and biases; empty for rigid surveys.
+    seconds : dict
+        Per stage and total.
+    config, version, seed, inputs
+        Enough to run it again and get the same numbers.
+    """
+
+    status: SlamStatus
+    reason: str
+    logs: tuple[LogResult, ...]
+    closures: tuple[ClosureResult, ...] = ()
+    odometry: Odometry = field(default_factory=Odometry)
+    seconds: dict[str, NumberOrNull] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    version: str = ""
+    seed: Count = 0
+    inputs: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether every log is in one frame, or the only one corrected."""
+        return self.status is SlamStatus.CONNECTED
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the result says, in lists, numbers and words, keys and order as in the file."""
+        return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name), f.name) for f in fields(self)}
+
+    def save(self, path: str | Path) -> None:
+        """Write the result as JSON, whole or not at all."""
+        write_document(path, self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> "SlamResult":
+        """Read a result; saving it again gives the same bytes.
+
+        Raises
+        ------
+        DataFormatError
+            Not such a file, or one of its values cannot be; names the key.
+        """
+        expect_path(path)
+        document = read_document(path, SCHEMA, "result of slam or merge", MAX_BYTES)
+        try:
+            return _adapter().validate_python(document)
+        except ValidationError as error:
+            place, words = first_fault(error)
+            raise DataFormatError(path, f"key '{place}': {words}") from None
+
+
+@cache
+def _adapter() -> TypeAdapter[SlamResult]:
+    """Built when the first file is read."""
+    return TypeAdapter(SlamResult)

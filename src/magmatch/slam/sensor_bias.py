@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hard iron that turns with its carrier, from a log whose poses drift.
+
+Along the path the field is one constant, a smooth field of its own in each part, and the bias turned by the
+orientation: generalised least squares over all parts. What headings do not tell apart from the constant, such as the
+vertical of a carrier that stays upright, is left to the constant.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.distance import cdist
+
+from magmatch.data.survey import Survey
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.geometry import path_walked
+from magmatch.registration.prepared.walk import bin_along_path
+from magmatch.typing import Vector3
+
+# Of a phone or a robot that was not calibrated, T; weak against a hundred metres of path.
+BIAS_SD = 10e-6
+# Bins a lengthscale, and lengthscales a part.
+BINS, PART_LENGTH = 4, 25.0
+
+
+def sensor_bias(survey: Survey, numbers: Hyperparameters) -> tuple[Vector3, Vector3]:
+    """Bias of the magnetometer in its own axes, and its sd, T; zero where orientations are missing."""
+    if survey.orientations is None:
+        return np.zeros(3), np.zeros(3)
+    rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)
+    counts = np.bincount(rows)
+    R = survey.orientations.as_matrix().reshape(-1, 9)
+    x, b, R = (
+        np.stack([np.bincount(rows, c) for c in v.T], axis=1) / counts[:, None]
+        for v in (survey.positions, survey.field, R)
+    )
+    A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
+    parts = (path_walked(x) / (PART_LENGTH * numbers.lengthscale)).astype(np.int64)
+    for part in np.unique(parts):
+        some = np.flatnonzero(parts == part)
+        d = np.sqrt(5) * cdist(x[some], x[some]) / numbers.lengthscale
+        C = numbers.signal_sd**2 * (1 + d + d * d / 3) * np.exp(-d) + numbers.noise_sd**2 * np.eye(len(some))
+        factor = cho_factor(C, lower=True)
+        for axis in range(3):
+            J = np.concatenate([R[some].reshape(-1, 3, 3)[:, axis], np.tile(np.eye(3)[axis], (len(some), 1))], axis=1)
+            A = A + J.T @ cho_solve(factor, J)
+            v = v + J.T @ cho_solve(factor, b[some, axis])
+    C = np.linalg.pinv(A, hermitian=True)
+    return (C @ v)[:3], np.sqrt(np.diag(C)[:3])
+
+
+def without_bias(survey: Survey, bias: Vector3) -> Survey:
+    """The survey as a magnetometer without the bias had seen it."""
+    if survey.orientations is None:
+        return survey
+    return replace(survey, field=survey.field - survey.orientations.apply(bias))

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the graph knows, in the terms of the result: closures of bodies, estimated odometry, and words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.geometry import rotation_matrix, skew
+from magmatch.slam.pose_graph import Closure, PoseGraph
+from magmatch.slam.result import ClosureResult, LogOdometry, Odometry, SlamStatus
+from magmatch.slam.windows import Path
+from magmatch.typing import Covariance6, Matrix, Vector3
+
+
+def is_kept(closure: Closure) -> bool:
+    """Whether the graph believes a closure: what it also takes to tie two logs."""
+    return closure.weight > 0.5
+
+
+def state_closure(
+    closure: Closure, graph: PoseGraph, paths: Sequence[Path], names: Sequence[str], *, is_rigid: bool
+) -> ClosureResult:
+    """A closure between nodes as one between bodies; between rigid surveys, as one between their frames."""
+    sides = [(int(graph.log[node]), node) for node in (closure.first, closure.second)]
+    (T_a, t_a, walked_a), (T_b, t_b, walked_b) = (_body(paths[log], node, is_rigid=is_rigid) for log, node in sides)
+    M = adjoint(T_b.inv())
+    return ClosureResult(
+        names[sides[0][0]],
+        t_a,
+        names[sides[1][0]],
+        t_b,
+        T_a.inv() * closure.T_first_second * T_b,
+        M @ closure.covariance @ M.T,
+        float(1 / (1 + np.exp(-closure.log_odds))),
+        float(closure.weight) if is_kept(closure) else 0.0,
+        walked_a,
+        walked_b,
+    )
+
+
+def _body(path: Path, node: int, *, is_rigid: bool) -> tuple[RigidTransform, float | None, float]:
+    """Body in the axes of a node, when it was there, and how far it had walked; of a rigid survey, its frame."""
+    window = node - path.first_node
+    if is_rigid:
+        return path.windows[window].T_log_node.inv(), None, 0.0
+    at, survey = int(path.middles[window]), path.survey
+    R = None if survey.orientations is None else survey.orientations[at]
+    T = RigidTransform.identity() if R is None else RigidTransform.from_rotation(R)
+    return T, None if survey.times is None else float(survey.times[at]), float(path.walked[at])
+
+
+def adjoint(T: RigidTransform) -> Matrix:
+    """Takes xi of one frame to that of another, rotation first: ``T Exp(xi) T^-1 = Exp(Ad xi)``."""
+    R, M = rotation_matrix(T), np.zeros((6, 6))
+    M[:3, :3] = M[3:, 3:] = R
+    M[3:, :3] = skew(np.asarray(T.translation)[None])[0] @ R
+    return M
+
+
+def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
+    """A covariance of xi about a frame's origin as one about a point of the frame, same axes."""
+    M = adjoint(RigidTransform.from_translation(-point))
+    return np.asarray(M @ covariance @ M.T)
+
+
+def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], names: Sequence[str]) -> Odometry:
+    """How odometry was taken to drift, and each log's lasting errors."""
+    logs = zip(names, graph.lasting.tolist(), biases, strict=True)
+    return Odometry(
+        sd=graph.config.odometry.sd,
+        logs={
+            name: LogOdometry(scale=scale, turn_rate=rate, bias=bias.tolist(), bias_sd=sd.tolist())
+            for name, (scale, rate), (bias, sd) in logs
+        },
+    )
+
+
+def explain(status: SlamStatus, groups: Sequence[Sequence[str]], n_kept: int, n_rejected: int) -> str:
+    """In words: what ties the logs, or what would."""
+    n = sum(map(len, groups))
+    ties = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
+    if status is SlamStatus.UNCHANGED:
+        what = "no place was passed twice, as far as the field tells" if n == 1 else "nothing ties the logs"
+        return f"{what} ({ties}); pass some stretches twice, a few field lengths each"
+    if status is SlamStatus.CONNECTED:
+        return f"{ties}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}"
+    alone = [group[0] for group in groups if len(group) == 1]
+    words = f"{ties}; {_count(n, 'log')} in {len(groups)} frames of their own"
+    return words + (f"; tied to no other: {', '.join(alone[:5])}{', ...' if len(alone) > 5 else ''}" if alone else "")
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}{'' if n == 1 else 's'}"

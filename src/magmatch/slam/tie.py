@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Closures of one log: candidates of each of its windows, weighed together along the path; the sure ones are tied."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.slam.bases import Base
+from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.loop_closure import Expected, Match, Rough, matches
+from magmatch.slam.pose_graph import Closure, PoseGraph
+from magmatch.slam.windows import Path, Window
+from magmatch.typing import Indices, Matrix
+
+# Nodes so near along one log are not compared: their windows share a base.
+APART = 3
+# Standard deviations within which the graph's expectation is searched.
+REACH = 3.0
+# Candidates of a window that take part.
+MOST_CANDIDATES = 12
+# The base about a node.
+Stretch = Callable[[int], Base]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Candidate:
+    """A node at which a window may lie, and how."""
+
+    node: int
+    T_node_window: RigidTransform
+    match: Match
+
+
+def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: Stretch) -> list[Candidate]:
+    """Where a window may lie on stretches about other nodes, as the graph expects it."""
+    b = window.node
+    firsts = firsts[(graph.log[firsts] != window.log) | (firsts <= b - APART)]
+    if not len(firsts):
+        return []
+    half, found = window.config.window_length * window.length / 2, []
+    for a, C in zip(firsts, graph.relative_covariances(firsts, b), strict=True):
+        T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
+        sd = float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1]))
+        # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
+        if np.linalg.norm(T_a_b.translation) > half + window.length + REACH * sd:
+            continue
+        rough = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
+        found += [c for c in _candidates(window, stretch(int(a)), rough, graph.center) if c.node == a]
+    return found
+
+
+def far_candidates(window: Window, bases: Iterable[Base], graph: PoseGraph) -> list[Candidate]:
+    """Where a window may lie on whole logs, from nowhere; bases in their components' frames."""
+    bases = list(bases)
+    volume = sum(base.volume for base in bases)
+    return [c for base in bases for c in _candidates(window, base, float(volume), graph.pose)]
+
+
+def _candidates(
+    window: Window,
+    base: Base,
+    expected: Expected,
+    T_base_node: Callable[[int], RigidTransform],
+    only: int | None = None,
+) -> list[Candidate]:
+    found = []
+    for match in matches(window, base, window.config, expected):
+        node = base.node_near(match.T_base_log.apply(window.center))
+        # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
+        if only is None or node == only:
+            found.append(Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match))
+    return found
+
+
+def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph) -> list[Closure]:
+    """Closures that are sure, of a log's windows in their order."""
+    config = graph.config
+    candidates = [sorted(c, key=lambda k: -k.match.evidence)[:MOST_CANDIDATES] for c in candidates]
+    placed = [
+        [
+            Placed(graph.pose(c.node) * c.T_node_window, c.match.covariance, c.match.evidence, c.match.log_prior)
+            for c in found
+        ]
+        for found in candidates
+    ]
+    steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
+    shares = smooth(placed, steps, config.revisit_share, config.keeps_on)
+    closures = []
+    for window, found, p in zip(path.windows, candidates, shares, strict=True):
+        best = float(p.max(initial=0.0))
+        if best >= config.min_probability:
+            c = found[int(np.argmax(p))]
+            odds = float(np.log(best / max(1 - best, 1e-12)))
+            closures.append(
+                Closure(c.node, window.node, c.T_node_window, c.match.covariance, odds, evidence=c.match.evidence)
+            )
+    return closures
+
+
+def _log_transition(
+    node: int, candidates: list[list[Candidate]], placed: list[list[Placed]], k: int, graph: PoseGraph
+) -> Matrix:
+    """Log density of the next window's candidates as odometry predicts them from this one's."""
+    step, Q = graph.odometry(node)
+    M = np.zeros((len(placed[k]), len(placed[k + 1])))
+    for i, one in enumerate(placed[k]):
+        for j, other in enumerate(placed[k + 1]):
+            xi = (one.T * step).inv() * other.T
+            r = np.concatenate([xi.rotation.as_rotvec(), xi.translation])
+            # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
+            apart = abs(candidates[k][i].node - candidates[k + 1][j].node)
+            S = Q * (1 + min(apart, APART)) + one.covariance + other.covariance
+            M[i, j] = -0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(2 * np.pi * S)[1])
+    return M

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""From nodes to samples: between nodes the correction changes evenly along the path."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.slam.pose_graph import PoseGraph
+from magmatch.slam.windows import Path
+from magmatch.typing import Points, Scalars
+
+
+def corrected(path: Path, graph: PoseGraph) -> Survey:
+    """A log's samples in the frame of its component: positions, field and orientations."""
+    survey = path.survey
+    positions, turned = _moved(path, graph, path.walked, survey.positions)
+    return replace(
+        survey,
+        positions=positions,
+        field=turned.apply(survey.field),
+        orientations=None if survey.orientations is None else turned * survey.orientations,
+    )
+
+
+def corrected_poses(path: Path, graph: PoseGraph, poses: Trajectory | None = None) -> Trajectory | None:
+    """A log's poses there: at their own times where given, else those of its samples; None where it has none."""
+    survey = path.survey
+    if survey.times is None:
+        return None
+    if poses is None:
+        if survey.orientations is None or len(survey) < 2:
+            return None
+        poses = Trajectory(survey.times, survey.positions, survey.orientations)
+    walked = np.interp(poses.times, survey.times, path.walked)
+    positions, turned = _moved(path, graph, walked, poses.positions)
+    return Trajectory(poses.times, positions, turned * poses.orientations)
+
+
+def _moved(path: Path, graph: PoseGraph, walked: Scalars, x: Points) -> tuple[Points, Rotation]:
+    """Points of the odometry's frame and how its axes turn, after so much of the path."""
+    R, p, c = graph.R[path.nodes], graph.p[path.nodes], path.centers
+    at = path.walked[path.middles]
+    one = np.clip(np.searchsorted(at, walked, side="right") - 1, 0, max(len(at) - 2, 0))
+    other = np.minimum(one + 1, len(at) - 1)
+    share = np.clip((walked - at[one]) / np.maximum(at[other] - at[one], 1e-9), 0.0, 1.0)
+    a, b = (p[k] + np.einsum("nij,nj->ni", R[k], x - c[k]) for k in (one, other))
+    between = Rotation.from_matrix(R[one]).inv() * Rotation.from_matrix(R[other])
+    turned = Rotation.from_matrix(R[one]) * Rotation.from_rotvec(between.as_rotvec() * share[:, None])
+    return a + share[:, None] * (b - a), turned

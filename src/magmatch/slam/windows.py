@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A log cut into windows: stretches of path over which odometry is nearly rigid, each a node of the graph."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.geometry import path_walked, rotation_matrix
+from magmatch.registration.prepared.walk import BIN_LENGTH, Walk, bin_along_path, walk_of
+from magmatch.slam.bending import bend, turned
+from magmatch.slam.config import SlamConfig
+from magmatch.typing import Indices, Points, Scalars, Vector3
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A stretch of a log's path.
+
+    Attributes
+    ----------
+    log, node : int
+        Which log, and which node of the graph.
+    survey : Survey
+        Its samples, odometry's frame.
+    center : (3,) array, m
+        Place of the middle sample, the node's origin; the node's axes are the odometry's.
+    length : float, m
+        Field length.
+    """
+
+    log: int
+    node: int
+    survey: Survey
+    center: Vector3
+    length: float
+    config: SlamConfig
+
+    @property
+    def T_log_node(self) -> RigidTransform:
+        """Odometry's frame from the node's."""
+        return RigidTransform.from_translation(self.center)
+
+    @cached_property
+    def walk(self) -> Walk:
+        """In bins along the path."""
+        return walk_of(self.survey, self.length)
+
+    @cached_property
+    def bending(self) -> np.ndarray:
+        """How odometry bends it and what it is compared with, which was walked as well: see `bend`; walk's axes."""
+        T, c = self.walk.T_survey_walk, self.config
+        positions = T.apply(self.walk.positions)
+        about = int(np.argmin(np.linalg.norm(positions - self.center, axis=1)))
+        odometry, upright = c.odometry_of(self.survey.name), c.is_gravity_aligned
+        loads = bend(positions, about, odometry, upright=upright, planar=c.is_planar)
+        bent: np.ndarray = np.sqrt(2.0) * turned(loads, rotation_matrix(T).T)
+        return bent
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Path:
+    """A log cut into windows.
+
+    Attributes
+    ----------
+    survey : Survey
+        Without its sensor's bias, odometry's frame.
+    walked : (n,) array, m
+        Path walked up to each sample.
+    number : (n,) int array
+        Window that each sample lies in.
+    windows : tuple of Window
+    middles : (k,) int array
+        Sample at which each window's node lies.
+    first_node : int
+        Node of the first window; the others follow.
+    """
+
+    survey: Survey
+    walked: Scalars
+    number: Indices
+    windows: tuple[Window, ...]
+    middles: Indices
+    first_node: int
+
+    @property
+    def nodes(self) -> Indices:
+        """Of its windows."""
+        return self.first_node + np.arange(len(self.windows))
+
+    @property
+    def centers(self) -> Points:
+        """Origins of the nodes, odometry's frame."""
+        return np.stack([w.center for w in self.windows])
+
+
+def cut(surveys: Sequence[Survey], length: float, config: SlamConfig) -> list[Path]:
+    """Cut logs into windows of equal path.
+
+    Parameters
+    ----------
+    surveys : sequence of Survey
+    length : float, m
+        Over which the field changes.
+    config : SlamConfig
+    """
+    paths: list[Path] = []
+    first = 0
+    for log, survey in enumerate(surveys):
+        walked = _walked(survey, BIN_LENGTH * length)
+        n = max(int(walked[-1] / (config.window_length * length)), 1)
+        number = np.minimum((walked / max(walked[-1], 1e-9) * n).astype(np.int64), n - 1)
+        # Where odometry jumps, whole windows hold no sample: they are none.
+        number = np.unique(number, return_inverse=True)[1]
+        n = int(number[-1]) + 1
+        ends = np.searchsorted(number, np.arange(n + 1))
+        half = [(walked[a] + walked[b - 1]) / 2 for a, b in pairwise(ends)]
+        middles = np.clip(np.searchsorted(walked, half), ends[:-1], ends[1:] - 1)
+        windows = tuple(
+            Window(log, first + k, survey.subset(number == k), survey.positions[middle], length, config)
+            for k, middle in enumerate(middles)
+        )
+        paths.append(Path(survey, walked, number, windows, middles, first))
+        first += n
+    return paths
+
+
+def _walked(survey: Survey, side: float) -> Scalars:
+    """Path walked up to each sample; jitter within a bin of some side adds nothing."""
+    rows = bin_along_path(np.ascontiguousarray(survey.positions), side)
+    counts = np.bincount(rows)
+    means = np.stack([np.bincount(rows, c) for c in survey.positions.T], axis=1) / counts[:, None]
+    middles = np.cumsum(counts) - (counts + 1) / 2
+    return np.maximum.accumulate(np.interp(np.arange(len(survey)), middles, path_walked(means)))

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of a session: paths before and after, closures over the map, and where the graph is weak."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magmatch.geometry import transform_points
+from magmatch.slam.session import Session
+from magmatch.slam.statement import is_kept
+from magmatch.typing import Points
+from magmatch.viz.figures.plotting import (
+    BASE_COLOR,
+    FIELD_SCALE,
+    INK,
+    LINK_COLOR,
+    TARGET_COLOR,
+    colorbar,
+    described,
+    for_display,
+    label,
+    magnitude_ut,
+    new_plane,
+    require_plotly,
+    thinned,
+)
+from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, magnitude_slice
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+# Nodes along a log whose standard deviation is drawn.
+MAX_NODES = 60
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+
+
+def session_figures(session: Session, component: int) -> "list[Figure]":
+    """Paths of a component coloured by the field before, and over its map with closures after."""
+    logs = session.components[component]
+    after = [session.trajectories[k].positions for k in logs]
+    before = [transform_points(session.given[k].positions, session.T_map_log(k)) for k in logs]
+    field_map = session.map(component)
+    cut = cut_through(np.concatenate(after))
+    limits = common_limits(magnitude_ut(field_map.survey.field))
+    marks = [_line(cut, p, session.names[k], INK, n) for n, (k, p) in enumerate(zip(logs, after, strict=True))]
+    marks += _closures(session, cut, set(logs))
+    mapped = magnitude_slice(
+        "After: |B| of the map",
+        cut,
+        *field_on(cut, field_map),
+        limits,
+        marks,
+        "; lines: corrected paths, closures (dashed: rejected)",
+    )
+    return [_before(session, cut, logs, before, limits), mapped]
+
+
+def weakness_figure(session: Session) -> "Figure":
+    """Standard deviation of the place along each log, against the first node of its frame."""
+    traces, worst = [], 0.0
+    go = require_plotly()
+    for k, path in enumerate(session.paths):
+        nodes = path.nodes[thinned(len(path.windows), MAX_NODES)]
+        sd = np.array([place for place, _ in session.standard_deviations(nodes)])
+        walked = path.walked[path.middles[nodes - path.first_node]]
+        worst = max(worst, float(sd.max()))
+        line = {"color": (BASE_COLOR, TARGET_COLOR)[k % 2], "width": 2, "dash": DASHES[k // 2 % len(DASHES)]}
+        traces.append(
+            go.Scatter(
+                x=for_display(walked), y=for_display(sd), mode="lines+markers", line=line, marker={"size": 5},
+                name=label(session.names[k]),
+            )
+        )  # fmt: skip
+    figure = new_plane(
+        "Where the graph is weak<br><sub>standard deviation of the place against the frame's first node</sub>",
+        traces, "path walked (m)", "m", is_equal=False,
+    )  # fmt: skip
+    figure.update_yaxes(rangemode="tozero")
+    return described(figure, f"Standard deviation of the place along each log, at most {worst:.2f} m.")
+
+
+def _before(
+    session: Session, cut: Cut, logs: list[int], before: list[Points], limits: tuple[float, float]
+) -> "Figure":
+    go, (a, b, _) = require_plotly(), cut.axes
+    traces = []
+    for k, p in zip(logs, before, strict=True):
+        rows = thinned(len(p))
+        x, y = for_display(p[rows][:, [a, b]]).T
+        marker = {
+            "size": 4,
+            "color": for_display(magnitude_ut(session.given[k].field[rows])),
+            "colorscale": FIELD_SCALE,
+            "cmin": limits[0],
+            "cmax": limits[1],
+            "showscale": k == logs[0],
+            "colorbar": colorbar("uT"),
+        }
+        traces.append(go.Scatter(x=x, y=y, mode="markers", marker=marker, name=label(session.names[k])))
+    as_given = "as surveyed" if session.is_rigid else "as odometry has them"
+    figure = new_plane(
+        f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces,
+        f"{'xyz'[a]} (m)", f"{'xyz'[b]} (m)",
+    )  # fmt: skip
+    figure.update_layout(showlegend=False)
+    return described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
+
+
+def _line(cut: Cut, p: Points, name: str, color: str, n: int) -> Any:
+    x, y = for_display(p[thinned(len(p))][:, list(cut.axes[:2])]).T
+    style = {"color": color, "width": 1.2, "dash": DASHES[n % len(DASHES)]}
+    return require_plotly().Scatter(x=x, y=y, mode="lines", line=style, name=label(name), hoverinfo="name")
+
+
+def _closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
+    """Lines between the nodes that closures tie."""
+    go, graph, found = require_plotly(), session.graph, []
+    for kept, color, dash in ((True, TARGET_COLOR, "solid"), (False, LINK_COLOR, "dash")):
+        pairs = [
+            (c.first, c.second) for c in graph.closures if is_kept(c) == kept and int(graph.log[c.second]) in logs
+        ]
+        if not pairs:
+            continue
+        i, j = np.array(pairs).T
+        rows = np.stack([graph.p[i], graph.p[j], np.full((len(i), 3), np.nan)], axis=1).reshape(-1, 3)
+        x, y = for_display(rows[:, list(cut.axes[:2])]).T
+        name = "closure" if kept else "rejected closure"
+        style = {"color": color, "width": 2.5, "dash": dash}
+        marker = {"size": 6, "color": color}
+        found.append(
+            go.Scatter(x=x, y=y, mode="lines+markers", line=style, marker=marker, name=name, hoverinfo="name")
+        )
+    return found

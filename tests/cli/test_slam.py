@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch slam`` and ``magmatch merge``: exit codes, what is left in the folder, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+import magmatch as mm
+from drifting import Place, drifting_walk, trajectory_error
+from magmatch.slam.result import SlamResult
+
+pytest.importorskip("plotly", reason="the report is drawn with the extra 'viz'")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """walk.csv twice round, short.csv not once, in a folder."""
+    folder = tmp_path_factory.mktemp("logs")
+    walk, truth = drifting_walk(Place(1), 1)
+    walk.save(folder / "walk.csv")
+    np.save(folder / "truth.npy", truth)
+    drifting_walk(Place(1), 1, laps=0.7)[0].save(folder / "short.csv")
+    return folder
+
+
+def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, tmp_path):
+    done = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--json")
+    assert done.code == 0, done.err
+    assert "planar" in done.err
+    assert "Connected" in done.err
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"walk.tum", "walk.csv", "map.map", "graph.g2o", "report.html", "result.json"}
+    assert json.loads(done.out) == SlamResult.load(tmp_path / "out" / "result.json").to_dict()
+    truth = np.load(logs / "truth.npy")
+    before, after = mm.read_survey(logs / "walk.csv"), mm.Trajectory.load(tmp_path / "out" / "walk.tum")
+    assert trajectory_error(truth, after.positions) < 0.7 * trajectory_error(truth, before.positions)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Connected" in page
+    assert "Where the graph is weak" in page
+    # Again, into the same folder, with the settings of the first time.
+    again = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--config", logs / "no.yaml")
+    assert again.code == 2
+    (tmp_path / "earlier.json").write_bytes((tmp_path / "out" / "result.json").read_bytes())
+    tum = (tmp_path / "out" / "walk.tum").read_bytes()
+    again = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--config", tmp_path / "earlier.json")
+    assert again.code == 0
+    assert (tmp_path / "out" / "walk.tum").read_bytes() == tum
+
+
+def test_poses_of_a_file_of_their_own_come_back_at_their_own_times(run, logs, tmp_path):
+    walk = mm.read_survey(logs / "walk.csv")
+    few = np.arange(0, len(walk), 3)
+    mm.Trajectory(walk.times[few], walk.positions[few], walk.orientations[few]).save(tmp_path / "poses.tum")
+    rows = np.column_stack([walk.times, walk.orientations.inv().apply(walk.field)])
+    np.savetxt(tmp_path / "field.csv", rows, delimiter=",", header="t,bx,by,bz", comments="")
+    done = run(
+        "slam", tmp_path / "field.csv", "--trajectory", tmp_path / "poses.tum", "--field-frame", "sensor",
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    poses = mm.Trajectory.load(tmp_path / "out" / "field.tum")
+    np.testing.assert_array_equal(poses.times, walk.times[few])
+    truth = np.load(logs / "truth.npy")[few]
+    assert trajectory_error(truth, poses.positions) < 0.7 * trajectory_error(truth, walk.positions[few])
+
+
+def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path):
+    done = run("slam", logs / "short.csv", "--odometry-sd", "0.2,2", "--out", tmp_path / "out")
+    assert done.code == 3, done.err
+    assert "Unchanged" in done.err
+    result = SlamResult.load(tmp_path / "out" / "result.json")
+    assert result.status == "unchanged"
+    assert result.odometry["sd"] == (0.2, 2.0)
+    poses = mm.Trajectory.load(tmp_path / "out" / "short.tum")
+    np.testing.assert_allclose(poses.positions, mm.read_survey(logs / "short.csv").positions, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["{logs}/walk.csv"], "--out"),
+        (["{logs}/none.csv", "--out", "{tmp}/out"], "none.csv"),
+        (["{logs}/truth.npy", "--out", "{tmp}/out"], "truth.npy"),
+        (["{logs}/walk.csv", "--out", "{logs}"], "holds an input"),
+        (["{logs}/walk.csv", "--out", "{logs}/walk.csv"], "is a file"),
+        (["{logs}/walk.csv", "--out", "{tmp}/no/where"], "create it first"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "0.3"], "metres,degrees"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "-1,2"], "none below 0"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "robot:1,2"], "name of a log"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--planar", "--no-gravity"], "--no-gravity"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--field-unit", "uT"], "uT"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(run, logs, tmp_path, words, said):
+    done = run("slam", *[word.format(logs=logs, tmp=tmp_path) for word in words])
+    assert done.code == 2
+    assert len(done.err.strip().splitlines()) == 1
+    assert said in done.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_empty_file_and_one_of_nan_are_refused(run, tmp_path):
+    (tmp_path / "empty.csv").write_text("")
+    assert run("slam", tmp_path / "empty.csv", "--out", tmp_path / "out").code == 2
+    rows = "x,y,z,bx,by,bz\n" + "".join(f"{k},0,0,3e-5,{'nan' if k == 7 else 0},0\n" for k in range(20))
+    (tmp_path / "nan.csv").write_text(rows)
+    done = run("slam", tmp_path / "nan.csv", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert "nan.csv" in done.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, place, logs, tmp_path):
+    words = ["merge", place / "base.csv", place / "target.map", "--out", tmp_path / "out"]
+    done = run(*words)
+    result = SlamResult.load(tmp_path / "out" / "result.json")
+    assert done.code == (0 if result.is_connected else 3), done.err
+    assert {log.name for log in result.logs} == {"base", "target"}
+    assert (tmp_path / "out" / "report.html").is_file()
+    direct = run("register", place / "base.csv", place / "target.map", "--json")
+    assert (done.code == 0) == (direct.code == 0)
+    refused = run("slam", logs / "walk.csv", "--out", tmp_path / "out")
+    assert refused.code == 2
+    assert "other inputs" in refused.err
+
+
+def test_merge_takes_two_at_least(run, place, tmp_path):
+    done = run("merge", place / "base.csv", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert "at least two" in done.err
+
+
+@pytest.mark.parametrize("name", ["slam", "merge"])
+def test_help_shows_examples_and_exit_codes(run, name):
+    done = run(name, "--help")
+    assert done.code == 0
+    assert f"magmatch {name} " in done.out
+    assert "Exit code 0" in done.out

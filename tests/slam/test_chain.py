@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Windows along a log: what forward and backward sums give is what enumerating every course gives."""
+
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.slam.chain import Placed, smooth
+
+REVISIT, KEEPS_ON = 0.4, 0.8
+
+
+def placed(log_odds, log_prior=-3.0):
+    return Placed(RigidTransform.identity(), np.eye(6), log_odds, log_prior)
+
+
+@st.composite
+def chains(draw):
+    sizes = draw(st.lists(st.integers(0, 2), min_size=1, max_size=4))
+    number = st.floats(-8, 8)
+    windows = [[placed(draw(number), draw(st.floats(-6, 0))) for _ in range(n)] for n in sizes]
+    steps = [np.array([draw(number) for _ in range(a * b)]).reshape(a, b) for a, b in pairwise(sizes)]
+    return windows, steps
+
+
+def enumerated(windows, steps):
+    """Probabilities from the weight of every course of states; state 0 is nowhere."""
+    leaves = 1 - KEEPS_ON
+    enters = leaves * REVISIT / (1 - REVISIT)
+    found, total = [np.zeros(len(w)) for w in windows], 0.0
+    for course in product(*(range(len(w) + 1) for w in windows)):
+        density = [0.0 if s == 0 else np.exp(w[s - 1].log_prior) for w, s in zip(windows, course, strict=True)]
+        weight = (1 - REVISIT) if course[0] == 0 else REVISIT * density[0]
+        for k, (s, t) in enumerate(pairwise(course)):
+            if s == 0:
+                weight *= 1 - enters if t == 0 else enters * density[k + 1]
+            elif t == 0:
+                weight *= leaves
+            else:
+                weight *= KEEPS_ON * np.exp(steps[k][s - 1, t - 1]) + leaves * REVISIT * density[k + 1]
+        for w, s in zip(windows, course, strict=True):
+            weight *= 1.0 if s == 0 else np.exp(w[s - 1].log_odds - w[s - 1].log_prior)
+        total += weight
+        for k, s in enumerate(course):
+            if s:
+                found[k][s - 1] += weight
+    return [f / total for f in found]
+
+
+@given(chains())
+def test_the_sums_are_those_of_all_courses(chain):
+    for ours, theirs in zip(smooth(*chain, REVISIT, KEEPS_ON), enumerated(*chain), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+
+
+@given(chains())
+def test_a_window_lies_at_one_place_at_most(chain):
+    for p in smooth(*chain, REVISIT, KEEPS_ON):
+        assert (p >= 0).all()
+        assert p.sum() <= 1 + 1e-9
+
+
+@given(st.lists(st.floats(-20, 20), max_size=5))
+def test_a_window_alone_is_weighed_by_its_own_evidence(log_odds):
+    (p,) = smooth([[placed(e) for e in log_odds]], [], REVISIT, KEEPS_ON)
+    odds = REVISIT * np.exp(log_odds)
+    np.testing.assert_allclose(p, odds / (odds.sum() + 1 - REVISIT), rtol=1e-9)
+
+
+def test_neighbours_that_agree_believe_each_other_and_those_that_do_not_stay_alone():
+    alone = smooth([[placed(1.0)]], [], REVISIT, KEEPS_ON)[0][0]
+    both = [[placed(1.0)], [placed(1.0)]]
+    agreed = smooth(both, [np.array([[3.0]])], REVISIT, KEEPS_ON)
+    apart = smooth(both, [np.array([[-50.0]])], REVISIT, KEEPS_ON)
+    assert agreed[0][0] > alone
+    assert agreed[0][0] == pytest.approx(agreed[1][0])
+    assert apart[0][0] < alone
+
+
+def test_without_windows_nothing_is_found():
+    assert smooth([], [], REVISIT, KEEPS_ON) == []

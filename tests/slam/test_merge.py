@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Merge: rigid surveys find one frame, strangers stay apart, and a registration that is wrong is outvoted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from drifting import Place
+from magmatch.data.survey import Survey
+from magmatch.errors import ConfigurationError
+from magmatch.field.build import build_map
+from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
+from magmatch.registration.config import PRESETS
+from magmatch.registration.register import register
+from magmatch.slam import merge as merging
+from magmatch.slam.merge import merge
+from magmatch.slam.pose_graph import Closure
+from magmatch.slam.result import SlamStatus
+from magmatch.slam.statement import covariance_about
+
+RNG = np.random.default_rng(4)
+# Frames of the surveys, from the room's: far from their samples, where every turn is a large shift.
+FRAMES = [random_transform(RNG, 30.0) for _ in range(4)]
+
+
+def surveyed(seed, low, high, frame, name, n=500):
+    """Samples scattered in a part of a place."""
+    rng = np.random.default_rng([seed, n, int(10 * low + 100)])
+    place = Place(seed, n=30)
+    p = rng.uniform((low, -1.0, -0.2), (high, 1.0, 0.5), (n, 3))
+    survey = Survey(p, place.field(p) + 2e-7 * rng.standard_normal((n, 3)), name=name)
+    return survey.transformed(frame)
+
+
+@pytest.fixture(scope="module")
+def surveys():
+    """Three that overlap in turn, the first and the third hardly, and one of another place."""
+    parts = [(-3.0, 0.4), (-1.6, 1.8), (-0.4, 3.0)]
+    own = [surveyed(3, *part, T, f"s{k}.csv") for k, (part, T) in enumerate(zip(parts, FRAMES[:3], strict=True))]
+    return [*own, surveyed(8, -1.5, 1.5, FRAMES[3], "stranger.csv")]
+
+
+@pytest.fixture(scope="module")
+def session(surveys):
+    return merge(surveys)
+
+
+def test_surveys_that_overlap_share_a_frame_and_a_stranger_stays_apart(session, surveys):
+    result = session.result()
+    assert sorted(map(sorted, session.components)) == [[0, 1, 2], [3]]
+    assert result.status is SlamStatus.PARTLY_CONNECTED
+    assert result.logs[3].T_map_log is None
+    for k in (1, 2):
+        T_true = FRAMES[0] * FRAMES[k].inv()
+        shift, turn = transform_error(result.logs[k].T_map_log, T_true, surveys[k].centroid)
+        place, angle = result.logs[k].sd
+        assert shift < max(4 * place, 0.02)
+        assert turn < max(4 * angle, 0.01)
+
+
+def test_surveys_stay_rigid_and_keep_their_fields(session, surveys):
+    for k, after in enumerate(session.trajectories):
+        moved = surveys[k].transformed(session.T_map_log(k))
+        np.testing.assert_allclose(after.positions, moved.positions, atol=1e-9)
+        np.testing.assert_allclose(after.field, moved.field, atol=1e-15)
+
+
+def test_a_pair_is_stated_as_registration_states_it(session, surveys):
+    direct = register(
+        build_map(surveys[0], PRESETS["default"].field), build_map(surveys[1], PRESETS["default"].field)
+    )
+    (stated,) = [c for c in session.result().closures if (c.log_a, c.log_b) == ("s0", "s1")]
+    np.testing.assert_allclose(stated.T_a_b.as_matrix(), direct.T_base_target.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(stated.covariance, direct.covariance, rtol=1e-6, atol=1e-12)
+    assert stated.probability == pytest.approx(direct.probability, abs=1e-9)
+    assert stated.t_a is None
+
+
+def test_maps_are_taken_as_the_surveys_they_were_made_of(session, surveys):
+    maps = [build_map(s, PRESETS["default"].field) for s in surveys[:2]]
+    both = merge(maps).result()
+    assert both.status is SlamStatus.CONNECTED
+    assert [entry["sha256"] for entry in both.inputs] == [entry["sha256"] for entry in session.result().inputs[:2]]
+
+
+def test_a_covariance_about_a_point_is_that_of_the_point():
+    rng = np.random.default_rng(1)
+    L = np.tril(rng.normal(size=(6, 6))) * np.array([1e-3] * 3 + [0.01] * 3)[:, None]
+    point, T = np.array([20.0, -10.0, 3.0]), random_transform(rng)
+    xi = (L @ rng.normal(size=(6, 4000))).T
+    at = RigidTransform.from_translation(point)
+    # The same poses, said of a frame that has its origin at the point.
+    about = np.array([log_se3((T * at).inv() * (T * exp_se3(x) * at)) for x in xi])
+    stated, sampled = covariance_about(L @ L.T, point), np.cov(about.T)
+    scale = np.sqrt(np.diagonal(stated))
+    np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.1)
+
+
+def test_a_registration_that_the_others_contradict_is_voted_out():
+    """Five surveys, all pairs right but one: the least squares begins with the wrong one believed."""
+    T = [random_transform(np.random.default_rng(k)) for k in range(5)]
+    graph = merging._unconnected(np.zeros((5, 3)))
+    C = np.diag([1e-3] * 3 + [5e-3] * 3) ** 2
+    rng = np.random.default_rng(0)
+    pairs = [(a, b) for a in range(5) for b in range(a + 1, 5)]
+    for a, b in pairs:
+        error = exp_se3(np.linalg.cholesky(C) @ rng.normal(size=6))
+        if (a, b) == (1, 3):
+            error = exp_se3(np.array([0.0, 0.0, 0.4, 1.0, -0.5, 0.2]))
+        graph.closures.append(Closure(a, b, T[a].inv() * T[b] * error, C, 8.0 if (a, b) == (1, 3) else 7.0))
+    merging._lay_out(graph)
+    graph.solve()
+    weights = {(c.first, c.second): c.weight for c in graph.closures}
+    assert weights.pop((1, 3)) < 0.01
+    assert min(weights.values()) > 0.9
+    for k in range(5):
+        error = log_se3((T[0] * graph.pose(k)).inv() * T[k])
+        assert np.abs(error).max() < 0.02
+
+
+def test_the_same_surveys_give_the_same_bits(surveys, session):
+    again = merge(surveys)
+    np.testing.assert_array_equal(again.graph.p, session.graph.p)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (lambda s: [s], ValueError, "at least two"),
+        (lambda s: s, TypeError, "takes several"),
+        (lambda s: [s, "b.csv"], TypeError, "read_survey"),
+        (lambda s: [s, replace(s, positions=np.zeros_like(s.positions))], ValueError, "one point"),
+    ],
+)
+def test_what_cannot_be_merged_is_refused_in_one_sentence(surveys, given, error, words):
+    with pytest.raises(error, match=words):
+        merge(given(surveys[0]))
+
+
+def test_the_published_method_knows_no_covariance(surveys):
+    with pytest.raises(ConfigurationError, match="covariance"):
+        merge(surveys, PRESETS["paper"])

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The graph: slopes, covariances, known loops found again, and closures that the rest contradicts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.slam.bending import lasting_errors
+from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.pose_graph import SURE, Closure, Edges, PoseGraph
+
+LEVEL = SlamConfig(is_planar=True)
+FREE = SlamConfig(is_gravity_aligned=False)
+# A closure's own error: rad, m.
+TIGHT = np.diag([1e-3] * 3 + [0.02] * 3) ** 2
+
+
+def ring(n, laps=2, radius=5.0):
+    """Nodes on some laps of a circle, whose axes stay the odometry's."""
+    s = np.linspace(0, 2 * np.pi * laps, n, endpoint=False)
+    return radius * np.column_stack([np.cos(s), np.sin(s), 0 * s])
+
+
+def graph_of(walked, config=LEVEL, logs=None, looseness=1.0):
+    """A graph whose odometry says what it is given, and wanders by so much besides what lasts."""
+    logs = np.zeros(len(walked), np.int64) if logs is None else np.asarray(logs)
+    first = np.flatnonzero(logs[1:] == logs[:-1])
+    shift = walked[first + 1] - walked[first]
+    covariance = np.tile((looseness * np.diag([0.01, 0.01, 0.05, 0.1, 0.1, 0.1])) ** 2, (len(first), 1, 1))
+    lasting = np.array([lasting_errors(walked[[k, k + 1]], 0, upright=True)[-1] for k in first]).reshape(-1, 6, 2)
+    edges = Edges(first, first + 1, shift, covariance, lasting, logs[first])
+    return PoseGraph(config, np.tile(np.eye(3), (len(walked), 1, 1)), walked.copy(), logs, edges)
+
+
+def between(true, i, j, error=(0.0, 0.0, 0.0), log_odds=10.0):
+    T = RigidTransform.from_translation(true[j] - true[i] + error)
+    return Closure(i, j, T, TIGHT, log_odds)
+
+
+def wandered(graph, rng, size=0.3):
+    """Nodes anywhere: slopes must hold there too."""
+    n = len(graph.p)
+    graph.p = graph.p + size * rng.normal(size=(n, 3))
+    graph.R = Rotation.from_rotvec(size * rng.normal(size=(n, 3))).as_matrix()
+    return graph
+
+
+def test_slopes_of_the_residual_are_those_of_finite_differences():
+    graph = wandered(graph_of(ring(6), FREE), np.random.default_rng(0))
+    i, j = np.array([0, 2, 5]), np.array([3, 1, 4])
+    # Near what they measure: the slope of the rotation's logarithm is to second order in its residual.
+    R = np.swapaxes(graph.R[i], 1, 2) @ graph.R[j]
+    t = np.ones((3, 3))
+    r, Ji, Jj = graph._between(i, j, R, t)
+    small = 1e-6
+    for nodes, J in ((i, Ji), (j, Jj)):
+        for k in range(6):
+            moved = graph_of(ring(6), FREE)
+            xi = np.zeros((len(graph.p), 6))
+            xi[nodes, k] = small
+            moved.R = graph.R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+            moved.p = graph.p + np.einsum("nij,nj->ni", graph.R, xi[:, 3:])
+            slope = (moved._between(i, j, R, t)[0] - r) / small
+            np.testing.assert_allclose(slope, J[:, :, k], atol=1e-5)
+
+
+def test_a_loop_that_was_scaled_and_closed_is_found_again_with_its_scale():
+    true = ring(24)
+    graph = graph_of(1.03 * true, looseness=0.05)
+    graph.closures = [between(true, k, k + 12) for k in range(0, 12, 2)] + [between(true, 0, 3)]
+    graph.solve()
+    moved = graph.p - graph.p[0] + true[0]
+    assert np.abs(moved - true).max() < 0.05
+    assert graph.lasting[0, 0] == pytest.approx(1 / 1.03 - 1, abs=0.005)
+
+
+def test_a_turn_rate_that_lasts_is_found():
+    true, rate = ring(24), 0.004
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))])
+    steps = Rotation.from_rotvec(rate * (walked[1:] + walked[:-1])[:, None] / 2 * [0, 0, 1]).apply(
+        np.diff(true, axis=0)
+    )
+    graph = graph_of(np.concatenate([true[:1], true[0] + np.cumsum(steps, axis=0)]), looseness=0.05)
+    # Closures say what the true relative pose is in axes that turned on with the odometry.
+    axes = Rotation.from_rotvec(rate * walked[:, None] * [0, 0, 1])
+    for i, j in [(k, k + 12) for k in range(12)]:
+        T = RigidTransform.from_components(axes[i].apply(true[j] - true[i]), axes[i] * axes[j].inv())
+        graph.closures.append(Closure(i, j, T, TIGHT, 10.0))
+    graph.solve()
+    assert graph.lasting[0, 1] == pytest.approx(-rate, rel=0.1)
+
+
+def test_covariances_are_those_of_the_dense_inverse():
+    true = ring(10)
+    graph = graph_of(true)
+    graph.closures = [between(true, 0, 5), between(true, 1, 6)]
+    graph.solve()
+    graph.solve()  # The factors are of where it began: again, they are of where it ends.
+    H = graph._normal_equations()[0].toarray()
+    C = np.linalg.inv(H)
+    for k, own in enumerate(graph.marginals()):
+        np.testing.assert_allclose(own, C[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], rtol=1e-3, atol=1e-9)
+    second = 8
+    for first, found in zip([2, 5], graph.relative_covariances(np.array([2, 5]), second), strict=True):
+        J = np.zeros((6, len(C)))
+        J[:, 6 * second : 6 * second + 6] = np.eye(6)
+        J[:, 6 * first : 6 * first + 6] = -graph._carried(first, second)
+        np.testing.assert_allclose(found, J @ C @ J.T, rtol=1e-3, atol=1e-9)
+
+
+def test_a_wrong_closure_is_voted_out_and_the_right_ones_stay():
+    true = ring(24)
+    rng = np.random.default_rng(5)
+    walked = true + np.cumsum(0.03 * rng.normal(size=true.shape) * [1, 1, 0], axis=0)
+    graph = graph_of(walked)
+    right = [between(true, k, k + 12) for k in range(0, 12, 2)]
+    graph.closures = [*right, between(true, 3, 15, error=(2.0, -1.5, 0.0))]
+    graph.solve()
+    weights = [c.weight for c in graph.closures]
+    assert min(weights[:-1]) > 0.9
+    assert weights[-1] < 0.1
+    without = graph_of(walked)
+    without.closures = right
+    without.solve()
+    np.testing.assert_allclose(graph.p, without.p, atol=0.05)
+
+
+@pytest.mark.parametrize("config", [LEVEL, FREE], ids=["level", "free"])
+def test_the_first_node_of_a_component_stays_where_it_was(config):
+    true = ring(24, laps=2)
+    logs = np.repeat([0, 1], 12)
+    T = RigidTransform.from_components([3.0, -2.0, 0.0], Rotation.from_rotvec([0, 0, 0.5]))
+    walked = np.concatenate([true[:12], T.apply(true[12:])])
+    graph = graph_of(walked, config, logs)
+    assert graph.component().tolist() == logs.tolist()
+    for k in range(0, 12, 3):
+        shift = RigidTransform.from_components(true[k + 12] - true[k], T.rotation.inv())
+        graph.closures.append(Closure(k, k + 12, shift, TIGHT, 10.0))
+    graph.solve()
+    assert graph.component().tolist() == [0] * 24
+    np.testing.assert_allclose(graph.p[0], walked[0], atol=10 * SURE)
+    np.testing.assert_allclose(graph.p[12:], true[12:], atol=0.05)
+    np.testing.assert_allclose(graph.R[12:], np.tile(T.rotation.inv().as_matrix(), (12, 1, 1)), atol=0.02)
+
+
+def test_a_closure_that_lost_its_weight_ties_no_logs():
+    graph = graph_of(ring(8), logs=np.repeat([0, 1], 4))
+    graph.closures = [replace(between(graph.p, 1, 5), weight=0.2)]
+    assert graph.component().tolist() == [0] * 4 + [1] * 4
+    graph.closures = [replace(graph.closures[0], weight=0.9)]
+    assert graph.component().tolist() == [0] * 8
+
+
+def test_odometry_alone_leaves_every_node_where_it_was():
+    graph = graph_of(ring(8))
+    graph.solve()
+    np.testing.assert_allclose(graph.p, ring(8), atol=1e-9)
+    sd = [np.sqrt(np.trace(C[3:, 3:])) for C in graph.relative_covariances(np.arange(0, 7), 7)]
+    assert (np.diff(sd) < 0).all()  # the farther apart along the path, the less is known
+
+
+def test_no_odometry_config_makes_the_numbers_infinite():
+    config = SlamConfig(odometry=OdometryConfig(sd=(0.0, 0.0), scale_sd=0.0, turn_sd=0.0))
+    graph = graph_of(ring(8), config)
+    graph.solve()
+    assert np.isfinite(graph.marginals()).all()

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hard iron that turns with its carrier is told from the field that stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drifting import Place, drifting_walk
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.slam.sensor_bias import sensor_bias, without_bias
+
+NUMBERS = Hyperparameters(1.0, 3e-6, 3e-7, 0.3, 100.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bias_in_the_plane_that_headings_span_is_recovered(seed):
+    true = np.random.default_rng(seed).normal(0, 4e-6, 3)
+    log, _ = drifting_walk(Place(seed), seed, bias=true)
+    bias, sd = sensor_bias(log, NUMBERS)
+    assert (sd[:2] < 1e-6).all()
+    assert (np.abs(bias - true)[:2] < 4 * sd[:2]).all()
+    # Upright all the way, nothing tells the vertical from the place's own.
+    assert sd[2] > 5e-6
+    assert abs(bias[2]) < 1e-6
+
+
+def test_the_bias_follows_the_carriers_axes():
+    log, _ = drifting_walk(Place(2), 1, bias=(3e-6, 0.0, 0.0))
+    bias, _ = sensor_bias(log, NUMBERS)
+    turned = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
+    other, _ = sensor_bias(replace(log, orientations=log.orientations * turned), NUMBERS)
+    np.testing.assert_allclose(turned.apply(other), bias, atol=1e-9)
+
+
+def test_what_was_added_is_taken_off_again_and_without_orientations_nothing_is():
+    log, _ = drifting_walk(Place(2), 1)
+    biased, _ = drifting_walk(Place(2), 1, bias=(3e-6, 1e-6, -2e-6))
+    np.testing.assert_allclose(without_bias(biased, np.array([3e-6, 1e-6, -2e-6])).field, log.field, atol=1e-15)
+    bare = replace(log, orientations=None)
+    bias, sd = sensor_bias(bare, NUMBERS)
+    assert not bias.any()
+    assert not sd.any()
+    assert without_bias(bare, bias) is bare

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a session says of itself: the document, the folder, and the graph for other programs."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import magmatch as mm
+from drifting import trajectory_error
+from magmatch.data.read import read_survey
+from magmatch.errors import DataFormatError
+from magmatch.geometry import exp_se3, random_transform
+from magmatch.slam.folder import require_folder, write_folder
+from magmatch.slam.g2o import write_graph
+from magmatch.slam.result import SlamResult, SlamStatus
+from magmatch.slam.statement import adjoint
+
+KEYS = [
+    "schema",
+    "status",
+    "reason",
+    "logs",
+    "closures",
+    "odometry",
+    "seconds",
+    "config",
+    "version",
+    "seed",
+    "inputs",
+]
+
+
+@pytest.fixture(scope="module")
+def folder(three, tmp_path_factory):
+    place = tmp_path_factory.mktemp("sessions") / "out"
+    write_folder(three.session, place)
+    return place
+
+
+def test_the_document_has_the_keys_of_the_contract(folder):
+    document = json.loads((folder / "result.json").read_text())
+    assert [key for key in document if key != "checksum"] == KEYS
+    assert document["schema"] == "magmatch.slam/1"
+    assert set(document["logs"][0]) == {
+        "name", "component", "T_map_log", "length", "n_closures", "moved", "sd",
+    }  # fmt: skip
+    assert set(document["closures"][0]) >= {
+        "log_a", "t_a", "log_b", "t_b", "T_a_b", "covariance", "probability", "weight",
+    }  # fmt: skip
+
+
+def test_a_result_read_and_written_again_has_the_same_bytes(folder, tmp_path):
+    SlamResult.load(folder / "result.json").save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (folder / "result.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"status": "fine"}, "status"),
+        ({"closures": [{"log_a": "a"}]}, "closures"),
+        ({"logs": [{"name": "a", "component": -1}]}, "logs"),
+        ({"schema": "magmatch.slam/9"}, "schema"),
+    ],
+)
+def test_a_document_that_cannot_be_names_its_key(folder, tmp_path, change, key):
+    document = json.loads((folder / "result.json").read_text()) | change
+    document.pop("checksum")
+    (tmp_path / "bad.json").write_text(json.dumps(document))
+    with pytest.raises(DataFormatError, match=key):
+        SlamResult.load(tmp_path / "bad.json")
+
+
+def test_logs_that_hang_together_are_placed_and_a_stranger_is_not(three):
+    result = three.session.result()
+    assert result.status is SlamStatus.PARTLY_CONNECTED
+    a, b, c = result.logs
+    assert (a.component, b.component) == (0, 0)
+    assert c.component == 1
+    assert c.T_map_log is None
+    assert "c" in result.reason
+    assert b.T_map_log is not None
+    first = three.session.trajectories[1].positions[0]
+    np.testing.assert_allclose(b.T_map_log.apply(three.logs[1].positions[0]), first, atol=1e-9)
+    assert b.sd[0] > 0.02
+    assert b.n_closures > 0
+
+
+def test_moved_is_how_far_samples_moved_with_the_first_pose_held(lone):
+    (log,) = lone.session.result().logs
+    after, before = lone.session.trajectories[0], lone.log
+    # A lone log's frame begins where its odometry's does.
+    moved = np.sqrt(((after.positions - before.positions) ** 2).sum(axis=1).mean())
+    assert log.moved == pytest.approx(moved, rel=0.02)
+    assert log.T_map_log is not None
+
+
+def test_closures_are_said_between_bodies(lone):
+    result, session = lone.session.result(), lone.session
+    (path,), survey = session.paths, lone.log
+    for stated, c in zip(result.closures, session.graph.closures, strict=True):
+        at = [int(np.searchsorted(survey.times, t)) for t in (stated.t_a, stated.t_b)]
+        assert at == [int(path.middles[c.first]), int(path.middles[c.second])]
+        T_a, T_b = (RigidTransform.from_rotation(survey.orientations[k]) for k in at)
+        np.testing.assert_allclose((T_a * stated.T_a_b).as_matrix(), (c.T_first_second * T_b).as_matrix(), atol=1e-12)
+        assert stated.walked_b > stated.walked_a
+
+
+def test_the_adjoint_carries_a_tangent_to_another_frame():
+    rng = np.random.default_rng(0)
+    T, xi = random_transform(rng), 0.1 * rng.normal(size=6)
+    carried = exp_se3(adjoint(T) @ xi)
+    np.testing.assert_allclose(carried.as_matrix(), (T * exp_se3(xi) * T.inv()).as_matrix(), atol=1e-12)
+
+
+def test_the_folder_holds_what_the_contract_says(folder, three):
+    names = {path.name for path in folder.iterdir()}
+    assert names == {f"{n}.{e}" for n in "abc" for e in ("csv", "tum")} | {
+        "map.map", "map_2.map", "graph.g2o", "result.json",
+    }  # fmt: skip
+    for name, survey, truth in zip("abc", three.session.trajectories, three.truth, strict=True):
+        poses, there = mm.Trajectory.load(folder / f"{name}.tum"), read_survey(folder / f"{name}.csv")
+        np.testing.assert_array_equal(poses.times, survey.times)
+        np.testing.assert_array_equal(there.positions, poses.positions)
+        assert trajectory_error(truth, poses.positions) < 1.0
+    assert len(mm.FieldMap.load(folder / "map.map").surveys) == 2
+
+
+def test_without_times_or_orientations_there_are_no_poses_to_write(lone, tmp_path):
+    given = replace(lone.log, times=None)
+    paths = [replace(lone.session.paths[0], survey=replace(lone.session.paths[0].survey, times=None))]
+    session = replace(lone.session, given=[given], paths=paths)
+    result = write_folder(session, tmp_path / "out")
+    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json"}
+    assert all(c.t_a is None for c in result.closures)
+
+
+def test_an_earlier_result_of_the_same_logs_is_replaced_and_nothing_else(folder, lone, three, tmp_path):
+    mine = folder / "notes.txt"
+    mine.write_text("mine")
+    write_folder(three.session, folder)
+    assert mine.read_text() == "mine"
+    with pytest.raises(DataFormatError, match="other inputs"):
+        write_folder(lone.session, folder)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("years of work")
+    with pytest.raises(DataFormatError, match="not empty"):
+        write_folder(lone.session, tmp_path / "full")
+    with pytest.raises(DataFormatError, match="is a file"):
+        write_folder(lone.session, tmp_path / "full" / "thesis.tex")
+    with pytest.raises(DataFormatError, match="create it first"):
+        write_folder(lone.session, tmp_path / "no" / "where")
+    with pytest.raises(DataFormatError, match="holds an input"):
+        require_folder(folder, three.session.given, [folder / "a.csv"])
+    assert not [p for p in [*tmp_path.iterdir(), *folder.parent.iterdir()] if p.name.startswith(".")]
+
+
+def test_a_writer_that_fails_leaves_nothing(lone, tmp_path):
+    def fail(*_):
+        msg = "disk full"
+        raise OSError(msg)
+
+    with pytest.raises(OSError, match="disk full"):
+        write_folder(lone.session, tmp_path / "out", fail)
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_are_stems_and_never_twice_the_same(lone):
+    def named(*names):
+        return replace(lone.session, given=[replace(lone.log, name=name) for name in names]).names
+
+    assert named("walk.csv", "walk.bag", "Walk.csv") == ["walk", "walk_2", "Walk_3"]
+    assert named("a/b/../c.csv", "", "walk_2", "walk.csv", "walk.mat") == ["c", "log", "walk_2", "walk", "walk_3"]
+
+
+def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path):
+    graph = lone.session.graph
+    write_graph(graph, tmp_path / "graph.g2o")
+    rows = [line.split() for line in (tmp_path / "graph.g2o").read_text().splitlines() if line[0] != "#"]
+    vertices = {int(r[1]): np.array(r[2:], float) for r in rows if r[0] == "VERTEX_SE3:QUAT"}
+    edges = [(int(r[1]), int(r[2]), np.array(r[3:], float)) for r in rows if r[0] == "EDGE_SE3:QUAT"]
+    assert len(vertices) == len(graph.p)
+    assert len(edges) == len(graph.edges.first) + len(graph.closures)
+    poses = {k: RigidTransform.from_components(v[:3], Rotation.from_quat(v[3:])) for k, v in vertices.items()}
+    np.testing.assert_allclose([poses[k].translation for k in range(len(poses))], graph.p, atol=1e-12)
+    rng = np.random.default_rng(0)
+    for (i, j, numbers), c in zip(edges[len(graph.edges.first) :], graph.closures, strict=True):
+        assert (i, j) == (c.first, c.second)
+        Z = RigidTransform.from_components(numbers[:3], Rotation.from_quat(numbers[3:7]))
+        np.testing.assert_allclose(Z.as_matrix(), c.T_first_second.as_matrix(), atol=1e-12)
+        information = np.zeros((6, 6))
+        information[np.triu_indices(6)] = numbers[7:]
+        information += np.triu(information, 1).T
+        # What g2o computes of a small error weighs as our covariance and weight do.
+        xi = 1e-6 * rng.normal(size=6)
+        delta = exp_se3(xi)
+        e = np.concatenate([delta.translation, delta.rotation.as_quat(canonical=True)[:3]])
+        ours = c.weight * xi @ np.linalg.solve(c.covariance, xi)
+        assert e @ information @ e == pytest.approx(ours, rel=1e-4)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Slam from end to end: drift falls where places repeat, logs find each other, and strangers stay apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drifting import Place, drifting_walk, trajectory_error
+from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.run import slam
+
+
+def test_a_walk_twice_round_is_corrected(lone):
+    before = trajectory_error(lone.truth, lone.log.positions)
+    after = trajectory_error(lone.truth, lone.session.trajectories[0].positions)
+    assert after < 0.6 * before
+    assert lone.session.graph.closures
+    assert lone.session.graph.config.is_planar  # all poses lie at one height
+
+
+def test_closures_tie_places_that_are_where_they_say(lone):
+    (path,) = lone.session.paths
+    for c in lone.session.graph.closures:
+        one, other = (int(path.middles[k]) for k in (c.first, c.second))
+        apart = np.linalg.norm(lone.truth[other] - lone.truth[one])
+        assert abs(np.linalg.norm(c.T_first_second.translation) - apart) < 0.4
+
+
+def test_logs_of_one_place_find_each_other_and_a_stranger_stays_alone(three):
+    assert sorted(map(sorted, three.session.components)) == [[0, 1], [2]]
+    joint = [three.session.trajectories[k].positions for k in (0, 1)]
+    true = np.concatenate(three.truth[:2])
+    apart = max(trajectory_error(three.truth[k], three.logs[k].positions) for k in (0, 1))
+    assert trajectory_error(true, np.concatenate(joint)) < 0.8 * apart
+
+
+def test_the_same_logs_give_the_same_bits(lone):
+    again = slam(lone.log)
+    np.testing.assert_array_equal(again.graph.p, lone.session.graph.p)
+    assert [c.log_odds for c in again.graph.closures] == [c.log_odds for c in lone.session.graph.closures]
+
+
+def test_a_walk_that_passes_nothing_twice_stays_as_it_came():
+    log, _ = drifting_walk(Place(1), 1, laps=0.8)
+    session = slam(log)
+    assert not session.graph.closures
+    np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-6)
+
+
+def test_odometry_that_jumps_is_no_fault_of_the_program():
+    log, _ = drifting_walk(Place(1), 1)
+    jump = np.where(np.arange(len(log)) > 300, 30.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    session = slam(replace(log, positions=log.positions + jump))
+    assert np.isfinite(session.trajectories[0].positions).all()
+
+
+def test_a_robot_that_stands_is_left_where_it_is():
+    rng = np.random.default_rng(0)
+    n = 200
+    log = Survey(0.002 * rng.normal(size=(n, 3)), 3e-5 + 2e-7 * rng.normal(size=(n, 3)), times=np.arange(n) * 0.1)
+    session = slam(log)
+    assert not session.graph.closures
+    np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-3)
+
+
+def test_a_constant_field_tells_no_place_from_another():
+    log, _ = drifting_walk(Place(1), 1)
+    session = slam(replace(log, field=np.tile([2e-5, 0.0, -4.5e-5], (len(log), 1))))
+    assert session.result().status == "unchanged"
+    np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-6)
+
+
+def test_neither_times_nor_orientations_are_needed():
+    log, truth = drifting_walk(Place(1), 1)
+    session = slam(replace(log, times=None, orientations=None))
+    after = session.trajectories[0]
+    assert after.times is None
+    assert after.orientations is None
+    assert trajectory_error(truth, after.positions) < 0.8 * trajectory_error(truth, log.positions)
+
+
+@pytest.mark.parametrize(
+    ("logs", "error", "words"),
+    [
+        ([], ValueError, "at least one log"),
+        ("walk.csv", TypeError, "Survey"),
+        ([Survey(np.zeros((3, 3)), np.full((3, 3), 3e-5))], SurveyError, "at least 10 samples"),
+        ([Survey(np.zeros((20, 3)), np.full((20, 3), 3e-5))], SurveyError, "one point"),
+    ],
+)
+def test_what_is_no_log_is_refused_in_one_sentence(logs, error, words):
+    with pytest.raises(error, match=words):
+        slam(logs)
+
+
+def test_settings_are_those_of_slam():
+    with pytest.raises(TypeError, match="SlamConfig"):
+        slam(drifting_walk(Place(1), 1)[0], {"is_planar": True})
+    with pytest.raises(ValueError, match="window_length"):
+        SlamConfig(window_length=-1)
