@@ -2,6 +2,7 @@
 """Errors a caller can act on: each message says where, what was expected and what was found."""
 
 import json
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
+# More names than this are counted in messages.
+MOST_NAMES = 3
 # What JSON calls that which pydantic names after Python's types.
 _EXPECTED = dict.fromkeys(("dict_type", "dataclass_type"), "an object") | {
     "tuple_type": "a list",
@@ -78,3 +81,8 @@ def first_fault(error: "ValidationError") -> tuple[str, str]:
     said = f"expected {_EXPECTED[kind].format(**first.get('ctx', {}))}" if kind in _EXPECTED else first["msg"]
     found = json.dumps(first["input"], default=str, skipkeys=True)[:60]
     return place, f"{said.replace('Input should be', 'expected')}, found {found}"
+
+
+def in_short(names: Sequence[str]) -> list[str]:
+    """Names of a few things; of many, the first two and how many more."""
+    return [*names] if len(names) <= MOST_NAMES else [*names[:2], f"{len(names) - 2} others"]

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magmatch.errors import in_short
 from magmatch.progress import followed
 
 if TYPE_CHECKING:
@@ -73,8 +74,6 @@ class Narrator(logging.Handler):
 
     def finish(self) -> None:
         """Say the warnings that were held back."""
-        from magmatch.data.survey import in_short
-
         self.rest()
         for files, words in self._warnings.values():
             alike = f" (also {', '.join(in_short(files[1:]))})" if files[1:] else ""

@@ -17,8 +17,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.order import has_order
-from magmatch.data.survey import Survey, in_short
+from magmatch.data.survey import Survey
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
+from magmatch.errors import in_short
 from magmatch.geometry import path_walked
 from magmatch.typing import Points, Scalars, Vectors
 

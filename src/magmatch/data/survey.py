@@ -2,7 +2,7 @@
 """The first noun: a survey, samples of the magnetic field at known positions."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from itertools import pairwise
@@ -37,7 +37,7 @@ from magmatch.data.units import (
     field_text,
     size_of_unit,
 )
-from magmatch.errors import DataFormatError, SurveyError
+from magmatch.errors import DataFormatError, SurveyError, in_short
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
@@ -49,7 +49,6 @@ FRAME_COLUMN, ACCURACY_COLUMN, DEFAULT_FRAME = "survey_frame", "pose_sd", "surve
 COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION, ACCURACY_COLUMN)
 # Metadata of Parquet files, and first comment of older CSV files: the same two as JSON.
 SCHEMA = "magmatch.survey/1"
-MOST_NAMES = 3
 T = TypeVar("T")
 FieldFrame = Literal["survey", "sensor"]
 
@@ -435,11 +434,6 @@ def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
     ends = np.cumsum([0, *(len(survey) for survey in surveys)])
     parts = (survey.subset(kept[a:b]) for survey, (a, b) in zip(surveys, pairwise(ends), strict=True))
     return tuple(part for part in parts if len(part))
-
-
-def in_short(names: Sequence[str]) -> list[str]:
-    """Names of a few things; of many, the first two and how many more."""
-    return [*names] if len(names) <= MOST_NAMES else [*names[:2], f"{len(names) - 2} others"]
 
 
 def _as_survey(name: str, step: Callable[[], T]) -> T:

@@ -20,6 +20,8 @@ from magmatch.registration.prepared.prepared_map import correlation_length_of
 N_PARTS = 8
 PART_LENGTH = 25.0
 MOST_SAMPLES = 400
+# Parts too long are cut so often at most: of noise alone the lengthscale falls for ever.
+MOST_CUTS = 4
 
 
 def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
@@ -30,15 +32,18 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
         walked = path_walked(survey.positions)
         for middle in (np.arange(n_parts) + 0.5) / n_parts:
             part = walked[-1] / N_PARTS
-            numbers, length = _numbers_of(_part(survey, walked, middle, part))
-            while part > PART_LENGTH * numbers.lengthscale:
-                part = PART_LENGTH * numbers.lengthscale
+            for _ in range(MOST_CUTS):
                 numbers, length = _numbers_of(_part(survey, walked, middle, part))
+                if part <= PART_LENGTH * numbers.lengthscale:
+                    break
+                part = PART_LENGTH * numbers.lengthscale
             found.append(numbers)
             lengths.append(length)
     names = [f.name for f in fields(Hyperparameters)]
     medians = {name: float(np.median([getattr(h, name) for h in found])) for name in names}
-    return replace(found[0], **medians), float(np.median(lengths))
+    # Nothing shorter than two steps between samples can be seen: of a robot that stands, jitter.
+    steps = np.concatenate([np.linalg.norm(np.diff(s.positions, axis=0), axis=1) for s in surveys])
+    return replace(found[0], **medians), max(float(np.median(lengths)), 2 * float(np.median(steps)))
 
 
 def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:
