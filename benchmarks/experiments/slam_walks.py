@@ -1,0 +1,117 @@
+"""Walks by dead reckoning, corrected by their field alone: each alone, and those of one place together.
+
+    python benchmarks/experiments/slam_walks.py --data DIR --out DIR [--sets infcenter,museum] [--jobs 2]
+
+DIR holds ``dodolilo/infcenter/walk[1-9].csv`` and ``ipin2023/pdr/route[1-5]_[1-4].csv`` with ``*_truth.csv`` beside
+each. Error: rms of positions at the true points after one rigid alignment in the plane, of a walk or of all walks
+that share a frame. Settings were chosen on infcenter 1-4 and routes 1-3; those and the others are summed apart.
+Rows stay in the folder of ``--out``; a second run goes on where the first ended.
+"""
+
+import csv
+import os
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import magmatch as mm
+from magmatch.data.formats.format import SurveyFormat
+from magmatch_evaluation.saved_table import show
+from magmatch_evaluation.script import arguments, kept, timed
+
+COLUMNS = ("walks", "tuned on", "m", "odometry, m", "corrected, m", "ratio", "frames", "closures", "s a metre")
+SUMS = ("walks alone", "tuned on", "n", "odometry, rms m", "corrected, rms m", "median ratio", "largest ratio")
+PLACES = {
+    "infcenter": [("dodolilo/infcenter", [f"walk{k}" for k in range(1, 10)])],
+    "museum": [("ipin2023/pdr", [f"route{r}_{k}" for k in range(1, 5)]) for r in range(1, 6)],
+}
+TUNED = {*(f"walk{k}" for k in range(1, 5)), *(f"route{r}_{k}" for r in range(1, 4) for k in range(1, 5))}
+
+
+def names(sets: list[str]) -> Iterator[str]:
+    """Each walk alone, then those of one place together: ``FOLDER: WALK WALK ...``."""
+    for place in sets:
+        for folder, walks in PLACES[place]:
+            yield from (f"{folder}: {walk}" for walk in walks)
+            yield f"{folder}: {' '.join(walks)}"
+
+
+def truth_of(path: Path) -> np.ndarray:
+    """Time, x, y of the true points."""
+    with path.open() as lines:
+        return np.array([[float(row[key]) for key in ("t", "x", "y")] for row in csv.DictReader(lines)])
+
+
+def error(found: list[tuple[np.ndarray, np.ndarray]], truths: list[np.ndarray]) -> float:
+    """Rms distance of positions (times, (n, 3)) from true points after one rigid alignment, m."""
+    a, b = [], []
+    for (times, positions), truth in zip(found, truths, strict=True):
+        rows = truth[(truth[:, 0] >= times[0]) & (truth[:, 0] <= times[-1])]
+        a.append(np.stack([np.interp(rows[:, 0], times, column) for column in positions.T[:2]], axis=1))
+        b.append(rows[:, 1:])
+    x, y = (np.concatenate(parts) for parts in (a, b))
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    U, _, Vt = np.linalg.svd(x.T @ y)
+    turn = U @ np.diag([1, np.linalg.det(U @ Vt)]) @ Vt
+    return float(np.sqrt(((x @ turn - y) ** 2).sum(axis=1).mean()))
+
+
+def work(name: str, data: Path) -> dict[str, object]:
+    """One row."""
+    folder, walks = name.split(": ")
+    paths = [data / folder / f"{walk}.csv" for walk in walks.split()]
+    logs = [mm.read_survey(path, SurveyFormat(field_frame="sensor")) for path in paths]
+    truths = [truth_of(path.with_name(f"{path.stem}_truth.csv")) for path in paths]
+    session, _, seconds = timed(mm.slam, logs)
+    before = [error([(log.times, log.positions)], [truth]) for log, truth in zip(logs, truths, strict=True)]
+    found = [(log.times, one.positions) for log, one in zip(logs, session.trajectories, strict=True)]
+    largest = session.components[0]
+    return {
+        "name": name, "length": float(sum(path.walked[-1] for path in session.paths)), "before": before,
+        "after": error([found[k] for k in largest], [truths[k] for k in largest]),
+        "components": [len(c) for c in session.components], "closures": len(session.graph.closures),
+        "seconds": seconds,
+    }  # fmt: skip
+
+
+def is_tuned(name: str) -> bool:
+    """Whether settings were chosen on any walk of a row."""
+    return bool(TUNED & set(name.split(": ")[1].split()))
+
+
+def main() -> None:
+    asked = arguments(__doc__, data=Path, out=Path, sets="infcenter,museum", jobs=os.cpu_count())
+    asked.out.mkdir(parents=True, exist_ok=True)
+    wanted = list(names(asked.sets.split(",")))
+    rows = kept(asked.out / "walks.jsonl", wanted, partial(work, data=asked.data), jobs=asked.jobs)
+    found = [rows[name] for name in wanted if name in rows]
+    table, sums = [], []
+    for row in found:
+        before = float(np.sqrt(np.mean(np.square(row["before"]))))
+        table.append([
+            row["name"], "yes" if is_tuned(row["name"]) else "no", f"{row['length']:.0f}", f"{before:.2f}",
+            f"{row['after']:.2f}", f"{row['after'] / before:.2f}", "+".join(map(str, row["components"])),
+            row["closures"], f"{row['seconds'] / row['length']:.3f}",
+        ])  # fmt: skip
+    for place in asked.sets.split(","):
+        for tuned in (True, False):
+            some = [
+                (row["before"][0], row["after"])
+                for row in found
+                if len(row["before"]) == 1 and is_tuned(row["name"]) == tuned
+                and row["name"].split(":")[0] == PLACES[place][0][0]
+            ]  # fmt: skip
+            if some:
+                b, a = np.array(some).T
+                rms = [f"{np.sqrt(np.mean(v**2)):.2f}" for v in (b, a)]
+                sums.append(
+                    [place, "yes" if tuned else "no", len(b), *rms, f"{np.median(a / b):.2f}", f"{(a / b).max():.2f}"]
+                )
+    show(COLUMNS, table, None)
+    show(SUMS, sums, None)
+
+
+if __name__ == "__main__":
+    main()
