@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
@@ -101,3 +102,10 @@ def test_settings_are_those_of_slam():
         slam(drifting_walk(Place(1), 1)[0], {"is_planar": True})
     with pytest.raises(ValueError, match="window_length"):
         SlamConfig(window_length=-1)
+
+
+def test_the_verb_is_called_by_the_rooms_name_however_often():
+    log, _ = drifting_walk(Place(1), 1)
+    constant = replace(log, field=np.tile([2e-5, 0.0, -4.5e-5], (len(log), 1)))
+    for _ in range(2):
+        assert mm.slam(constant).result().status == "unchanged"

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
+from magmatch.registration.prepared.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.refine.refinement import perturbation
 from magmatch.registration.register import register
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
@@ -22,7 +22,7 @@ def some_prior(seed, *, has_pose=True, is_aligned=True):
     rng = np.random.default_rng(seed)
     T = random_transform(rng)
     up = T.rotation.apply([0.0, 0.6, 0.8]) if is_aligned else None
-    given_pose = (T, SD) if has_pose else (None, None)
+    given_pose = (T, np.diag(SD**2)) if has_pose else (None, None)
     return T, PosePrior(20.0, *given_pose, up, np.array([0.0, 0.6, 0.8]) if is_aligned else None, 0.02)
 
 
@@ -169,14 +169,17 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     poses = [T, T * about(rng, 2.5), T * RigidTransform.from_translation([9.0, 0, 0])]
     R = np.array([P.rotation.as_matrix() for P in poses])
     pb = np.array([P.apply(a) for P, a in zip(poses, anchors, strict=True)])
+    poses = R[:1], pb[:1], np.arange(1)
     R, pb, rows = prior.narrow((R, pb, np.arange(3)), anchors, CENTER, (0.01, 0.01), rng)
-    assert len(R) == len(pb) == len(rows) == 301
+    assert len(R) == len(pb) == len(rows) == MOST_DRAWN + 1
     np.testing.assert_allclose(R[0], T.rotation.as_matrix(), atol=1e-12)
     # Where each puts the middle, carried from its anchor.
     moved = pb + np.einsum("nij,nj->ni", R, CENTER - anchors[rows])
     np.testing.assert_allclose(moved[1], T.apply(CENTER), atol=1e-9)
     assert prior.admits(R, moved, CENTER, (0.01, 0.01)).mean() > 0.97
     assert set(rows[1:].tolist()) == {0, 1, 2}
+    # Fewer are enough for a search that tells fewer apart.
+    assert len(prior.narrow(poses, anchors, CENTER, (1.0, 1.0), rng)[0]) == FEWEST_DRAWN + 1
     flat = PosePrior(1.0)
     given_poses = R, pb, rows
     assert flat.narrow(given_poses, anchors, CENTER, (0.1, 0.1), rng) is given_poses

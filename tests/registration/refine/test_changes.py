@@ -158,7 +158,7 @@ def test_where_nothing_changed_the_odds_are_those_of_a_constant_field_beside_a_k
     rng, sd = np.random.default_rng(1), 0.3e-6
     base, target = (prepared_map(Polynomial(), box(rng, 120), rng, noise_sd=sd) for _ in range(2))
     here = RigidTransform.identity()
-    known = PosePrior(10.0, here, np.full(6, 1e-3))  # of which a uniform field says nothing
+    known = PosePrior(10.0, here, 1e-6 * np.eye(6))  # of which a uniform field says nothing
     pose = replace(refine(base, target, here, known, RefinementConfig(n_steps=1), rng), T_base_target=here)
     agrees = np.ones(120, dtype=bool)
     found = refine_beside_changes(base, target, pose, agrees, known, ChangeConfig(n_charges=100), rng)

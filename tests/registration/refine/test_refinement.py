@@ -134,7 +134,7 @@ def test_in_a_uniform_field_refinement_ends_at_the_priors_pose():
     base, target = (prepared_map(Polynomial(), box(rng, 60), noise_sd=0.3e-6) for _ in range(2))
     center = target.samples.mean(axis=0)
     start = turn_about(center, np.array([0.0, 0.0, 0.0, 0.06, -0.04, 0.05]))
-    prior = PosePrior(10.0, RigidTransform.identity(), np.repeat([0.05, 0.1], 3))
+    prior = PosePrior(10.0, RigidTransform.identity(), np.diag(np.repeat([0.05, 0.1], 3) ** 2))
     found = refined(base, target, start, prior)
     np.testing.assert_allclose(
         step_between(found, replace(found, T_base_target=RigidTransform.identity())), 0, atol=1e-6
@@ -150,7 +150,7 @@ def test_a_pose_between_field_and_prior_weighs_both_by_their_information():
     free = refined(base, target, RigidTransform.identity())
     sd = np.repeat([2e-4, 2e-4], 3)
     away = turn_about(free.center, np.array([2e-4, -3e-4, 2e-4, 4e-4, -3e-4, 2e-4]))
-    prior = PosePrior(10.0, free.T_base_target * away, sd)
+    prior = PosePrior(10.0, free.T_base_target * away, np.diag(sd**2))
     found = refined(base, target, free.T_base_target, prior)
     pull = step_between(free, replace(free, T_base_target=free.T_base_target * away))
     A = sum(b.curvature for b in free.blocks)[:6, :6] / overdispersion(free.blocks, 1.2)

@@ -136,8 +136,8 @@ def test_the_search_finds_the_turn_between_and_counts_what_it_tried(pair):
 def test_what_a_prior_rules_out_is_not_handed_on(pair):
     center = pair[1].samples.mean(axis=0)
     sd = np.repeat([0.05, 0.1], 3)
-    near = PosePrior(10.0, T_TRUE * turn_about(center, np.full(6, 0.05)), sd)
+    near = PosePrior(10.0, T_TRUE * turn_about(center, np.full(6, 0.05)), np.diag(sd**2))
     assert invariant_search(*pair, near, SMALL, np.random.default_rng(0)).candidates
-    away = PosePrior(10.0, RigidTransform.from_translation([0, 0, 50.0]) * T_TRUE, sd)
+    away = PosePrior(10.0, RigidTransform.from_translation([0, 0, 50.0]) * T_TRUE, np.diag(sd**2))
     for c in invariant_search(*pair, away, SMALL, np.random.default_rng(0)).candidates:
         assert np.linalg.norm(c.T_base_target.apply(center) - away.T_base_target.apply(center)) < 3.5 * 3
