@@ -188,6 +188,20 @@ def log_se3(T: RigidTransform) -> np.ndarray:
     return np.asarray(T.as_exp_coords(), dtype=np.float64)
 
 
+def adjoint(T: RigidTransform) -> Matrix:
+    """Takes xi of one frame to that of another, rotation first: ``T Exp(xi) T^-1 = Exp(Ad xi)``; (6, 6)."""
+    R, M = rotation_matrix(T), np.zeros((6, 6))
+    M[:3, :3] = M[3:, 3:] = R
+    M[3:, :3] = skew(np.asarray(T.translation)[None])[0] @ R
+    return M
+
+
+def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
+    """Small motion about a centre: turn by ``xi[:3]`` (rad) about it, then shift by ``xi[3:]`` (m)."""
+    rotation = Rotation.from_rotvec(xi[:3])
+    return RigidTransform.from_components(center + xi[3:] - rotation.apply(center), rotation)
+
+
 def random_transform(rng: np.random.Generator, max_translation: float = 5.0) -> RigidTransform:
     """Uniformly random rotation and a translation uniform in a cube.
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import FieldValues
-from magmatch.geometry import exp_se3, random_transform, transform_error
+from magmatch.geometry import exp_se3, perturbation, random_transform, transform_error
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.prepared.raster import rasterize
-from magmatch.registration.refine.refinement import RefinementConfig, look_up, perturbation, refine, residual_jacobian
+from magmatch.registration.refine.refinement import RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.search.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
 from magmatch.registration.weigh.evidence import null_model_of, weigh_pose

@@ -12,11 +12,10 @@ import magmatch as mm
 from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
-from magmatch.geometry import exp_se3, random_transform
+from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.slam.folder import require_folder, write_folder
 from magmatch.slam.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
-from magmatch.slam.statement import adjoint
 
 KEYS = [
     "schema",

@@ -5,19 +5,23 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.arguments import expect_path
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.text import read_bytes
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, first_fault
 from magmatch.geometry import transform_from_matrix
+
+T = TypeVar("T")
 
 _DIGEST = re.compile("[0-9a-fA-F]{16,}")
 # Keys whose value may look like one.
@@ -75,6 +79,19 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
     if damaged is not None and "checksum" not in document:
         raise DataFormatError(path, f"key {damaged[:40]!r} seems to be a damaged 'checksum'; make the file again")
     return document
+
+
+def read_typed(
+    path: str | Path, adapter: Callable[[], TypeAdapter[T]], schema: str, what: str, max_bytes: int, **defaults: Any
+) -> T:
+    """Read a document and validate it; a value that cannot be is named by its key."""
+    expect_path(path)
+    document = read_document(path, schema, what, max_bytes)
+    try:
+        return adapter().validate_python(defaults | document)
+    except ValidationError as error:
+        place, words = first_fault(error)
+        raise DataFormatError(path, f"key '{place}': {words}") from None
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

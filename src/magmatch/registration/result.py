@@ -18,16 +18,14 @@ from pydantic import (
     GetPydanticSchema,
     Strict,
     TypeAdapter,
-    ValidationError,
     WrapValidator,
 )
 from pydantic_core.core_schema import no_info_after_validator_function
 from scipy.spatial.transform import RigidTransform
 from typing_extensions import TypedDict
 
-from magmatch.arguments import expect_path
-from magmatch.data.document import plain, read_document, write_document
-from magmatch.errors import DataFormatError, first_fault
+from magmatch.data.document import plain, read_typed, write_document
+from magmatch.errors import DataFormatError
 from magmatch.geometry import transform_from_matrix, transform_points
 from magmatch.picture import BASE, TARGET, points_picture, share_picture, with_picture
 
@@ -328,13 +326,7 @@ class RegistrationResult:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        expect_path(path)
-        document = read_document(path, SCHEMA, "registration result", MAX_BYTES)
-        try:
-            result = _adapter().validate_python({"reason": ""} | document)
-        except ValidationError as error:
-            place, words = first_fault(error)
-            raise DataFormatError(path, f"key '{place}': {words}") from None
+        result = read_typed(path, _adapter, SCHEMA, "registration result", MAX_BYTES, reason="")
         if (result.T_base_target is not None) != result.is_accepted:
             said = f"{'null' if result.T_base_target is None else 'given'} with '{result.status}'"
             raise DataFormatError(path, f"key 'T_base_target': expected a transform exactly where accepted, {said}")

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from magmatch.geometry import skew
+from magmatch.geometry import path_walked, skew
 from magmatch.slam.config import OdometryConfig
 from magmatch.typing import Matrix, Points
 
@@ -59,13 +59,11 @@ def lasting_errors(positions: Points, about: int, *, upright: bool) -> np.ndarra
     found = np.zeros((n, 6, 2))
     found[:, 3:, 0] = positions - positions[about]
     if upright:
-        walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+        walked = path_walked(positions)
         middles = (positions[1:] + positions[:-1]) / 2
-        steps = np.diff(walked)
         # The integral of e_z x (p - p_u) over the path between.
-        mass = np.concatenate([[0.0], np.cumsum(steps)])
-        moment = np.concatenate([np.zeros((1, 3)), np.cumsum(middles * steps[:, None], axis=0)])
-        arm = positions * (mass - mass[about])[:, None] - (moment - moment[about])
+        moment = np.concatenate([np.zeros((1, 3)), np.cumsum(middles * np.diff(walked)[:, None], axis=0)])
+        arm = positions * (walked - walked[about])[:, None] - (moment - moment[about])
         found[:, 2, 1] = walked - walked[about]
         found[:, 3:, 1] = np.cross([0.0, 0.0, 1.0], arm)
     return found

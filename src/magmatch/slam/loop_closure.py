@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Where a window passes what was walked before: registration's search and evidence, with the graph as prior."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import rotation_matrix, skew
+from magmatch.geometry import adjoint
 from magmatch.registration.decide.posterior import effective_evidence, is_same_answer
 from magmatch.registration.prepared.path_noise import Stretch
-from magmatch.registration.prepared.pose_prior import UP, PosePrior
+from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
 from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.windows import Window
-from magmatch.typing import Covariance6, Matrix, Vector3
+from magmatch.typing import Covariance6
 
 # Poses nearer than this are one answer: in field lengths, and rad.
 SAME_SHIFT, SAME_TURN = 0.3, 0.1
@@ -71,8 +71,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     found = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
     starts = [c.T_base_target for c in found.candidates]
     weighed = weigh_walk(index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending)
-    to_node = _about(window.center - walk.T_survey_walk.apply(walk.positions.mean(axis=0)))
-    M = to_node @ np.kron(np.eye(2), rotation_matrix(walk.T_survey_walk))
+    M = adjoint(window.T_middle_node.inv())
     # Poses that the data cannot tell apart are one answer.
     same = SAME_SHIFT * index.length, SAME_TURN
     kept: list[LineEvidence] = []
@@ -105,27 +104,15 @@ def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch
 def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -> PosePrior:
     """What is known beforehand, between model frames."""
     T_base, T_walk = base.index.base.T_map_model, window.walk.T_survey_walk
-    rough = C = None
-    if isinstance(expected, Rough):
-        rough = T_base.inv() * expected.T_base_log * T_walk
-        M = np.kron(np.eye(2), rotation_matrix(T_walk).T)
-        M = M @ _about(T_walk.apply(window.walk.positions.mean(axis=0)) - window.center)
-        C = M @ (expected.covariance + np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))) @ M.T
-    upright, planar = config.is_gravity_aligned, config.is_planar
-    return PosePrior(
-        volume=expected if isinstance(expected, float) else base.index.base.raster.volume,
-        T_base_target=rough,
-        covariance=C,
-        up_base=T_base.rotation.inv().apply(UP) if upright else None,
-        up_target=T_walk.rotation.inv().apply(UP) if upright else None,
+    known = PosePriorConfig(
+        is_gravity_aligned=config.is_gravity_aligned,
         gravity_sd=UPRIGHT_SD,
-        height=float(T_walk.translation[2] - T_base.translation[2]) if planar else None,
+        is_planar=config.is_planar and config.is_gravity_aligned,
         height_sd=LEVEL_SD,
     )
-
-
-def _about(arm: Vector3) -> Matrix:
-    """Takes xi about one point to xi about another that lies ``arm`` from it."""
-    M = np.eye(6)
-    M[3:, :3] = -skew(arm[None])[0]
-    return M
+    prior = pose_prior(known, T_base, T_walk, base.volume if isinstance(expected, Rough) else expected)
+    if not isinstance(expected, Rough):
+        return prior
+    M = adjoint(window.T_middle_node)
+    C = M @ (expected.covariance + np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))) @ M.T
+    return replace(prior, T_base_target=T_base.inv() * expected.T_base_log * T_walk, covariance=C)

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import skew
+from magmatch.geometry import adjoint, skew
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Covariance6, Indices, Matrix, Points, Tensors
 
@@ -69,7 +69,11 @@ class Closure:
     covariance: Covariance6
     log_odds: float
     weight: float = 1.0
-    evidence: float = 0.0
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the graph believes it: what it also takes to tie two logs."""
+        return self.weight > 0.5
 
 
 @dataclass(eq=False)
@@ -105,7 +109,7 @@ class PoseGraph:
         """First log of the logs that closures tie to each node's log."""
         root = np.arange(len(self.lasting))
         for c in self.closures:
-            if c.weight > 0.5:
+            if c.is_kept:
                 a, b = root[self.log[c.first]], root[self.log[c.second]]
                 root[root == max(a, b)] = min(a, b)
         found: Indices = root[self.log].astype(np.int64)
@@ -168,7 +172,9 @@ class PoseGraph:
         """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6)."""
         assert self._lu is not None
         C_as = self._columns(np.array([second])).reshape(-1, 6, 6)
-        A = np.stack([self._carried(int(first), second) for first in firsts])
+        # How a perturbation of each first node moves the second, in the second's axes.
+        T_second = self.pose(second).inv()
+        A = np.stack([adjoint(T_second * self.pose(int(first))) for first in firsts])
         AC = A @ C_as[firsts]
         found = C_as[second] + A @ self.marginals()[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
@@ -189,15 +195,6 @@ class PoseGraph:
                 found.append(C[some, :, np.arange(len(some))])
             self._own = np.concatenate(found)
         return self._own
-
-    def _carried(self, first: int, second: int) -> Matrix:
-        """How a perturbation of the first node moves the second, in the second's axes."""
-        A = np.zeros((6, 6))
-        R = self.R[second].T @ self.R[first]
-        t = self.R[first].T @ (self.p[second] - self.p[first])
-        A[:3, :3] = A[3:, 3:] = R
-        A[3:, :3] = -R @ skew(t[None])[0]
-        return A
 
     def _normal_equations(self) -> tuple[coo_array, np.ndarray]:
         size = 6 * len(self.p) + self.lasting.size

@@ -7,12 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
-from magmatch.arguments import expect_path
-from magmatch.data.document import plain, read_document, write_document
-from magmatch.errors import DataFormatError, first_fault
+from magmatch.data.document import plain, read_typed, write_document
 from magmatch.registration.result import Count, Covariance, Fraction, Number, NumberOrNull, Three, Transform
 
 SCHEMA = "magmatch.slam/1"
@@ -163,13 +161,7 @@ class SlamResult:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        expect_path(path)
-        document = read_document(path, SCHEMA, "result of slam or merge", MAX_BYTES)
-        try:
-            return _adapter().validate_python(document)
-        except ValidationError as error:
-            place, words = first_fault(error)
-            raise DataFormatError(path, f"key '{place}': {words}") from None
+        return read_typed(path, _adapter, SCHEMA, "result of slam or merge", MAX_BYTES)
 
 
 @cache

@@ -11,7 +11,7 @@ from magmatch.arguments import expect_kind
 from magmatch.data.checks import CONSTANT_FIELD, extent, require_survey
 from magmatch.data.survey import Survey
 from magmatch.registration.clock import Clock
-from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, PathNoise, most_likely
+from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, most_likely
 from magmatch.slam.bases import Base, BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.loop_closure import residuals
@@ -29,7 +29,6 @@ log = logging.getLogger(__name__)
 
 # Closures make others possible: so often at most all are looked for again.
 MOST_ROUNDS = 4
-LEARNING_ROUNDS = 1
 
 
 def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> Session:
@@ -76,11 +75,10 @@ def slam(logs: Survey | Sequence[Survey], config: SlamConfig | None = None) -> S
             sum(len(p.windows) for p in paths),
             config.window_length * length,
         )
-        guess = guessed_noise(numbers, length)
-        maker = BaseMaker(numbers, guess, length, config)
+        maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
         graph = odometry_graph(paths, config)
         graph.solve()
-        places = _Places(paths, graph, maker, guess)
+        places = _Places(paths, graph, maker)
         with clock("noise"):
             places.learn_noise()
         with clock("closures"):
@@ -105,35 +103,31 @@ class _Places:
     paths: list[Path]
     graph: PoseGraph
     maker: BaseMaker
-    guess: PathNoise
     made: dict[int, Base] = field(default_factory=dict)
 
     def learn_noise(self) -> None:
         """Learn from the surest closures what does not repeat, and forget them: they come back."""
-        for _ in range(LEARNING_ROUNDS):
-            self.close_near()
-            windows = {w.node: w for path in self.paths for w in path.windows}
-            stretches = []
-            for c in self.graph.closures:
-                window = windows[c.second]
-                T = self.graph.center(c.first) * c.T_first_second * window.T_log_node.inv()
-                stretches.append(residuals(window, self.stretch(c.first), T))
-            stretches = [s for s in stretches if len(s.positions) >= MIN_BINS]
-            self.graph.forget_closures()
-            if len(stretches) < PRIOR_STRETCHES:
-                return
-            self.maker.noise = most_likely(self.guess, stretches)
-            log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
-            self.made.clear()
+        self.close_near()
+        windows = {w.node: w for path in self.paths for w in path.windows}
+        stretches = []
+        for c in self.graph.closures:
+            window = windows[c.second]
+            T = self.graph.center(c.first) * c.T_first_second * window.T_log_node.inv()
+            stretches.append(residuals(window, self.stretch(c.first), T))
+        stretches = [s for s in stretches if len(s.positions) >= MIN_BINS]
+        self.graph.forget_closures()
+        if len(stretches) < PRIOR_STRETCHES:
+            return
+        self.maker.noise = most_likely(self.maker.noise, stretches)
+        log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
+        self.made.clear()
 
     def close_near(self) -> int:
         """Look for closures where the graph expects them; how many were found."""
         found = 0
         for path in self.paths:
             component = self.graph.component()
-            mine = np.flatnonzero(
-                (component == component[path.first_node]) & (np.arange(len(component)) <= path.nodes[-1])
-            )
+            mine = np.flatnonzero(component == component[path.first_node])
             closed = {c.second for c in self.graph.closures}
             candidates = [
                 [] if w.node in closed else near_candidates(w, mine[mine < w.node], self.graph, self.stretch)
@@ -147,13 +141,10 @@ class _Places:
         found = 0
         for path in self.paths:
             component = self.graph.component()
-            others = [p for p in self.paths if component[p.first_node] != component[path.first_node]]
             # Whoever came first is the base; a log that was tied since is corrected as the graph has it.
-            bases = [
-                self.maker.make(corrected(p, self.graph), p.nodes[p.number])
-                for p in others
-                if p.first_node < path.first_node
-            ]
+            earlier = [p for p in self.paths if p.first_node < path.first_node]
+            others = [p for p in earlier if component[p.first_node] != component[path.first_node]]
+            bases = [self.maker.make(corrected(p, self.graph), p.nodes[p.number]) for p in others]
             if bases:
                 found += self._add(path, [far_candidates(w, bases, self.graph) for w in path.windows])
         return found

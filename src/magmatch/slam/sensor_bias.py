@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
-from magmatch.registration.prepared.walk import bin_along_path
+from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.typing import Vector3
 
 # Of a phone or a robot that was not calibrated, T; weak against a hundred metres of path.
@@ -29,12 +29,7 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters) -> tuple[Vector3, Vect
     if survey.orientations is None:
         return np.zeros(3), np.zeros(3)
     rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)
-    counts = np.bincount(rows)
-    R = survey.orientations.as_matrix().reshape(-1, 9)
-    x, b, R = (
-        np.stack([np.bincount(rows, c) for c in v.T], axis=1) / counts[:, None]
-        for v in (survey.positions, survey.field, R)
-    )
+    x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, survey.orientations.as_matrix()))
     A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
     parts = (path_walked(x) / (PART_LENGTH * numbers.lengthscale)).astype(np.int64)
     for part in np.unique(parts):
@@ -43,7 +38,7 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters) -> tuple[Vector3, Vect
         C = numbers.signal_sd**2 * (1 + d + d * d / 3) * np.exp(-d) + numbers.noise_sd**2 * np.eye(len(some))
         factor = cho_factor(C, lower=True)
         for axis in range(3):
-            J = np.concatenate([R[some].reshape(-1, 3, 3)[:, axis], np.tile(np.eye(3)[axis], (len(some), 1))], axis=1)
+            J = np.concatenate([R[some][:, axis], np.tile(np.eye(3)[axis], (len(some), 1))], axis=1)
             A = A + J.T @ cho_solve(factor, J)
             v = v + J.T @ cho_solve(factor, b[some, axis])
     C = np.linalg.pinv(A, hermitian=True)

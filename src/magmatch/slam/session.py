@@ -17,7 +17,7 @@ from magmatch.field.map import FieldMap
 from magmatch.settings import Settings
 from magmatch.slam.pose_graph import PoseGraph
 from magmatch.slam.result import LogResult, Odometry, SlamResult, SlamStatus
-from magmatch.slam.statement import explain, is_kept, state_closure, state_odometry
+from magmatch.slam.statement import explain, state_closure, state_odometry
 from magmatch.slam.trajectories import corrected
 from magmatch.slam.windows import Path
 from magmatch.typing import Vector3
@@ -99,7 +99,7 @@ class Session:
         """What was found, as a document."""
         names, closures = self.names, self.graph.closures
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
-        ties = [c for c in closures if is_kept(c)]
+        ties = [c for c in closures if c.is_kept]
         if not ties:
             status = SlamStatus.UNCHANGED
         else:
@@ -130,7 +130,7 @@ class Session:
             component,
             T if is_tied else None,
             float(path.walked[-1]),
-            sum(is_kept(c) and bool({c.first, c.second} & nodes) for c in self.graph.closures),
+            sum(c.is_kept and bool({c.first, c.second} & nodes) for c in self.graph.closures),
             float(np.sqrt((moved**2).sum(axis=1).mean())),
             self.standard_deviations(path.nodes[-1:])[0],
         )
@@ -142,10 +142,10 @@ class Session:
 
     def standard_deviations(self, nodes: np.ndarray) -> list[tuple[float, float]]:
         """Of nodes against the first node of their component: m and rad."""
-        first = {int(root): k for k, root in reversed(list(enumerate(self.graph.component())))}
+        component = self.graph.component()
         found = []
         for node in nodes:
-            start = first[int(self.graph.component()[node])]
+            start = int(np.argmax(component == component[node]))
             C = self.graph.relative_covariances(np.array([start]), int(node))[0]
             place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
             found.append((place, turn))

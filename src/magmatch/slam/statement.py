@@ -6,16 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import rotation_matrix, skew
+from magmatch.geometry import adjoint
 from magmatch.slam.pose_graph import Closure, PoseGraph
 from magmatch.slam.result import ClosureResult, LogOdometry, Odometry, SlamStatus
 from magmatch.slam.windows import Path
-from magmatch.typing import Covariance6, Matrix, Vector3
-
-
-def is_kept(closure: Closure) -> bool:
-    """Whether the graph believes a closure: what it also takes to tie two logs."""
-    return closure.weight > 0.5
+from magmatch.typing import Covariance6, Vector3
 
 
 def state_closure(
@@ -33,7 +28,7 @@ def state_closure(
         T_a.inv() * closure.T_first_second * T_b,
         M @ closure.covariance @ M.T,
         float(1 / (1 + np.exp(-closure.log_odds))),
-        float(closure.weight) if is_kept(closure) else 0.0,
+        float(closure.weight) if closure.is_kept else 0.0,
         walked_a,
         walked_b,
     )
@@ -48,14 +43,6 @@ def _body(path: Path, node: int, *, is_rigid: bool) -> tuple[RigidTransform, flo
     R = None if survey.orientations is None else survey.orientations[at]
     T = RigidTransform.identity() if R is None else RigidTransform.from_rotation(R)
     return T, None if survey.times is None else float(survey.times[at]), float(path.walked[at])
-
-
-def adjoint(T: RigidTransform) -> Matrix:
-    """Takes xi of one frame to that of another, rotation first: ``T Exp(xi) T^-1 = Exp(Ad xi)``."""
-    R, M = rotation_matrix(T), np.zeros((6, 6))
-    M[:3, :3] = M[3:, 3:] = R
-    M[3:, :3] = skew(np.asarray(T.translation)[None])[0] @ R
-    return M
 
 
 def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Closures of one log: candidates of each of its windows, weighed together along the path; the sure ones are tied."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,17 +43,16 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
     for a, C in zip(firsts, graph.relative_covariances(firsts, b), strict=True):
         T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
         sd = float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1]))
-        # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
         if np.linalg.norm(T_a_b.translation) > half + window.length + REACH * sd:
             continue
         rough = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
+        # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
         found += [c for c in _candidates(window, stretch(int(a)), rough, graph.center) if c.node == a]
     return found
 
 
-def far_candidates(window: Window, bases: Iterable[Base], graph: PoseGraph) -> list[Candidate]:
+def far_candidates(window: Window, bases: Sequence[Base], graph: PoseGraph) -> list[Candidate]:
     """Where a window may lie on whole logs, from nowhere; bases in their components' frames."""
-    bases = list(bases)
     volume = sum(base.volume for base in bases)
     return [c for base in bases for c in _candidates(window, base, float(volume), graph.pose)]
 
@@ -63,14 +62,11 @@ def _candidates(
     base: Base,
     expected: Expected,
     T_base_node: Callable[[int], RigidTransform],
-    only: int | None = None,
 ) -> list[Candidate]:
     found = []
     for match in matches(window, base, window.config, expected):
         node = base.node_near(match.T_base_log.apply(window.center))
-        # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
-        if only is None or node == only:
-            found.append(Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match))
+        found.append(Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match))
     return found
 
 
@@ -93,9 +89,7 @@ def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph) -> list
         if best >= config.min_probability:
             c = found[int(np.argmax(p))]
             odds = float(np.log(best / max(1 - best, 1e-12)))
-            closures.append(
-                Closure(c.node, window.node, c.T_node_window, c.match.covariance, odds, evidence=c.match.evidence)
-            )
+            closures.append(Closure(c.node, window.node, c.T_node_window, c.match.covariance, odds))
     return closures
 
 

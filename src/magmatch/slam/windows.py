@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked, rotation_matrix
-from magmatch.registration.prepared.walk import BIN_LENGTH, Walk, bin_along_path, walk_of
+from magmatch.registration.prepared.walk import BIN_LENGTH, Walk, bin_along_path, bin_means, walk_of
 from magmatch.slam.bending import bend, turned
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Indices, Points, Scalars, Vector3
@@ -49,6 +49,13 @@ class Window:
     def walk(self) -> Walk:
         """In bins along the path."""
         return walk_of(self.survey, self.length)
+
+    @property
+    def T_middle_node(self) -> RigidTransform:
+        """Middle of the walk, in the walk's axes, from the node."""
+        walk = self.walk
+        T_log_middle = walk.T_survey_walk * RigidTransform.from_translation(walk.positions.mean(axis=0))
+        return T_log_middle.inv() * self.T_log_node
 
     @cached_property
     def bending(self) -> np.ndarray:
@@ -134,6 +141,6 @@ def _walked(survey: Survey, side: float) -> Scalars:
     """Path walked up to each sample; jitter within a bin of some side adds nothing."""
     rows = bin_along_path(np.ascontiguousarray(survey.positions), side)
     counts = np.bincount(rows)
-    means = np.stack([np.bincount(rows, c) for c in survey.positions.T], axis=1) / counts[:, None]
+    means = bin_means(survey.positions, rows)
     middles = np.cumsum(counts) - (counts + 1) / 2
     return np.maximum.accumulate(np.interp(np.arange(len(survey)), middles, path_walked(means)))

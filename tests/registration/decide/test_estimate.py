@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hand_made import WeighedPose
-from magmatch.geometry import random_transform
+from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.refine.refinement import perturbation
 from magmatch.registration.result import RegistrationResult, Status
 
 HERE = RigidTransform.identity()

@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
-from magmatch.geometry import random_transform
+from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
-from magmatch.registration.refine.refinement import perturbation
 from magmatch.registration.register import register
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import EARTH, Polynomial, box, prepared_map
-from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
+from magmatch.geometry import perturbation, random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
-from magmatch.registration.refine.refinement import RefinementConfig, perturbation, refine
+from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.weigh.change_search import poses_beside_changes
 from magmatch.registration.weigh.evidence import agreeing_cells, compare_cells, null_model_of, weigh_pose
 

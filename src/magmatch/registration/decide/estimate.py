@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import rotation_matrix, skew
+from magmatch.geometry import adjoint, rotation_matrix
 from magmatch.registration.result import DegenerateDirection
 from magmatch.registration.weigh.hypothesis import Hypothesis
 from magmatch.typing import Covariance6, Vector3
@@ -46,8 +46,7 @@ class Estimate:
         if self.covariance is None:
             return None
         # Turning about the origin instead of the centre moves the centre: rho = rho_c - theta x c.
-        M = np.eye(6)
-        M[3:, :3] = skew(self.center[None])[0]
+        M = adjoint(RigidTransform.from_translation(self.center))
         moved = M @ self.covariance @ M.T
         symmetric: Covariance6 = (moved + moved.T) / 2
         return symmetric

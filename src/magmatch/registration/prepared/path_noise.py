@@ -18,7 +18,7 @@ from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
 from magmatch.progress import tell
-from magmatch.registration.prepared.walk import bin_along_path
+from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
 # Of the base's path: length of a left-out stretch in correlation lengths; each set that is left out takes a refit.
@@ -183,7 +183,7 @@ def _predict(
             continue
         bins = bin_along_path(np.ascontiguousarray(x[rows]), STEP_LENGTH * length)
         if bins[-1] + 1 >= MIN_BINS:
-            found.append(Stretch(*(_bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b))))
+            found.append(Stretch(*(bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b))))
     return found
 
 
@@ -232,9 +232,3 @@ def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:
         parts = [(cdist(s.positions, s.positions), s.map_sd, s.gradient, s.field, s.residual) for s in alike]
         found.append(tuple(np.stack(column) for column in zip(*parts, strict=True)))
     return found
-
-
-def _bin_means(values: np.ndarray, bins: np.ndarray) -> np.ndarray:
-    sums = np.zeros((int(bins[-1]) + 1, *values.shape[1:]))
-    np.add.at(sums, bins, values)
-    return np.asarray(sums / np.bincount(bins).reshape(-1, *[1] * (values.ndim - 1)))

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import rotation_matrix, skew
+from magmatch.geometry import perturbation, rotation_matrix, skew
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -136,9 +136,7 @@ class PosePrior:
         A, v, _ = self.rows(T, center)
         both = np.linalg.solve(np.eye(6) + covariance @ A, covariance)
         both = (both + both.T) / 2
-        xi = -both @ v
-        turn = Rotation.from_rotvec(xi[:3])
-        return T * RigidTransform.from_components(center + xi[3:] - turn.apply(center), turn), both
+        return T * perturbation(-both @ v, center), both
 
     def rows(self, T: RigidTransform, center: Vector3) -> tuple[Matrix, np.ndarray, float]:
         """Information of the prior on the perturbation ``T Exp(xi)`` about a centre.

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.typing import Points, Scalars, Vectors
+from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
@@ -79,10 +79,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
             break
         side *= 1.2
     counts = np.bincount(rows).astype(np.float64)
-    positions, field = (
-        np.stack([np.bincount(rows, column) for column in values.T], axis=1) / counts[:, None]
-        for values in (local.positions, local.field)
-    )
+    positions, field = (bin_means(values, rows) for values in (local.positions, local.field))
     return Walk(T_survey_walk, positions, field, counts, survey.pose_sd)
 
 
@@ -100,6 +97,13 @@ def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
             row += 1
         rows[n] = row
     return rows
+
+
+def bin_means(values: np.ndarray, rows: Indices) -> np.ndarray:
+    """Average rows of values (n, ...) over bins that follow each other: (b, ...)."""
+    sums = np.zeros((int(rows[-1]) + 1, *values.shape[1:]))
+    np.add.at(sums, rows, values)
+    return np.asarray(sums / np.bincount(rows).reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def line_share(positions: Points, radius: float) -> float:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
 from magmatch.field.values import gradient_of
-from magmatch.geometry import transform_points
+from magmatch.geometry import perturbation, transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
@@ -26,7 +26,6 @@ from magmatch.registration.refine.refinement import (
     Lookup,
     RefinedPose,
     ResidualBlock,
-    perturbation,
     residual_jacobian,
 )
 from magmatch.settings import Settings

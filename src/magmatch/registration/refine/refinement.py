@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 from scipy.linalg import block_diag
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import rotate_vectors, skew, transform_points
+from magmatch.geometry import perturbation, rotate_vectors, skew, transform_points
 from magmatch.registration.prepared.cubes import sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
 from magmatch.registration.prepared.pose_prior import PosePrior
@@ -183,12 +183,6 @@ def refine(
             break
     known = prior.rows(T, center)[0]
     return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows))
-
-
-def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
-    """Small motion about a centre: turn by ``xi[:3]`` (rad) about it, then shift by ``xi[3:]`` (m)."""
-    rotation = Rotation.from_rotvec(xi[:3])
-    return RigidTransform.from_components(center + xi[3:] - rotation.apply(center), rotation)
 
 
 def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:

@@ -7,7 +7,6 @@ import numpy as np
 
 from magmatch.geometry import transform_points
 from magmatch.slam.session import Session
-from magmatch.slam.statement import is_kept
 from magmatch.typing import Points
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
@@ -117,7 +116,7 @@ def _closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
     go, graph, found = require_plotly(), session.graph, []
     for kept, color, dash in ((True, TARGET_COLOR, "solid"), (False, LINK_COLOR, "dash")):
         pairs = [
-            (c.first, c.second) for c in graph.closures if is_kept(c) == kept and int(graph.log[c.second]) in logs
+            (c.first, c.second) for c in graph.closures if c.is_kept == kept and int(graph.log[c.second]) in logs
         ]
         if not pairs:
             continue
