@@ -266,27 +266,27 @@ def fit(found: list[tuple[str, Row]]) -> Fitted:
     weights, truths = weights_of(found), [truth(name, one) for name, one in found]
 
     def numbers(v: np.ndarray) -> Fitted:
-        offset = {"map": float(v[3]), "walk": float(v[4])}
-        return Fitted(scale=np.exp(v[0]), saturation=np.exp(v[1]), dispersion=np.exp(v[2]), offset=offset)
+        offset = {"map": float(v[2]), "walk": float(v[3])}
+        return Fitted(scale=np.exp(v[0]), saturation=np.exp(v[1]), offset=offset)
 
     def loss(v: np.ndarray) -> float:
         law = numbers(v)
         stated = (0.98 * shares(one, law) + 0.01 for _, one in found)
         return -sum(w * float(t @ np.log(p)) for w, t, p in zip(weights, truths, stated, strict=True))
 
-    start = np.array([np.log(8.0), np.log(20.0), 0.0, 2.0, -1.0])
+    start = np.array([np.log(8.0), np.log(20.0), 2.0, -1.0])
     return numbers(minimize(loss, start, method="Nelder-Mead", options={"maxiter": 2000, "fatol": 1e-6}).x)
 
 
 def report(found: list[tuple[str, Row]], law: Fitted) -> tuple[list[list[str]], list[list[str]]]:
-    """Tables: what is accepted of each group, and how often poses of each stated probability are right."""
+    """Tables: what is probable enough of each group, and how often poses of each stated probability are right."""
     right = np.array([one["poses"][0]["is_right"] for _, one in found])
-    accepted = np.array([one["status"] == "accepted" for _, one in found])
+    probable = np.array([shares(one, law)[0] >= CONFIG.decision.min_probability for _, one in found])
     groups, by_group = np.array([group(name) for name, _ in found]), []
     for g in dict.fromkeys(groups):
         rows = groups == g
-        both = (right & accepted & rows).sum()
-        by_group.append([g, *map(str, (rows.sum(), (right & rows).sum(), both, (accepted & ~right & rows).sum()))])
+        both = (right & probable & rows).sum()
+        by_group.append([g, *map(str, (rows.sum(), (right & rows).sum(), both, (probable & ~right & rows).sum()))])
     weights, same = weights_of(found), np.array([is_of_one_place(name) for name, _ in found])
     by_bin = []
     for odds in (1.0, 1 / 9, 1 / 99):
@@ -308,7 +308,7 @@ def report(found: list[tuple[str, Row]], law: Fitted) -> tuple[list[list[str]], 
     return by_group, by_bin
 
 
-GROUP_COLUMNS = ("pairs", "n", "best pose right", "right and accepted", "wrong and accepted")
+GROUP_COLUMNS = ("pairs", "n", "best pose right", "right and probable", "wrong and probable")
 BIN_COLUMNS = ("prior odds", "stated", "n", "mean stated", "right", "95 % bounds", "Brier score", "log loss")
 
 
@@ -329,6 +329,7 @@ def main() -> None:
     found |= kept(asked.out / "pairs.jsonl", wanted, work, **how)
     everything = cases(list(found.values()))
     law = fitted()
+    print(f"{len(found)} pairs")
     if asked.fit:
         law = fit([case for case in everything if is_fitted_to(case[0])])
         print(law.model_dump_json(indent=1))

@@ -26,12 +26,15 @@ MOST_CUTS = 4
 
 def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
     """Median numbers of short parts, and their median correlation length (m)."""
-    found, lengths = [], []
+    found: list[Hyperparameters] = []
+    lengths = []
     n_parts = max(N_PARTS // len(surveys), 2)
     for survey in surveys:
         walked = path_walked(survey.positions)
         for middle in (np.arange(n_parts) + 0.5) / n_parts:
-            part = walked[-1] / N_PARTS
+            # What the parts before showed is where the next begins: most fit at once.
+            known = float(np.median([h.lengthscale for h in found])) if found else np.inf
+            part = min(walked[-1] / N_PARTS, PART_LENGTH * known)
             for _ in range(MOST_CUTS):
                 numbers, length = _numbers_of(_part(survey, walked, middle, part))
                 if part <= PART_LENGTH * numbers.lengthscale:

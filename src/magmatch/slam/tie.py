@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.geometry import transform_error
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
-from magmatch.slam.loop_closure import Expected, Match, Rough, matches
+from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
 from magmatch.slam.pose_graph import Closure, PoseGraph
 from magmatch.slam.windows import Path, Window
-from magmatch.typing import Indices, Matrix
+from magmatch.typing import Indices, Matrix, Scalars
 
 # Nodes so near along one log are not compared: their windows share a base.
 APART = 3
@@ -84,13 +85,34 @@ def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph) -> list
     steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
     shares = smooth(placed, steps, config.revisit_share, config.keeps_on)
     closures = []
-    for window, found, p in zip(path.windows, candidates, shares, strict=True):
-        best = float(p.max(initial=0.0))
-        if best >= config.min_probability:
-            c = found[int(np.argmax(p))]
-            odds = float(np.log(best / max(1 - best, 1e-12)))
-            closures.append(Closure(c.node, window.node, c.T_node_window, c.match.covariance, odds))
+    for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
+        # Who passes a place for the third time is near both earlier passes: two nodes, but one answer.
+        same = _same_answer(at, p, window.length)
+        probability = float(p[same].sum())
+        if probability >= config.min_probability:
+            odds = float(np.log(probability / max(1 - probability, 1e-12)))
+            one_a_pass = _one_a_pass([found[k] for k in same], graph)
+            closures += [Closure(c.node, window.node, c.T_node_window, c.match.covariance, odds) for c in one_a_pass]
     return closures
+
+
+def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indices:
+    """Candidates that put a window where the most probable one does, most probable first."""
+    order = np.argsort(-shares, kind="stable")
+    if not len(order):
+        return order
+    T_best = placed[order[0]].T
+    off = [transform_error(placed[k].T, T_best, np.zeros(3)) for k in order]
+    return order[[shift <= SAME_SHIFT * length and turn <= SAME_TURN for shift, turn in off]]
+
+
+def _one_a_pass(candidates: list[Candidate], graph: PoseGraph) -> list[Candidate]:
+    """Of candidates at neighbouring nodes, whose stretches share samples, the first."""
+    kept: list[Candidate] = []
+    for c in candidates:
+        if all(graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART for k in kept):
+            kept.append(c)
+    return kept
 
 
 def _log_transition(

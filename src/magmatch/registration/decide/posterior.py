@@ -3,8 +3,9 @@
 
 Evidence takes its models at face value: as if residuals were no larger than expected, and as if errors of the models
 were independent. Residuals that exceed the expected ones are fewer independent samples than they seem, so evidence is
-divided by a power of their dispersion (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974). Errors that all
-samples share let evidence say less the more there is of it, so log odds grow with its logarithm. Of this law,
+divided by their dispersion, the square of the misfit (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974).
+Errors that all samples share let evidence say less the more there is of it, so log odds grow with its logarithm. Of
+this law,
 
     log odds = scale * asinh(effective evidence / saturation) - offset,
 
@@ -36,8 +37,6 @@ class Fitted(BaseModel):
     scale : float
     saturation : float, nats
         Evidence from which on it counts by its logarithm.
-    dispersion : float
-        Power of the residuals' dispersion by which evidence is divided.
     offset : dict of float
         For each kind of evidence, how readily unrelated surveys gain it.
     """
@@ -46,7 +45,6 @@ class Fitted(BaseModel):
 
     scale: float = Field(gt=0)
     saturation: float = Field(gt=0)
-    dispersion: float = Field(ge=0)
     offset: dict[Kind, float]
 
 
@@ -56,13 +54,12 @@ def fitted() -> Fitted:
     return Fitted.model_validate(json.loads(files(__package__).joinpath("fitted.json").read_text(encoding="utf-8")))
 
 
-def effective_evidence(log_evidence: float, misfit: float, numbers: Fitted | None = None) -> float:
+def effective_evidence(log_evidence: float, misfit: float) -> float:
     """Evidence of as many samples as the residuals' dispersion leaves independent, nats.
 
     Evidence against a pose is kept whole: residuals that are too large are no excuse.
     """
-    power = (numbers or fitted()).dispersion
-    return log_evidence / max(misfit, 1.0) ** power if log_evidence > 0 else log_evidence
+    return log_evidence / max(misfit, 1.0) ** 2 if log_evidence > 0 else log_evidence
 
 
 def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | None = None) -> float:
@@ -70,7 +67,7 @@ def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | N
     numbers = numbers or fitted()
     if not np.isfinite(log_evidence):
         return -np.inf
-    effective = effective_evidence(log_evidence, misfit, numbers)
+    effective = effective_evidence(log_evidence, misfit)
     return float(numbers.scale * np.arcsinh(effective / numbers.saturation) - numbers.offset[kind])
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.special import logsumexp
 
 from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
@@ -86,20 +85,22 @@ class PathNoise:
         """Standard deviation of one component between two walks through one place, drift left out, T."""
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
 
-    def factor(self, chi2: float, n_free: int) -> tuple[float, float]:
-        """Factor on the covariance that explains one walk best, given how walks differ.
+    def factor(self, chi2: Scalars, n_free: Scalars) -> tuple[Scalars, Scalars]:
+        """Factor on the covariance that explains each walk best, given how walks differ.
 
         Returns
         -------
-        factor : float
-        log_likelihood : float, nats
+        factor : (...) array
+        log_likelihood : (...) array, nats
             ``-chi2 / 2 k - n/2 ln k``, averaged over k, whose logarithm is normal with the spread.
         """
         deviates = np.linspace(-4, 4, 161)
         log_factor, log_prior = self.spread * deviates, -0.5 * deviates**2
+        chi2, n_free = np.asarray(chi2)[..., None], np.asarray(n_free)[..., None]
         found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor + log_prior
-        best = float(np.exp(log_factor[int(np.argmax(found))]))
-        return best, float(logsumexp(found) - logsumexp(log_prior))
+        largest = found.max(axis=-1)
+        log_sum = largest + np.log(np.exp(found - largest[..., None]).sum(axis=-1))
+        return np.exp(log_factor[found.argmax(axis=-1)]), log_sum - np.log(np.exp(log_prior).sum())
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""

@@ -112,22 +112,34 @@ class PosePrior:
         -------
         float
         """
-        volume = max(self.volume, np.finfo(float).tiny)
         if self.is_flat:
-            return float(-np.log(volume * 8 * np.pi**2))
+            return float(self._log_norms(np.zeros((1, 6, 6)))[0])
         A, v, chi2 = self.rows(T, center)
-        if self.T_base_target is not None:
-            log_norm = 0.5 * np.linalg.slogdet(A / (2 * np.pi))[1]
-        else:
-            log_norm = -np.log(volume * 2 * np.pi) - np.log(2 * np.pi * self.gravity_sd**2)
-            if self.height is not None:
-                log_norm += np.log(self.height_range / self.height_sd) - 0.5 * np.log(2 * np.pi)
+        log_norm = float(self._log_norms(A[None])[0])
         if covariance is not None:
             # The mean of exp(-chi^2 / 2) over the estimate's spread.
             spread = np.eye(6) + covariance @ A
             chi2 -= float(v @ np.linalg.solve(spread, covariance @ v))
             log_norm -= 0.5 * np.linalg.slogdet(spread)[1]
         return float(log_norm - 0.5 * chi2)
+
+    def log_densities(self, R: Tensors, moved: Points, center: Vector3) -> Scalars:
+        """`log_density` of many poses at once: they turn by R (h, 3, 3) and put the centre at ``moved`` (h, 3)."""
+        A, _, chi2 = self.rows_of_many(R, moved, center)
+        return self._log_norms(A) - 0.5 * chi2
+
+    def _log_norms(self, A: np.ndarray) -> Scalars:
+        """Log density where nothing contradicts it, for informations (h, 6, 6)."""
+        if self.T_base_target is not None:
+            return np.asarray(0.5 * np.linalg.slogdet(A / (2 * np.pi))[1])
+        log_norm = -np.log(max(self.volume, np.finfo(float).tiny))
+        if self.up_base is None:
+            log_norm -= np.log(8 * np.pi**2)
+        else:
+            log_norm -= np.log(2 * np.pi) + np.log(2 * np.pi * self.gravity_sd**2)
+            if self.height is not None:
+                log_norm += np.log(self.height_range / self.height_sd) - 0.5 * np.log(2 * np.pi)
+        return np.full(len(A), log_norm)
 
     def combined(
         self, T: RigidTransform, center: Vector3, covariance: Covariance6

@@ -139,16 +139,15 @@ def weigh_walk(
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False), config)
     if not len(coarse.chi2):
         return []
-    gain = np.array([e.log_evidence for e in _weigh(coarse, squares, null, config)])
-    order = np.argsort(-gain, kind="stable")
-    coarse = coarse.rows(order)
-    best = coarse.rows(np.arange(min(config.n_fine, len(order))))
+    roughly = _weigh(coarse, squares, null, config)
+    order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
+    best = coarse.rows(order[: config.n_fine])
     settled = squares.run(best.rotations, best.centers, _strained(best, config), 2, is_full=False)
     fine = squares.run(
         settled.rotations, settled.centers, _strained(settled, config), config.n_fine_steps, is_full=True
     )
     weighed = _weigh(_covered(fine, config), squares, null, config)
-    weighed += _weigh(coarse.rows(np.arange(config.n_fine, len(order))), squares, null, config)
+    weighed += [roughly[k] for k in order[config.n_fine :]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
 
@@ -300,39 +299,41 @@ class _LeastSquares:
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
     """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
-    found = []
-    price_per_bin = config.price_outside * squares.walk.bin_length / squares.length
-    for k in range(len(fits.chi2)):
-        known = fits.known[k]
-        n_free = 3 * int(known.sum()) - 6
-        inflation, log_likelihood = squares.noise.factor(fits.chi2[k], n_free)
-        # A walk that fits better than a guess expects may still share its frame's errors.
-        least = 0.0 if squares.noise.is_learned else 1.0
-        covariance = max(inflation, least) * np.linalg.inv(fits.information[k])
-        _, log_det = np.linalg.slogdet(2 * np.pi * covariance)
-        T = squares.pose(fits.rotations[k], fits.centers[k])
-        log_evidence = float(
-            log_likelihood
-            - fits.half_log_det[k]
-            - null.log_likelihood(known)
-            + 0.5 * log_det
-            + squares.prior.log_density(T, squares.center)
-            - price_per_bin * (~known).sum()
-            - config.price_piece / config.piece_bins * (fits.strain[k] > 1).sum()
+    if not len(fits.chi2):
+        return []
+    n_known = fits.known.sum(axis=1)
+    n_free = 3 * n_known - 6
+    inflation, log_likelihood = squares.noise.factor(fits.chi2, n_free)
+    # A walk that fits better than a guess expects may still share its frame's errors.
+    least = 0.0 if squares.noise.is_learned else 1.0
+    covariance = np.maximum(inflation, least)[:, None, None] * np.linalg.inv(fits.information)
+    covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    # Most poses know the same bins.
+    unrelated = {known.tobytes(): null.log_likelihood(known) for known in np.unique(fits.known, axis=0)}
+    log_evidence = (
+        log_likelihood
+        - fits.half_log_det
+        - np.array([unrelated[known.tobytes()] for known in fits.known])
+        + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
+        + squares.prior.log_densities(fits.rotations, fits.centers, squares.center)
+        - config.price_outside * squares.walk.bin_length / squares.length * (fits.known.shape[1] - n_known)
+        - config.price_piece / config.piece_bins * (fits.strain > 1).sum(axis=1)
+    )
+    attainable = log_evidence + np.maximum(squares.noise.factor(n_free, n_free)[1] - log_likelihood, 0.0)
+    misfit = np.sqrt(fits.chi2 / n_free)
+    return [
+        LineEvidence(
+            T_base_target=squares.pose(fits.rotations[k], fits.centers[k]),
+            center=squares.center,
+            covariance=covariance[k],
+            overlap=float(fits.known[k].mean()),
+            log_evidence=float(log_evidence[k]),
+            attainable=float(attainable[k]),
+            misfit=float(misfit[k]),
+            is_covered=fits.known[k],
         )
-        found.append(
-            LineEvidence(
-                T_base_target=T,
-                center=squares.center,
-                covariance=(covariance + covariance.T) / 2,
-                overlap=float(known.mean()),
-                log_evidence=log_evidence,
-                attainable=log_evidence + max(squares.noise.factor(n_free, n_free)[1] - log_likelihood, 0.0),
-                misfit=float(np.sqrt(fits.chi2[k] / n_free)),
-                is_covered=known,
-            )
-        )
-    return found
+        for k in range(len(fits.chi2))
+    ]
 
 
 def _isolate(C: Matrix, known: Matrix) -> Matrix:
@@ -379,7 +380,8 @@ def _unrelated_covariance(d2: Matrix, length: float, variance: float, constant: 
 def _log_likelihood(values: Vectors, K: Matrix, noise: PathNoise) -> float:
     L = _cholesky(K)
     z = _solve(L, values)
-    return noise.factor(float((z**2).sum()), 3 * len(L))[1] - float(3 * np.log(np.diag(L)).sum())
+    log_likelihood = noise.factor(np.array((z**2).sum()), np.array(3 * len(L)))[1]
+    return float(log_likelihood) - float(3 * np.log(np.diag(L)).sum())
 
 
 def _cholesky(C: Matrix) -> Matrix:

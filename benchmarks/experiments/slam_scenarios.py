@@ -1,0 +1,201 @@
+"""Simulated logs whose odometry drifts, corrected by their field alone.
+
+    python benchmarks/experiments/slam_scenarios.py --out DIR [--first 100] [--seeds 20] [--jobs 2] [--quick]
+        [--save NAME]
+
+Places: a corridor walked in laps, an office walked to and fro, a hall in lanes and then in lanes across them, a robot
+in circles over a table of magnets; each passed three and six times, 0.4 uT of noise. Drift of d %: a random walk of
+place whose end is d % of the path off (rms), and of heading of d deg over 10 m. Errors: rms of positions after one
+rigid alignment in the plane; heading: rms about the mean. Ceiling: with the true relative pose at every revisit.
+NEES is of nodes in the frame of the first, per degree of freedom. A closure is wrong that is off by more than half a
+field length and three of its standard deviations; it survives where the graph keeps it. Rows stay in DIR; a second
+run goes on where the first ended.
+"""
+
+import os
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import magmatch as mm
+from magmatch.geometry import path_walked
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.magnets import field_of
+from magmatch.simulation.paths import around_loop, boustrophedon, circles, loop_length, resample, smooth_noise, wander
+from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
+from magmatch.slam.pose_graph import Closure
+from magmatch.slam.tie import APART
+from magmatch.slam.trajectories import corrected
+from magmatch_evaluation.saved_table import saver, show
+from magmatch_evaluation.script import arguments, kept, timed
+
+PLACES, PASSES, DRIFTS = ("corridor", "office", "hall", "table"), (3, 6), (0.5, 1.0, 3.0)
+EARTH = np.array(SimulationConfig().earth_field)
+COLUMNS = (
+    "place", "passes", "drift, %", "n", "odometry, m", "corrected, m", "median ratio", "worst ratio", "ceiling ratio",
+    "heading ratio", "NEES", "closures", "wrong", "wrong that survive", "s a metre",
+)  # fmt: skip
+CORRIDOR = (20.0, 10.0)
+NOISE = 4e-7
+
+
+def place(name: str, passes: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """True path (n, 3) and its field, T."""
+    if name == "table":
+        sources = under_table((2.0, 1.5), 0.08, 15, rng)
+        path, _ = circles(np.array([0.0, 0.0, 0.05]), (0.25, 0.4, 0.55), passes, 800 * passes)
+    elif name == "corridor":
+        length = loop_length(CORRIDOR, 1.0)
+        path, heading = around_loop(CORRIDOR, 1.0, np.arange(0, passes * length, 0.06))
+        beside = smooth_noise(len(path), 25, 0.15, rng)
+        path += beside[:, None] * np.column_stack([-np.sin(heading), np.cos(heading), 0 * heading]) + [0, 0, 0.5]
+        sources = along_corridor(lambda s: around_loop(CORRIDOR, 1.0, s), length, 1.0, rng)
+    else:
+        size = np.array([6.0, 5.0, 0.0]) if name == "office" else np.array([15.0, 10.0, 0.0])
+        if name == "office":
+            path = wander((size[0], size[1], 0.0), 1200 * passes, 0.02, rng)
+            path = resample(path, int(path_walked(path)[-1] / 0.05))
+        else:
+            corners = [boustrophedon(-size / 2, size / 2, [0.0], 1.5, k % 2, 400) for k in range(passes)]
+            path = np.concatenate(corners)
+            path = resample(path, int(path_walked(path)[-1] / 0.07))
+        low, high = np.array([*(-size[:2] / 2), -0.5]), np.array([*(size[:2] / 2), 1.5])
+        sources = around_box(low, high, 0.3, rng, faces=range(4)) + around_box(low, high, 0.3, rng, faces=(4,))
+    if name != "table":
+        sources = [s for s in sources if is_clear([s], path[::10], 0.25).all()]
+        sources = calibrated(sources, path[::10], 6e-6)
+    return path, field_of(sources, path) + EARTH
+
+
+def drifted(path: np.ndarray, field: np.ndarray, percent: float, rng: np.random.Generator) -> mm.Survey:
+    """The log of a body that looks ahead and knows its path from drifting odometry, in the frame of its start."""
+    steps = np.diff(path, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    total = length.sum()
+    ahead = np.unwrap(np.arctan2(*np.gradient(path[:, :2], axis=0).T[::-1]))
+    turned = np.concatenate(
+        [[0], np.cumsum(np.radians(percent) * np.sqrt(length / 10) * rng.standard_normal(len(length)))]
+    )
+    moved = np.zeros_like(steps)
+    moved[:, :2] = percent / 100 * np.sqrt(total * length / 2)[:, None] * rng.standard_normal((len(length), 2))
+    steps = about_z(turned[:-1]).apply(steps) + moved
+    positions = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    measured = field + NOISE * rng.standard_normal(field.shape)
+    sensor = about_z(ahead + turned)
+    wrong = mm.Survey(
+        positions, about_z(turned).apply(measured), times=path_walked(path), orientations=sensor, name="walk.csv"
+    )
+    return wrong.transformed(RigidTransform.from_rotation(about_z(rng.uniform(-np.pi, np.pi))))
+
+
+def about_z(angles: np.ndarray | float) -> Rotation:
+    """Turns about the vertical."""
+    return (
+        Rotation.from_euler("z", np.reshape(angles, (-1, 1))) if np.ndim(angles) else Rotation.from_euler("z", angles)
+    )
+
+
+def error(path: np.ndarray, positions: np.ndarray) -> float:
+    """Rms distance after one rigid alignment in the plane, m."""
+    a, b = (x[:, :2] - x[:, :2].mean(axis=0) for x in (positions, path))
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    return float(np.sqrt(((a @ U @ np.diag([1, np.linalg.det(U @ Vt)]) @ Vt - b) ** 2).sum(axis=1).mean()))
+
+
+def heading_error(log: mm.Survey, truth: Rotation) -> float:
+    """Rms of headings about their mean error, deg."""
+    turn = (log.orientations * truth.inv()).as_rotvec()[:, 2]
+    turn = np.angle(np.exp(1j * turn) * np.exp(-1j * np.angle(np.exp(1j * turn).mean())))
+    return float(np.degrees(np.sqrt((turn**2).mean())))
+
+
+def nees_of(session: mm.Session, path: np.ndarray, ahead: Rotation) -> float:
+    """Mean over nodes of the squared error of place over its stated covariance, per degree of freedom."""
+    graph, log = session.graph, session.paths[0]
+    p, R = path[log.middles], ahead[log.middles]
+    # The node's axes are the odometry's: what the truth turns them by since the first.
+    turned = (session.given[0].orientations[log.middles] * R.inv()).inv()
+    T = turned[0].inv()
+    e = np.einsum("nji,nj->ni", graph.R, graph.p - graph.p[0] - T.apply(p - p[0]))[1:, :2]
+    C = graph.marginals()[1:, 3:5, 3:5]
+    return float(np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]).mean() / 2)
+
+
+def ceiling(session: mm.Session, path: np.ndarray, turned: Rotation) -> mm.Survey:
+    """The trajectory with the true relative pose at every revisit, to a centimetre."""
+    one, graph = session.paths[0], session.graph
+    near = one.windows[0].config.window_length * one.windows[0].length / 2
+    p = path[one.middles]
+    graph.closures = [
+        Closure(a, b, true_shift(a, b, path, one.middles, turned), 1e-4 * np.eye(6), 12.0)
+        for b in range(len(p))
+        for a in range(b - APART + 1)
+        if np.linalg.norm(p[a] - p[b]) < near
+    ]
+    graph.solve()
+    return corrected(one, graph)
+
+
+def true_shift(a: int, b: int, path: np.ndarray, middles: np.ndarray, turned: Rotation) -> RigidTransform:
+    """Node b in the axes that odometry had at node a."""
+    back = turned[middles[a]].inv()
+    return RigidTransform.from_components(back.apply(path[middles[b]] - path[middles[a]]), back * turned[middles[b]])
+
+
+def work(name: str) -> dict[str, object]:
+    """One log."""
+    kind, passes, percent, seed = name.split(" ")
+    rng = np.random.default_rng([PLACES.index(kind), int(seed)])
+    path, field = place(kind, int(passes), rng)
+    log = drifted(path, field, float(percent), rng)
+    ahead = about_z(np.unwrap(np.arctan2(*np.gradient(path[:, :2], axis=0).T[::-1])))
+    session, seconds, processor = timed(mm.slam, log)
+    middles, length = session.paths[0].middles, session.paths[0].windows[0].length
+    off, wrong, survive = [], 0, 0
+    turned = (log.orientations * ahead.inv()).inv()
+    for c in session.graph.closures:
+        true = true_shift(c.first, c.second, path, middles, turned).translation
+        apart = float(np.linalg.norm((c.T_first_second.translation - true)[:2]))
+        is_wrong = apart > max(length / 2, 3 * float(np.sqrt(np.trace(c.covariance[3:5, 3:5]))))
+        off.append(apart)
+        wrong, survive = wrong + is_wrong, survive + (is_wrong and c.is_kept)
+    after, nees = session.trajectories[0], nees_of(session, path, ahead)
+    return {
+        "name": name, "length": float(path_walked(path)[-1]), "field_length": length,
+        "before": error(path, log.positions), "after": error(path, after.positions),
+        "heading": [heading_error(log, ahead), heading_error(after, ahead)], "nees": nees,
+        "ceiling": error(path, ceiling(session, path, turned).positions),
+        "closures": len(off), "off": off, "wrong": int(wrong), "survive": int(survive), "seconds": seconds,
+        "processor": processor,
+    }  # fmt: skip
+
+
+def main() -> None:
+    asked = arguments(__doc__, out=Path, first=100, seeds=20, jobs=os.cpu_count(), quick=False, save=saver)
+    asked.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(asked.first, asked.first + (3 if asked.quick else asked.seeds))
+    groups = [f"{kind} {passes} {percent}" for kind in PLACES for passes in PASSES for percent in DRIFTS]
+    wanted = [f"{group} {seed}" for seed in seeds for group in groups]
+    rows = kept(asked.out / "scenarios.jsonl", wanted, partial(work), jobs=asked.jobs)
+    table = []
+    for group in groups:
+        some = [rows[f"{group} {seed}"] for seed in seeds if f"{group} {seed}" in rows]
+        if not some:
+            continue
+        before, after = (np.array([r[key] for r in some]) for key in ("before", "after"))
+        heading = np.array([r["heading"] for r in some])
+        total = {key: sum(r[key] for r in some) for key in ("closures", "wrong", "survive", "seconds", "length")}
+        table.append([
+            *group.split(" "), len(some), f"{np.median(before):.3f}", f"{np.median(after):.3f}",
+            f"{np.median(after / before):.2f}", f"{(after / before).max():.2f}",
+            f"{np.median([r['ceiling'] / r['before'] for r in some]):.2f}",
+            f"{np.median(heading[:, 1] / heading[:, 0]):.2f}", f"{np.median([r['nees'] for r in some]):.2f}",
+            total["closures"], total["wrong"], total["survive"], f"{total['seconds'] / total['length']:.3f}",
+        ])  # fmt: skip
+    show(COLUMNS, table, asked.save)
+
+
+if __name__ == "__main__":
+    main()
