@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.special import logsumexp
 
 from magmatch.data.survey import Survey
 from magmatch.field.fit import fit_posterior
@@ -99,7 +98,7 @@ class PathNoise:
         log_factor, log_prior = self.spread * deviates, -0.5 * deviates**2
         found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor + log_prior
         best = float(np.exp(log_factor[int(np.argmax(found))]))
-        return best, float(logsumexp(found) - logsumexp(log_prior))
+        return best, float(np.logaddexp.reduce(found) - np.logaddexp.reduce(log_prior))
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""
