@@ -13,8 +13,8 @@ from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 from magmatch.geometry import adjoint, exp_se3, random_transform
-from magmatch.slam.folder import require_folder, write_folder
-from magmatch.slam.g2o import write_graph
+from magmatch.slam.output.folder import require_folder, write_folder
+from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
 
 KEYS = [
@@ -23,6 +23,7 @@ KEYS = [
     "reason",
     "logs",
     "closures",
+    "anchors",
     "odometry",
     "seconds",
     "config",
@@ -44,7 +45,7 @@ def test_the_document_has_the_keys_of_the_contract(folder):
     assert [key for key in document if key != "checksum"] == KEYS
     assert document["schema"] == "magmatch.slam/1"
     assert set(document["logs"][0]) == {
-        "name", "component", "T_map_log", "length", "n_closures", "moved", "sd",
+        "name", "component", "T_map_log", "length", "n_closures", "moved", "sd", "is_fixed",
     }  # fmt: skip
     assert set(document["closures"][0]) >= {
         "log_a", "t_a", "log_b", "t_b", "T_a_b", "covariance", "probability", "weight",
@@ -118,7 +119,7 @@ def test_the_adjoint_carries_a_tangent_to_another_frame():
 def test_the_folder_holds_what_the_contract_says(folder, three):
     names = {path.name for path in folder.iterdir()}
     assert names == {f"{n}.{e}" for n in "abc" for e in ("csv", "tum")} | {
-        "map.map", "map_2.map", "graph.g2o", "result.json",
+        "map.map", "map_2.map", "graph.g2o", "result.json", "session.json",
     }  # fmt: skip
     for name, survey, truth in zip("abc", three.session.trajectories, three.truth, strict=True):
         poses, there = mm.Trajectory.load(folder / f"{name}.tum"), read_survey(folder / f"{name}.csv")
@@ -131,7 +132,7 @@ def test_the_folder_holds_what_the_contract_says(folder, three):
 def test_without_times_or_orientations_there_are_no_poses_to_write(lone, tmp_path):
     given = replace(lone.log, times=None)
     paths = [replace(lone.session.paths[0], survey=replace(lone.session.paths[0].survey, times=None))]
-    session = replace(lone.session, given=[given], paths=paths)
+    session = replace(lone.session, given=[given], places=replace(lone.session.places, paths=paths))
     result = write_folder(session, tmp_path / "out")
     assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json"}
     assert all(c.t_a is None for c in result.closures)

@@ -7,18 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import transform_error
+from magmatch.geometry import transform_error, transform_from_matrix
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.graph.pose_graph import REACH, Closure, PoseGraph
 from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
-from magmatch.slam.pose_graph import Closure, PoseGraph
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
 # Nodes so near along one log are not compared: their windows share a base.
 APART = 3
-# Standard deviations within which the graph's expectation is searched.
-REACH = 3.0
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
 # The base about a node.
@@ -34,6 +32,28 @@ class Candidate:
     match: Match
 
 
+def numbers_of(candidates: Sequence[Candidate]) -> Matrix:
+    """Candidates as rows of numbers, as they are kept."""
+    rows = [
+        np.concatenate([
+            [c.node, c.match.evidence, c.match.log_prior], c.T_node_window.as_matrix().ravel(),
+            c.match.T_base_log.as_matrix().ravel(), c.match.covariance.ravel(),
+        ])
+        for c in candidates
+    ]  # fmt: skip
+    return np.array(rows).reshape(-1, 71)
+
+
+def of_numbers(rows: Matrix) -> list[Candidate]:
+    """Candidates of such rows."""
+    found = []
+    for row in rows.reshape(-1, 71):
+        T_node_window, T_base_log = (transform_from_matrix(part.reshape(4, 4)) for part in (row[3:19], row[19:35]))
+        match = Match(T_base_log, row[35:].reshape(6, 6), float(row[1]), float(row[2]))
+        found.append(Candidate(int(row[0]), T_node_window, match))
+    return found
+
+
 def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: Stretch) -> list[Candidate]:
     """Where a window may lie on stretches about other nodes, as the graph expects it."""
     b = window.node
@@ -41,11 +61,11 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
     if not len(firsts):
         return []
     half, found = window.config.window_length * window.length / 2, []
-    for a, C in zip(firsts, graph.relative_covariances(firsts, b), strict=True):
+    covariances = graph.relative_covariances(firsts, b)
+    sd = np.sqrt(np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1])
+    is_near = np.linalg.norm(graph.p[firsts] - graph.p[b], axis=1) <= half + window.length + REACH * sd
+    for a, C in zip(firsts[is_near], covariances[is_near], strict=True):
         T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
-        sd = float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1]))
-        if np.linalg.norm(T_a_b.translation) > half + window.length + REACH * sd:
-            continue
         rough = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
         # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
         found += [c for c in _candidates(window, stretch(int(a)), rough, graph.center) if c.node == a]
