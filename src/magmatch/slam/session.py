@@ -30,7 +30,7 @@ from magmatch.slam.places import Places, find, go_on, settled
 from magmatch.slam.result import AnchorResult, LogResult, Odometry, SlamResult, SlamStatus
 from magmatch.slam.statement import explain, state_closure, state_odometry
 from magmatch.slam.steps import Steps
-from magmatch.slam.windows import Path
+from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Vector3
 
 
@@ -253,7 +253,7 @@ class Session:
         groups = [[names[k] for k in group] for group in self.components]
         return SlamResult(
             status,
-            explain(status, groups, len(ties), len(closures) - len(ties), len(anchors)),
+            explain(status, groups, len(ties), len(closures) - len(ties), len(anchors), self._bent()),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             tuple(
@@ -267,6 +267,11 @@ class Session:
             self.seed,
             tuple(describe_input(s) for s in self.logs),
         )
+
+    def _bent(self) -> Window | None:
+        """A window, where none keeps its shape."""
+        windows = [] if self.is_rigid or self._now.maker is None else [w for p in self.paths for w in p.windows]
+        return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
 
     def _state_log(self, log: int) -> LogResult:
         path, after = self.paths[log], self.trajectories[log]

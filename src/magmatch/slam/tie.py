@@ -58,7 +58,7 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
     """Where a window may lie on stretches about other nodes, as the graph expects it."""
     b = window.node
     firsts = firsts[(graph.log[firsts] != window.log) | (firsts <= b - APART)]
-    if not len(firsts):
+    if not len(firsts) or not window.keeps_shape:
         return []
     half, found = window.config.window_length * window.length / 2, []
     covariances = graph.relative_covariances(firsts, b)
@@ -75,6 +75,8 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
 def far_candidates(window: Window, bases: Sequence[Base], graph: PoseGraph) -> list[Candidate]:
     """Where a window may lie on whole logs, from nowhere; bases in their components' frames."""
     volume = sum(base.volume for base in bases)
+    if not window.keeps_shape:
+        return []
     return [c for base in bases for c in _candidates(window, base, float(volume), graph.pose)]
 
 

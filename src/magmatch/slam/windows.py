@@ -16,6 +16,9 @@ from magmatch.slam.bending import bend, turned
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Indices, Points, Scalars, Vector3
 
+# Largest bend of a window, in field lengths.
+MOST_BEND = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Window:
@@ -67,6 +70,16 @@ class Window:
         loads = bend(positions, about, odometry, upright=upright, planar=c.is_planar)
         bent: np.ndarray = np.sqrt(2.0) * turned(loads, rotation_matrix(T).T)
         return bent
+
+    @property
+    def bends_by(self) -> float:
+        """Rms distance by which its points may lie off where odometry has them about its middle, m."""
+        return float(np.sqrt((self.bending[:, 3:] ** 2).sum(axis=(1, 2)).mean()))
+
+    @property
+    def keeps_shape(self) -> bool:
+        """Whether the field's slopes reach as far as it bends: else it would fit wherever it is laid."""
+        return self.bends_by <= MOST_BEND * self.length
 
 
 @dataclass(frozen=True, eq=False, slots=True)
