@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.diagnoses import AXES, OWN, diagnose, warn
+from magmatch.data.diagnoses import AXES, OWN, PLAUSIBLE_BEND, diagnose, inclination_deg, of_verticals, warn
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
 
@@ -160,3 +160,25 @@ def test_recordings_are_told_of_nothing_and_their_readings_in_the_sensors_axes_a
         if survey.orientations is not None:
             (found,) = diagnose(replace(survey, field=survey.orientations.apply(survey.field, inverse=True)))
             assert found.kind == "field frame"
+
+
+@pytest.mark.parametrize("axes", [name for name in AXES if name.startswith("z") or name.endswith(", -z")])
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_two_surveys_with_z_up_in_one_alone_contradict_each_other(axes, heading):
+    base, turned = walk(), walk().transformed(RigidTransform.from_rotation(Rotation.from_euler("z", heading)))
+    assert of_verticals(base, turned) == []
+    swapped = replace(base, field=base.field @ AXES[axes])
+    told = [one for pair in ((base, swapped), (swapped, base)) for one in of_verticals(*pair)]
+    assert [one.kind for one in told] == ["vertical", "vertical"]
+    assert f"dips {inclination_deg(base.field.mean(axis=0)):.0f} deg below the base's" in told[0].measured
+
+
+def test_a_contradiction_of_the_verticals_begins_at_its_limit():
+    base = walk()
+
+    def dipping(degrees):
+        a = np.radians(degrees)
+        return replace(base, field=np.tile(50e-6 * np.array([np.cos(a), 0, -np.sin(a)]), (len(base), 1)))
+
+    assert of_verticals(dipping(60), dipping(60 - PLAUSIBLE_BEND + 0.1)) == []
+    assert len(of_verticals(dipping(60), dipping(60 - PLAUSIBLE_BEND - 0.1))) == 1

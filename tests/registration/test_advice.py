@@ -101,3 +101,11 @@ def test_any_refusal_begins_with_what_is_wrong_with_a_survey(status):
 def test_an_accepted_answer_is_left_as_it_is():
     answer = RegistrationResult(Status.ACCEPTED, "so it is", None)
     assert with_advice(answer, {"base": turning(ROOM), "target": FLAT}, ANY_POSE) is answer
+
+
+def test_where_z_is_said_to_be_up_in_both_a_refusal_begins_with_fields_that_contradict_it():
+    tipped = replace(ROOM, field=ROOM.field @ Rotation.from_euler("x", 90, degrees=True).as_matrix())
+    surveys, refused = {"base": ROOM, "target": tipped}, RegistrationResult(Status.INCONSISTENT, "no", None)
+    assert with_advice(refused, surveys, UPRIGHT).reason.startswith("the field dips")
+    assert with_advice(refused, surveys, ANY_POSE).reason.startswith("no")
+    assert with_advice(refused, {"base": ROOM, "target": ROOM}, UPRIGHT).reason.startswith("no")

@@ -106,7 +106,7 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     """Known correction of the sensor, from a report or a recording of it being turned."""
-    from magmatch.data.survey import FIELD_COLUMNS
+    from magmatch.data.survey_columns import FIELD_COLUMNS
     from magmatch.data.tables.table import read_table
     from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT

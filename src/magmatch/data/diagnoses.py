@@ -21,7 +21,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
 from magmatch.errors import in_short
 from magmatch.geometry import path_walked
-from magmatch.typing import Points, Scalars, Vectors
+from magmatch.typing import Points, Scalars, Vector3, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +41,9 @@ OWN = "x, y, z"
 # Smallest singular value over the largest from which on directions of constants are told apart.
 DISTINCT = 1e-3
 
+# Deg; indoors steel bends a place's mean field by some tens of them.
+PLAUSIBLE_BEND = 35.0
+
 # A field, and the orientations that turned it.
 Turned = tuple[Vectors, Rotation]
 
@@ -52,7 +55,7 @@ class Diagnosis:
     Attributes
     ----------
     kind : str
-        ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning`` or ``magnitude``.
+        ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``.
     measured, remedy : str
         What shows it, and what to do about it.
     """
@@ -105,6 +108,20 @@ def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
         That the field was read in.
     """
     return [*_of_magnitude(survey, unit), *_of_frames(survey)]
+
+
+def of_verticals(base: Survey, target: Survey) -> list[Diagnosis]:
+    """Whether two surveys of one place, z up in both, contradict each other about where the field points."""
+    dips = [inclination_deg(survey.field.mean(axis=0)) for survey in (base, target)]
+    if abs(dips[0] - dips[1]) <= PLAUSIBLE_BEND:
+        return []
+    measured = "the field dips {:.0f} deg below the base's horizontal and {:.0f} deg below the target's".format(*dips)
+    return [Diagnosis("vertical", measured, "z is not up in one of them: mend its axes, or leave gravity unsaid")]
+
+
+def inclination_deg(vector: Vector3) -> float:
+    """Angle below the horizontal of a vector with z up."""
+    return float(np.degrees(np.arctan2(-vector[2], np.hypot(vector[0], vector[1]))))
 
 
 def warn(surveys: Iterable[Survey]) -> list[Diagnosis]:

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The first noun: a survey, samples of the magnetic field at known positions."""
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -24,33 +23,32 @@ from magmatch.arguments import (
     require_increasing,
     rows_chosen,
 )
-from magmatch.data.tables.frames import frame_of_xarray, table_of_frame
-from magmatch.data.tables.quaternions import QUATERNION, rotations_of
+from magmatch.data.survey_columns import (
+    COLUMNS,
+    DEFAULT_FRAME,
+    FIELD_COLUMNS,
+    FRAME_COLUMN,
+    POSITION_COLUMNS,
+    FieldFrame,
+    stated_columns,
+    survey_arguments,
+    survey_table,
+)
+from magmatch.data.tables.frames import frame_of_xarray
+from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table, write_table
 from magmatch.data.units import (
-    METRE_PER_UNIT,
-    TESLA_PER_UNIT,
-    UNITS_PER_SECOND,
     FieldUnit,
     LengthUnit,
     TimeUnit,
     field_text,
-    size_of_unit,
 )
-from magmatch.errors import DataFormatError, SurveyError, in_short
+from magmatch.errors import SurveyError, in_short
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
-POSITION_COLUMNS = ("x", "y", "z")
-FIELD_COLUMNS = ("bx", "by", "bz")
-# These say the same in every row, and are written where they are not the defaults.
-FRAME_COLUMN, ACCURACY_COLUMN, DEFAULT_FRAME = "survey_frame", "pose_sd", "survey"
-COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION, ACCURACY_COLUMN)
-# Metadata of Parquet files, and first comment of older CSV files: the same two as JSON.
-SCHEMA = "magmatch.survey/1"
 T = TypeVar("T")
-FieldFrame = Literal["survey", "sensor"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -236,12 +234,7 @@ class Survey:
         path : path
             Where; an existing file is replaced only once the new one is complete.
         """
-        columns = self.columns()
-        if self.pose_sd:
-            columns[ACCURACY_COLUMN] = np.full(len(self), self.pose_sd)
-        plain = self.frame.isprintable() and self.frame == self.frame.strip() and self.frame[:1] not in ('"', "")
-        name = self.frame if plain else json.dumps(self.frame)
-        write_table(path, columns, {} if self.frame == DEFAULT_FRAME else {FRAME_COLUMN: name})
+        write_table(path, *stated_columns(self.columns(), len(self), self.frame, self.pose_sd))
 
     @classmethod
     def load(cls, path: str | Path) -> "Survey":
@@ -312,9 +305,7 @@ class Survey:
         >>> Survey.from_dataframe(df, "uT").field[1].round(8).tolist()
         [2.1e-05, 0.0, -4.5e-05]
         """
-        table = table_of_frame(df, name, COLUMNS, columns or {}, texts=(FRAME_COLUMN,))
-        if table.has("t"):
-            table.columns["t"] = table.columns["t"] / size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
+        table = survey_table(df, name, time_unit, columns or {})
         survey = cls.from_table(table, field_unit, length_unit, field_frame)
         frame, pose_sd = frame or survey.frame, survey.pose_sd if pose_sd is None else pose_sd
         return replace(survey, frame=frame, name=name, pose_sd=pose_sd)
@@ -377,25 +368,7 @@ class Survey:
         field_frame: FieldFrame = "survey",
     ) -> "Survey":
         """Survey of a table's columns, times in s, named after the file."""
-        tesla = size_of_unit(field_unit, TESLA_PER_UNIT, "field_unit")
-        metre = size_of_unit(length_unit, METRE_PER_UNIT, "length_unit")
-        table.require([*POSITION_COLUMNS, *FIELD_COLUMNS])
-        if table.has("t"):
-            table.require_increasing("t")
-        orientations, field = rotations_of(table), table.stack(*FIELD_COLUMNS) * tesla
-        if field_frame == "sensor":
-            if orientations is None:
-                message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"
-                raise DataFormatError(table.path, message)
-            field = orientations.apply(field)
-        return cls(
-            positions=table.stack(*POSITION_COLUMNS) * metre,
-            field=field,
-            times=table.columns.get("t"),
-            orientations=orientations,
-            name=table.path.name,
-            **_about(table),
-        )
+        return cls(**survey_arguments(table, field_unit, length_unit, field_frame))
 
     def _with(self, **changes: Any) -> "Survey":
         """The same survey but for some of its parts, which were checked before; it may be empty."""
@@ -447,28 +420,3 @@ def _as_survey(name: str, step: Callable[[], T]) -> T:
 
 def _concatenate(first: Rotation, second: Rotation) -> Rotation:
     return Rotation.concatenate([first, second])
-
-
-def _about(table: Table) -> dict[str, Any]:
-    """Frame and accuracy, where the file was written by `Survey.save`."""
-    text = next((c.removeprefix(SCHEMA) for c in table.comments if c.startswith(SCHEMA)), "{}")
-    named = table.texts.get(FRAME_COLUMN, "")
-    try:
-        about = json.loads(text)
-        frame = named or str(about.get("frame", DEFAULT_FRAME))
-        pose_sd = float(about.get("pose_sd", 0.0))
-    except (ValueError, TypeError, AttributeError):
-        pose_sd = -1.0
-    if not 0 <= pose_sd < np.inf:
-        message = (
-            f'expected {SCHEMA} {{"frame": ..., "pose_sd": ...}} in its first comment, found {text.strip()[:60]}'
-        )
-        raise DataFormatError(table.path, message)
-    stated = table.columns.get(ACCURACY_COLUMN, np.array([pose_sd]))
-    if stated.min() < 0 or np.ptp(stated):
-        message = f"expected one standard deviation in m for all rows, found {stated.min():g} to {stated.max():g}"
-        raise DataFormatError(table.path, message, column=ACCURACY_COLUMN)
-    try:
-        return {"frame": str(json.loads(frame)) if frame.startswith('"') else frame, "pose_sd": float(stated[0])}
-    except ValueError:
-        raise DataFormatError(table.path, f"expected a name, found {frame[:60]!r}", column=FRAME_COLUMN) from None

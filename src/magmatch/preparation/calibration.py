@@ -14,7 +14,7 @@ from magmatch.preparation.consistency import MapConsistency, held_out_error
 from magmatch.preparation.least_squares import Block, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.time_offset import search_time_offset
+from magmatch.preparation.time_offset import LENGTHSCALE_IN_SPACINGS, coarse_settings, search_time_offset
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask, Scalars, Vectors
@@ -24,10 +24,9 @@ TIME_OFFSET_SD = 0.1
 # T, of a disturbance by one standard deviation of a channel.
 CHANNEL_SD = 5e-6
 MOST_STEPS = 8
-CONVERGED = 1e-5  # s
+# Steps of the clock, in its standard deviations, that no data could tell from none.
+CONVERGED = 0.1
 FEWEST_READINGS = 100
-# Change of the field, in standard deviations of the noise, below which a map's settings are not chosen again.
-SAME_FIELD = 0.1
 # Degrees of freedom of the errors' distribution: heavier tails than normal ones, for what moves and for spikes.
 STUDENT = 4.0
 # How much larger the error of left-out stretches may seem after a correction; it is itself an estimate.
@@ -87,8 +86,11 @@ def calibrate(
     part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
     tell("looking for the offset between the clocks")
     start = _rough(part, largest, sizes_of(config, switches))
-    estimator = _Estimator(part, values, sizes_of(config, switches))
+    estimator = _Estimator(part, values, sizes_of(config, switches), coarse_settings(part.positions))
     tell("calibrating against a map of the place")
+    # A coarse map takes most of the way, so that the settings of a fine one are chosen once.
+    start, _ = estimator.refined(start, set(switches))
+    estimator.choose_settings(start)
     model, system = estimator.refined(start, set(switches))
     full = system.solve(switches)
     active, chosen = set(switches), full
@@ -165,27 +167,35 @@ def _least_shown(
 
 
 class _Estimator:
-    """Repeated linearisation against one map's settings, which are chosen on the way."""
+    """Repeated linearisation against a map of given settings."""
 
-    def __init__(self, part: SensorLog, channels: Mapping[str, Scalars], sizes: Mapping[str, float]) -> None:
-        self.part, self.channels, self.sizes = part, channels, sizes
+    def __init__(
+        self, part: SensorLog, channels: Mapping[str, Scalars], sizes: Mapping[str, float], settings: Hyperparameters
+    ) -> None:
+        self.part, self.channels, self.sizes, self.hyperparameters = part, channels, sizes, settings
         self.weights = np.ones(len(part))
-        self.hyperparameters = Hyperparameters(1.0, 1e-5, 1e-6, 1.0)
-        self._fitted: Vectors | None = None  # what they were chosen for
 
     def refined(self, model: SensorModel, active: set[str]) -> tuple[SensorModel, System]:
         """Model at which linearising again changes nothing, and the last linear system."""
         for step in range(MOST_STEPS):
-            if step < 2:
-                self._renew(model)
             before = model.time_offset
             system = self._linearised(model, active)
             solution = system.solve(active)
             model = model_of(solution.estimate, self.channels)
             self._weigh(solution)
-            if step > 0 and abs(model.time_offset - before) < CONVERGED:
+            sd = solution.sd["time_offset"][0] if "time_offset" in active else np.inf
+            if step > 0 and abs(model.time_offset - before) < CONVERGED * sd:
                 break
         return model, system
+
+    def choose_settings(self, model: SensorModel) -> None:
+        """Settings of a map of the field as corrected so far, which forgets what a coarser one disagreed with."""
+        positions, orientations = self.part.at(model.time_offset)
+        field = orientations.apply(model.corrected(self.part.readings, self.channels))
+        h = choose_spline_hyperparameters(positions, field)
+        # Closer splines are for maps: they cost most of the time and change estimates by less than their errors.
+        h = replace(h, spacing=max(h.spacing, h.lengthscale / LENGTHSCALE_IN_SPACINGS))
+        self.hyperparameters, self.weights = h, np.ones(len(field))
 
     def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
         """What was kept and one more channel at a time, so that channels change no other estimate."""
@@ -201,15 +211,6 @@ class _Estimator:
         project = MapConsistency(positions, self.hyperparameters, np.ones(len(self.part))).project
         residual: Vectors = project(orientations.apply(self.part.readings)[None])[1][0]
         return residual
-
-    def _renew(self, model: SensorModel) -> None:
-        """Choose the map's settings for the field as corrected so far, if that has changed noticeably since."""
-        positions, orientations = self.part.at(model.time_offset)
-        field = orientations.apply(model.corrected(self.part.readings, self.channels))
-        # Noise chosen before holds errors that are corrected by now: only a small share of it is no change.
-        if self._fitted is not None and _rms(field - self._fitted) < SAME_FIELD * self.hyperparameters.noise_sd:
-            return
-        self.hyperparameters, self._fitted = choose_spline_hyperparameters(positions, field), field
 
     def _linearised(self, model: SensorModel, active: set[str]) -> System:
         """Columns of all active unknowns about a model."""

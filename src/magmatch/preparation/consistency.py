@@ -7,6 +7,8 @@ from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.folds import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.spline.spline_basis import FIRST
+from magmatch.field.spline.spline_kernels import add_right_hand_sides
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 from magmatch.typing import Points, Scalars, Tensors, Vectors
 
@@ -39,8 +41,12 @@ class MapConsistency:
         return np.asarray(self._explained(field[None], order=1)[1][0])
 
     def _explained(self, columns: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-        etas = [self._model.observe(self.points, np.ascontiguousarray(c), self.weights).eta for c in columns]
-        solved = self._factor.solve(np.stack(etas, axis=1))
+        m, (cell, t) = self._model.cells.n_nodes, self._model.cells.locate(self.points)
+        weighted = np.ascontiguousarray(np.moveaxis(columns * self.weights[:, None], 0, 2))
+        eta = np.zeros((m + 3, len(columns)))
+        add_right_hand_sides(cell, t, weighted, self._model.cells.cell_nodes, FIRST, eta[:m])
+        eta[m:] = weighted.sum(axis=0)
+        solved = self._factor.solve(eta)
         values, gradients = [], []
         for w in solved.T:
             posterior = SplinePosterior(
@@ -58,6 +64,6 @@ def held_out_error(points: Points, field: Vectors, hyperparameters: Hyperparamet
     model, misses = SplineModel.over(points, hyperparameters), []
     for fold in range(2):
         out = stretch % 3 == fold
-        posterior = model.infer(model.observe(points[~out], field[~out]))
+        posterior = model.infer_in_single_precision(model.observe(points[~out], field[~out]))
         misses.append(np.linalg.norm(posterior.evaluate(points[out]).field - field[out], axis=1))
     return float(np.median(np.concatenate(misses)))

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from magmatch.data.diagnoses import PLAUSIBLE_BEND, inclination_deg
 from magmatch.data.units import field_text
 from magmatch.errors import ConfigurationError, import_extra
 from magmatch.typing import Vectors
 
 # Indoors, steel changes the mean field of a room by some tens of percent and bends it by some tens of degrees.
 PLAUSIBLE_RATIO = (0.6, 1.6)
-PLAUSIBLE_BEND = 35.0  # deg
 # The 14th generation of the model holds for these years.
 FIRST_YEAR, LAST_YEAR = 1900, 2030
 NANOTESLA = 1e-9
@@ -86,7 +86,7 @@ def check_earth_field(field: Vectors, place: Place) -> EarthFieldCheck:
     model, mean = earth_field(place), field.mean(axis=0)
     expected = float(np.linalg.norm(model))
     magnitude = float(np.linalg.norm(mean))
-    dip, expected_dip = _inclination(mean), _inclination(model)
+    dip, expected_dip = inclination_deg(mean), inclination_deg(model)
     ratio, bend = magnitude / expected, abs(dip - expected_dip)
     oddities = []
     if not PLAUSIBLE_RATIO[0] <= ratio <= PLAUSIBLE_RATIO[1]:
@@ -110,11 +110,6 @@ def earth_field(place: Place) -> np.ndarray:
     when = datetime(place.day.year, place.day.month, place.day.day)
     components = ppigrf.igrf(place.longitude_deg, place.latitude_deg, place.height / 1e3, when)
     return np.array([float(np.ravel(c)[0]) for c in components]) * NANOTESLA
-
-
-def _inclination(vector: np.ndarray) -> float:
-    """Angle below the horizontal, deg."""
-    return float(np.degrees(np.arctan2(-vector[2], np.hypot(vector[0], vector[1]))))
 
 
 def _ratio_advice(ratio: float) -> str:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magmatch.data.diagnoses import diagnose
+from magmatch.data.diagnoses import diagnose, of_verticals
 from magmatch.data.survey import Survey
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.result import RegistrationResult, Status
@@ -21,7 +21,7 @@ def with_advice(
     """A refusal that begins with what is wrong with a survey; else with a remedy where they seem to be two places."""
     if answer.is_accepted:
         return answer
-    if wrong := diagnosis(surveys):
+    if wrong := diagnosis(surveys) or contradiction(surveys, prior):
         return replace(answer, reason=f"{wrong}; {answer.reason}")
     if answer.status is not Status.INCONSISTENT:
         return answer
@@ -37,6 +37,13 @@ def diagnosis(surveys: Mapping[str, Survey]) -> str:
     if len(found) > 1 and len({one.kind for one in found.values()}) == 1:
         return f"both surveys: {first}"
     return f"{side}: {first}".replace("--field", f"--{side}-field")
+
+
+def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
+    """In one clause, how the surveys' fields contradict that both are upright; empty where they do not."""
+    if len(surveys) < 2 or not (prior.is_gravity_aligned or prior.is_planar):
+        return ""
+    return "; ".join(str(one) for one in of_verticals(*surveys.values()))
 
 
 def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:

@@ -10,6 +10,7 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import no_pose, state_answer
 from magmatch.registration.decide.decision import DecisionConfig, decide
 from magmatch.registration.decide.posterior import posterior_over
+from magmatch.registration.halves import naming_drift
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
 from magmatch.registration.published.method import register_published
@@ -50,7 +51,8 @@ def register_once(
             break
     # None accepted: the more probable refusal, the first where both are equal.
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
-    return index, used, answer
+    with clock("decide"):
+        return index, used, naming_drift(answer, index, samples, config)
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:

@@ -10,7 +10,7 @@ from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.map_strategy import MapStrategy
-from magmatch.registration.prepared.walk import choose_search
+from magmatch.registration.prepared.walk import choose_search, is_line
 from magmatch.registration.strategy import Strategy
 from magmatch.registration.walk_strategy import WalkStrategy
 
@@ -20,12 +20,15 @@ def strategies(
 ) -> Iterator[Strategy[Any, Any, Any]]:
     """As a walk where the samples are a short line against the base's correlation length; else, or next, as a map.
 
-    A line that turns and crosses itself may have the breadth that maps are compared by. The target is mapped only
-    when the second strategy is asked for.
+    A line that turns and crosses itself may have the breadth that maps are compared by: a long one is asked as a map
+    first, as a walk next. The target is mapped only when that strategy is asked for.
     """
     search = choose_search(samples, length) if config.search == "auto" else config.search
     mapped = cache(lambda: MapStrategy.of(target, config, seed, clock))
+    walk = WalkStrategy(target, samples, config, seed, mapped)
     if search == "pairs":
-        yield WalkStrategy(target, samples, config, seed, mapped)
+        yield walk
     if config.search != "pairs":
         yield mapped()
+    if config.search == "auto" and search != "pairs" and is_line(samples, length):
+        yield walk

@@ -10,7 +10,7 @@ import numpy as np
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.parquet import read_other_columns
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.survey import COLUMNS
+from magmatch.data.survey_columns import COLUMNS
 from magmatch.data.tables.table import read_table
 from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError

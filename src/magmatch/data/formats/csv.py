@@ -10,7 +10,8 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.survey import COLUMNS, FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, Survey
+from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import COLUMNS, FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND

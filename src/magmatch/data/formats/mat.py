@@ -10,7 +10,7 @@ import numpy as np
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.mat5 import FREE, MAX_BYTES, MAX_RATIO, Mat5
-from magmatch.data.survey import COLUMNS
+from magmatch.data.survey_columns import COLUMNS
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes

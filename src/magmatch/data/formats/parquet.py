@@ -11,7 +11,8 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.survey import COLUMNS, SCHEMA, Survey
+from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import COLUMNS, SCHEMA
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table

@@ -117,6 +117,11 @@ def line_share(positions: Points, radius: float) -> float:
     return float(np.mean(is_line))
 
 
+def is_line(survey: Survey, length: float) -> bool:
+    """Whether a survey's samples lie along a line, seen at a correlation length (m)."""
+    return line_share(survey.positions, length) >= MIN_LINE_SHARE
+
+
 def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
     """Which search suits a target: pairs of points where it is a short line, a frame at every point otherwise.
 
@@ -130,7 +135,7 @@ def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants
     -------
     str
     """
-    if line_share(target.positions, length) < MIN_LINE_SHARE:
+    if not is_line(target, length):
         return "invariants"
     rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTH * length)
     # A long line crosses itself and fills areas: that is breadth of another kind.

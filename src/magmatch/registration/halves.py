@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether a refused walk drifts: its halves each fit the base, but not by one pose."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.registration.clock import Clock
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.decide.posterior import effective_evidence, needed_evidence
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.map_strategy import MapStrategy
+from magmatch.registration.prepared.walk import Walk, is_line
+from magmatch.registration.result import RegistrationResult
+from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
+from magmatch.typing import Indices
+
+
+def naming_drift(
+    answer: RegistrationResult, index: MapIndex, samples: Survey, config: RegistrationConfig
+) -> RegistrationResult:
+    """A refusal that says so where the halves of a walk have poses of their own, which differ.
+
+    Both must have the evidence that an answer needs, and together as much more than the whole walk by one pose: two
+    poses are dearer than one, so what is left shows that they are not the same.
+    """
+    if answer.is_accepted or answer.best_pose is None or config.search not in ("auto", "pairs"):
+        return answer
+    if not is_line(samples, index.length):
+        return answer
+    strategy = WalkStrategy(samples, samples, config, 0, partial(MapStrategy.of, samples, config, 0, Clock()))
+    pair = strategy.pair(index)
+    walks, walk, best = pair.base, pair.target, pair.T_base_model.inv() * answer.best_pose * pair.T_target_model
+
+    def weighed(part: Walk, starts: list[RigidTransform]) -> list[LineEvidence]:
+        return weigh_walk(walks.base, part, starts, walks.noise, walks.length, pair.prior, config.walks.evidence)[:1]
+
+    halves = []
+    for rows in np.array_split(np.arange(len(walk)), 2):
+        part = _part(walk, rows)
+        found = strategy.search(replace(pair, target=part))
+        halves += weighed(part, [best, *(one.T_base_target for one in found.candidates)])
+    evidence = [effective_evidence(one.log_evidence, one.misfit) for one in halves]
+    whole = max((effective_evidence(one.log_evidence, one.misfit) for one in weighed(walk, [best])), default=0.0)
+    needed = needed_evidence(config.decision.min_probability, "walk", config.decision.prior_odds)
+    if len(halves) < 2 or min(evidence) < needed or sum(evidence) - max(whole, 0.0) < needed:
+        return answer
+    between, middle = halves[0].T_base_target.inv() * halves[1].T_base_target, walk.positions[len(walk) // 2]
+    apart, turn = np.linalg.norm(between.apply(middle) - middle), np.degrees(between.rotation.magnitude())
+    words = (
+        f"the target's positions or orientations drift: its halves fit poses {apart:.1f} m and {turn:.0f} deg apart "
+        "where they meet; register shorter pieces, or correct the walk with magmatch slam"
+    )
+    return replace(answer, reason=f"{answer.reason}; {words}")
+
+
+def _part(walk: Walk, rows: Indices) -> Walk:
+    return replace(walk, positions=walk.positions[rows], field=walk.field[rows], counts=walk.counts[rows])
