@@ -78,7 +78,8 @@ def explain(
     if status is SlamStatus.UNCHANGED and bent is not None:
         return (
             f"odometry may bend {bent.config.window_length * bent.length:.2g} m of path by {bent.bends_by:.2g} m, "
-            f"too much where the field changes over {bent.length:.2g} m; state it if it is better known (--odometry-sd)"
+            f"too much where the field changes over {bent.length:.2g} m; state it if it is better known "
+            "(--odometry-sd)"
         )
     if status is SlamStatus.UNCHANGED:
         what = "no place was passed twice, as far as the field tells" if n == 1 else "nothing ties the logs"
