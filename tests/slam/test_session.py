@@ -13,8 +13,8 @@ from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 from magmatch.geometry import adjoint, exp_se3, random_transform
-from magmatch.slam.folder import require_folder, write_folder
-from magmatch.slam.g2o import write_graph
+from magmatch.slam.output.folder import require_folder, write_folder
+from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
 
 KEYS = [
@@ -131,7 +131,7 @@ def test_the_folder_holds_what_the_contract_says(folder, three):
 def test_without_times_or_orientations_there_are_no_poses_to_write(lone, tmp_path):
     given = replace(lone.log, times=None)
     paths = [replace(lone.session.paths[0], survey=replace(lone.session.paths[0].survey, times=None))]
-    session = replace(lone.session, given=[given], paths=paths)
+    session = replace(lone.session, given=[given], places=replace(lone.session.places, paths=paths))
     result = write_folder(session, tmp_path / "out")
     assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json"}
     assert all(c.t_a is None for c in result.closures)

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.odometry import lie_level, odometry_graph
-from magmatch.slam.trajectories import corrected
+from magmatch.slam.graph.odometry import lie_level, odometry_graph
+from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.windows import cut
 
 LOG, _ = drifting_walk(Place(1), 1)

@@ -44,8 +44,8 @@ def merge(
     """
     from magmatch.cli.prior import with_prior
     from magmatch.registration.maps import survey_of
-    from magmatch.slam.folder import require_folder
     from magmatch.slam.merge import merge as run
+    from magmatch.slam.output.folder import require_folder
 
     if len(surveys) < 2:
         refuse("SURVEY", "at least two surveys", str(surveys[0]))

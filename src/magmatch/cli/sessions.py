@@ -28,7 +28,7 @@ def deliver(
     session: "Session", out: Path, words: Sequence[str], poses: "Sequence[Trajectory | None]", *, json: bool
 ) -> int:
     """Write the folder, tell what is in it, and say whether all logs are in one frame."""
-    from magmatch.slam.folder import write_folder
+    from magmatch.slam.output.folder import write_folder
     from magmatch.viz.pages.session_page import write_session_report
 
     again = shlex.join(["magmatch", *words, "--config", "settings.yaml", "--out", str(out)])

@@ -22,6 +22,8 @@ EXAMPLES = (
     "magmatch slam monday.mcap tuesday.mcap --out building",
     "magmatch slam robot.csv phone.csv --odometry-sd 0.1,1 --odometry-sd phone:0.5,8 --out hall",
     "magmatch slam phone.csv --field-frame sensor --field-unit uT --planar --out floor",
+    "magmatch slam robot.csv --anchors points.csv --out hall",
+    "magmatch slam monday.mcap tuesday.mcap friday.mcap --continue --out building",
     "magmatch slam drone.bag --no-gravity --json --out room > room.json",
 )
 SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
@@ -38,13 +40,21 @@ def slam(
         list[str] | None,
         typer.Option(
             help="How far odometry is off after a walk of 10 m, as standard deviations: METRES,DEGREES, or "
-            "NAME:METRES,DEGREES for one log.  [default: 0.3,4]"
+            "NAME:METRES,DEGREES for one log.  [default: what nav_msgs/Odometry states where that can be, else 0.3,4]"
         ),
     ] = None,
     planar: Annotated[
         bool, typer.Option("--planar", help="All poses lie on one floor; found by itself where they show it.")
     ] = False,
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of the logs is not up.")] = False,
+    anchors: Annotated[
+        Path | None,
+        typer.Option(help="Surveyors' fixed points: a table log,t,x,y,z,sd of where logs were when (s and m)."),
+    ] = None,
+    is_more: Annotated[
+        bool,
+        typer.Option("--continue", help="Add the LOGs that the result in the folder is not of, and keep the others."),
+    ] = False,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
@@ -52,25 +62,42 @@ def slam(
 
     Where a log passes a place again, its field shows it: such closures correct the poses, and tie logs to each other.
 
+    Cut off in the middle, the same command goes on where it was. With --anchors the frame is that of the fixed
+    points, where they tell it.
+
     Exit code 0: every log is in one frame (a single log: corrected); 3: not all, or nothing to correct. What is known
     is written all the same.
     """
+    from magmatch.data.logs.drift import read_drift
     from magmatch.slam.config import SlamConfig
-    from magmatch.slam.folder import require_folder
-    from magmatch.slam.run import slam as run
+    from magmatch.slam.graph.anchors import read_anchors
+    from magmatch.slam.output.folder import require_folder, unfinished
+    from magmatch.slam.output.kept_session import read_session
+    from magmatch.slam.session import Session
 
     if planar and no_gravity:
         refuse("--planar", "z up, as one floor needs", "--no-gravity")
+    if is_more and (planar or no_gravity or odometry_sd or config):
+        refuse("--continue", "the settings of the session that it goes on with", "others")
     check_folder(out)
     require_pictures()
     settings = SlamConfig() if config is None else merged(SlamConfig(), read_settings(config), config)
     switches = {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
     settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
     surveys = [read_samples(path, layouts) for path in logs]
-    require_folder(out, surveys, [*logs, *([config] if config else [])])
+    if not any(":" not in text for text in odometry_sd or []):
+        stated = {path.name: read_drift(path, layouts.of()) for path in logs}
+        sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
+        settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
+    fixed = [] if anchors is None else read_anchors(anchors)
+    require_folder(out, surveys, [path for path in (*logs, config, anchors) if path], may_be_more=is_more)
     poses = [read_poses_of(path, layouts) for path in logs]
-    session = run(surveys, settings)
-    return deliver(session, out, ["slam", *map(str, logs), *layouts.words()], poses, json=json)
+    session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
+    session.add_logs(new, fixed, keep=unfinished(out))
+    # A session has its logs in the order in which they came.
+    poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
+    words = ["slam", *map(str, logs), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
+    return deliver(session, out, words, poses, json=json)
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

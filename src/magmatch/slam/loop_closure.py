@@ -15,7 +15,7 @@ from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
 from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.pose_graph import LEVEL_SD, UPRIGHT_SD
+from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6
 

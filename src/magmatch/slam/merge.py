@@ -22,7 +22,8 @@ from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.pose_graph import MOST_ODDS, Closure, Edges, PoseGraph
+from magmatch.slam.graph.pose_graph import MOST_ODDS, Closure, PoseGraph
+from magmatch.slam.places import Places
 from magmatch.slam.session import Session
 from magmatch.slam.statement import covariance_about
 from magmatch.slam.windows import Path, Window
@@ -80,7 +81,7 @@ def merge(
         with clock("graph"):
             _lay_out(graph)
             graph.solve()
-    return Session(samples, paths, graph, config, (), clock.seconds(), seed, is_rigid=True)
+    return Session(config, samples, Places(paths, graph), clock.seconds(), seed, is_rigid=True)
 
 
 def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
@@ -133,11 +134,9 @@ def _rigid(survey: Survey, k: int) -> Path:
 
 def _unconnected(centers: Points) -> PoseGraph:
     """A node for each survey, without odometry."""
-    none = np.zeros(0, dtype=np.int64)
-    edges = Edges(none, none, np.zeros((0, 3)), np.zeros((0, 6, 6)), np.zeros((0, 6, 2)), none)
     n = len(centers)
     config = SlamConfig(is_gravity_aligned=False)
-    return PoseGraph(config, np.tile(np.eye(3), (n, 1, 1)), centers.copy(), np.arange(n), edges)
+    return PoseGraph(config, np.tile(np.eye(3), (n, 1, 1)), centers.copy(), np.arange(n))
 
 
 def _lay_out(graph: PoseGraph) -> None:

@@ -45,7 +45,10 @@ class LogResult:
     moved : float, m
         Root mean square of how far samples were moved against the odometry, its first pose held.
     sd : (2,) floats, m and rad
-        Standard deviation of its last node against the first of its component: place, and turn.
+        Standard deviation of its end, place and turn: against the beginning of its component's first log, or in the
+        frame of the fixed points. Of rigid surveys: of the whole survey.
+    is_fixed : bool
+        Whether its frame is that of the fixed points.
     """
 
     name: str
@@ -55,6 +58,7 @@ class LogResult:
     n_closures: Count
     moved: Length
     sd: Annotated[tuple[Length, Length], Field()]
+    is_fixed: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -92,6 +96,29 @@ class ClosureResult:
     walked_b: Length = 0.0
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class AnchorResult:
+    """A fixed point, and how far the graph leaves the log from it.
+
+    Attributes
+    ----------
+    log, t
+        Which log was there, and when (s).
+    position : (3,) floats, m
+        Where it is.
+    sd : float, m
+        As stated, per coordinate.
+    off : (3,) floats, m
+        From there to where the log is now.
+    """
+
+    log: str
+    t: Number
+    position: Three[Number]
+    sd: Length
+    off: Three[Number]
+
+
 class LogOdometry(TypedDict):
     """Lasting errors of one log, as estimated."""
 
@@ -120,6 +147,8 @@ class SlamResult:
         In the order given.
     closures : tuple of ClosureResult
         Those that the graph rejected too.
+    anchors : tuple of AnchorResult
+        Fixed points that were given.
     odometry : dict
         Noise and biases; empty for rigid surveys.
     seconds : dict
@@ -132,6 +161,7 @@ class SlamResult:
     reason: str
     logs: tuple[LogResult, ...]
     closures: tuple[ClosureResult, ...] = ()
+    anchors: tuple[AnchorResult, ...] = ()
     odometry: Odometry = field(default_factory=Odometry)
     seconds: dict[str, NumberOrNull] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)

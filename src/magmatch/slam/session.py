@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What slam and merge know of their logs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -9,18 +10,28 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch._version import __version__
+from magmatch.arguments import expect_kind
+from magmatch.data.checks import require_survey
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
+from magmatch.progress import Progress, followed
+from magmatch.registration.clock import Clock
 from magmatch.settings import Settings
-from magmatch.slam.pose_graph import PoseGraph
-from magmatch.slam.result import LogResult, Odometry, SlamResult, SlamStatus
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
+from magmatch.slam.graph.odometry import covariance_of_end
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.live import LiveLog
+from magmatch.slam.places import Places, find, go_on, settled
+from magmatch.slam.result import AnchorResult, LogResult, Odometry, SlamResult, SlamStatus
 from magmatch.slam.statement import explain, state_closure, state_odometry
-from magmatch.slam.trajectories import corrected
+from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path
-from magmatch.typing import Vector3
+from magmatch.typing import Covariance6, Indices, Vector3
 
 
 @dataclass(eq=False)
@@ -29,41 +40,175 @@ class Session:
 
     Attributes
     ----------
+    config : Settings
+        What was asked for: of slam (by default) or of merge.
     given : list of Survey
         As they came.
-    paths : list of Path
-        Each without its sensor's bias, cut into windows.
-    graph : PoseGraph
-    config : Settings
-        What was asked for: of slam or of merge.
-    biases : tuple of (bias, sd)
-        Of each log's magnetometer, in its own axes, T; empty for rigid surveys.
+    places : Places
+        Each log without its sensor's bias, cut into windows, and the graph.
     seconds : dict
         Per stage and total.
     seed : int
     is_rigid : bool
         Whether each log is one node: merged, not corrected.
+
+    Examples
+    --------
+    ``session = mm.Session()``; for each sample ``session.add(t, T_odom_body, field)`` and ``session.pose()``;
+    ``session.finish()`` at the end.
     """
 
-    given: list[Survey]
-    paths: list[Path]
-    graph: PoseGraph
-    config: Settings
-    biases: tuple[tuple[Vector3, Vector3], ...]
-    seconds: dict[str, float]
+    config: Settings | None = None
+    given: list[Survey] = field(default_factory=list)
+    places: Places | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
     seed: int = 0
     is_rigid: bool = False
+    _live: LiveLog | None = field(default=None, init=False, repr=False)
     _maps: dict[int, FieldMap] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.config = self.config or SlamConfig()
+        expect_kind(self.config, "config", (Settings,))
+
+    def add_logs(
+        self,
+        logs: Sequence[Survey],
+        anchors: Sequence[Anchor] | str | FilePath = (),
+        *,
+        progress: Progress | None = None,
+        keep: str | FilePath | None = None,
+    ) -> None:
+        """Add finished logs: the first ones all at once, later ones without redoing those before.
+
+        Parameters
+        ----------
+        logs : sequence of Survey
+            Each with positions from odometry, in a frame of its own.
+        anchors, progress, keep
+            See `slam`.
+        """
+        config, clock, earlier = self._of_slam(), Clock(), self.places
+        if self._live is not None:
+            msg = "a log is being walked; finish() it before others are added"
+            raise ValueError(msg)
+        for survey in logs:
+            require_survey(survey, name="log")
+        given = [*self.given, *logs]
+        listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
+        fixed = of_logs(listed, given, names_of(given))
+        if earlier is None or earlier.maker is None:
+            config = settled(given, config)
+        steps = Steps(
+            None if keep is None else FilePath(keep), version=__version__, config=config.model_dump(mode="json"),
+            inputs=[describe_input(survey) for survey in given], n_earlier=len(self.given),
+            closures=[c.log_odds for c in earlier.graph.closures] if earlier else [],
+            anchors=[[a.log, a.t, *a.position.tolist(), a.sd] for a, _ in fixed],
+        )  # fmt: skip
+        try:
+            with followed(progress):
+                if earlier is None or earlier.maker is None:
+                    places = find(given, config, fixed, steps, clock)
+                else:
+                    places = go_on(earlier, logs, fixed, steps, clock)
+        finally:
+            steps.keep()
+        self.config, self.given, self.places = config, given, places
+        self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
+        self._changed()
+
+    def add_log(self, survey: Survey) -> None:
+        """Add one more log, without redoing those before."""
+        self.add_logs([survey])
+
+    def add(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> bool:
+        """Take one sample of a log that is being walked.
+
+        Parameters
+        ----------
+        t : float, s
+            After that of the sample before.
+        T_odom_body : RigidTransform
+            Odometry's pose of the body that carries the sensor.
+        field : (3,) array, T
+            In the body's axes.
+
+        Returns
+        -------
+        bool
+            Whether a window was finished, and with it what is known of all poses changed.
+
+        Raises
+        ------
+        ValueError
+            Time does not go on, or something is not finite; the sample is not taken.
+        """
+        if self._live is None:
+            self._live = LiveLog(self._of_slam(), self.places)
+        if is_changed := self._live.add(t, T_odom_body, field):
+            self._changed()
+        return is_changed
+
+    def pose(self) -> RigidTransform:
+        """Body in the frame of its component after the last sample, as corrected by now."""
+        if self._live is None:
+            msg = "expected samples of a log that is being walked; add(t, T_odom_body, field) takes them"
+            raise ValueError(msg)
+        return self._live.pose()
+
+    def finish(self, name: str = "live", *, progress: Progress | None = None) -> None:
+        """End the log that is being walked: what was found sample by sample is replaced by what all of it shows.
+
+        Of a session without other logs this is what `slam` makes of the log, bit for bit; else what `add_log` does.
+        """
+        if self._live is None:
+            return
+        survey = replace(self._live.survey(), name=name)
+        self._live = None
+        self._changed()
+        self.add_logs([survey], progress=progress)
+
+    def _of_slam(self) -> SlamConfig:
+        if not isinstance(self.config, SlamConfig):
+            msg = "a session of merge takes no logs that drift; begin one with Session() or slam"
+            raise TypeError(msg)
+        return self.config
+
+    def _changed(self) -> None:
+        """Forget what followed from the graph as it was."""
+        for name in ("names", "logs", "trajectories", "components"):
+            self.__dict__.pop(name, None)
+        self._maps.clear()
+
+    @property
+    def _now(self) -> Places:
+        """What is known, with the log that is being walked."""
+        live = None if self._live is None else self._live.places
+        places = live or self.places
+        if places is None:
+            msg = "the session holds no log yet; add samples until windows are finished, or a log"
+            raise ValueError(msg)
+        return places
+
+    @property
+    def paths(self) -> list[Path]:
+        """Each log cut into windows, without its sensor's bias."""
+        return self._now.paths
+
+    @property
+    def graph(self) -> PoseGraph:
+        """What ties the logs."""
+        return self._now.graph
+
+    @cached_property
+    def logs(self) -> list[Survey]:
+        """As they came; of one that is being walked, what lies in finished windows."""
+        return [*self.given, *(path.survey for path in self.paths[len(self.given) :])]
 
     @cached_property
     def names(self) -> list[str]:
         """Stems of the logs' names, made unique."""
-        names: list[str] = []
-        for survey in self.given:
-            stem = FilePath(survey.name).stem or "log"
-            others = (f"{stem}_{k}" for k in range(2, len(self.given) + 2))
-            names.append(next(name for name in (stem, *others) if name.lower() not in map(str.lower, names)))
-        return names
+        return names_of(self.logs)
 
     @cached_property
     def trajectories(self) -> list[Survey]:
@@ -100,22 +245,27 @@ class Session:
         names, closures = self.names, self.graph.closures
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
         ties = [c for c in closures if c.is_kept]
-        if not ties:
+        anchors = self._now.anchors
+        if not ties and not any(log.is_fixed for log in logs):
             status = SlamStatus.UNCHANGED
         else:
             status = SlamStatus.CONNECTED if len(self.components) == 1 else SlamStatus.PARTLY_CONNECTED
         groups = [[names[k] for k in group] for group in self.components]
         return SlamResult(
             status,
-            explain(status, groups, len(ties), len(closures) - len(ties)),
+            explain(status, groups, len(ties), len(closures) - len(ties), len(anchors)),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
-            Odometry() if self.is_rigid else state_odometry(self.graph, self.biases, names),
+            tuple(
+                AnchorResult(names[log], a.t, a.position.tolist(), a.sd, off.tolist())
+                for (a, log), off in zip(anchors, self.graph.off_fixed(), strict=True)
+            ),
+            Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, names),
             dict(self.seconds),
-            self.config.model_dump(mode="json"),
+            {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,
             self.seed,
-            tuple(describe_input(s) for s in self.given),
+            tuple(describe_input(s) for s in self.logs),
         )
 
     def _state_log(self, log: int) -> LogResult:
@@ -124,7 +274,11 @@ class Session:
         T = self.T_map_log(log)
         moved = after.positions - T.apply(path.survey.positions)
         nodes = set(path.nodes.tolist())
-        is_tied = len(self.paths) == 1 or len(self.components[component]) > 1
+        is_fixed = self.graph.is_fixed(path.first_node)
+        is_tied = len(self.paths) == 1 or len(self.components[component]) > 1 or is_fixed
+        C = self._covariances(path.nodes[-1:])[0]
+        if not self.is_rigid:
+            C = covariance_of_end(path, C, self.graph.config, from_start=not is_fixed)
         return LogResult(
             self.names[log],
             component,
@@ -132,7 +286,8 @@ class Session:
             float(path.walked[-1]),
             sum(c.is_kept and bool({c.first, c.second} & nodes) for c in self.graph.closures),
             float(np.sqrt((moved**2).sum(axis=1).mean())),
-            self.standard_deviations(path.nodes[-1:])[0],
+            _place_and_turn(C),
+            is_fixed,
         )
 
     def T_map_log(self, log: int) -> RigidTransform:
@@ -140,13 +295,33 @@ class Session:
         path = self.paths[log]
         return self.graph.pose(path.first_node) * RigidTransform.from_translation(-path.windows[0].center)
 
-    def standard_deviations(self, nodes: np.ndarray) -> list[tuple[float, float]]:
-        """Of nodes against the first node of their component: m and rad."""
-        component = self.graph.component()
-        found = []
-        for node in nodes:
-            start = int(np.argmax(component == component[node]))
-            C = self.graph.relative_covariances(np.array([start]), int(node))[0]
-            place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
-            found.append((place, turn))
-        return found
+    def standard_deviations(self, nodes: Indices) -> list[tuple[float, float]]:
+        """Of nodes against the first node of their component, or in the frame of the fixed points: m and rad."""
+        return [_place_and_turn(C) for C in self._covariances(nodes)]
+
+    def covariances_of_place(self, nodes: Indices) -> np.ndarray:
+        """Covariance of nodes' places in the axes of their component's frame, as `standard_deviations`: (n, 3, 3)."""
+        R = self.graph.R[nodes]
+        return np.asarray(R @ np.array(self._covariances(nodes))[:, 3:, 3:] @ np.swapaxes(R, 1, 2))
+
+    def _covariances(self, nodes: Indices) -> list[Covariance6]:
+        component, graph = self.graph.component(), self.graph
+        if len(nodes) and graph.is_fixed(int(nodes[0])):
+            return list(graph.marginals()[nodes])
+        starts = [np.array([np.argmax(component == component[node])]) for node in nodes]
+        return [graph.relative_covariances(start, int(node))[0] for start, node in zip(starts, nodes, strict=True)]
+
+
+def _place_and_turn(C: Covariance6) -> tuple[float, float]:
+    place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
+    return place, turn
+
+
+def names_of(surveys: Sequence[Survey]) -> list[str]:
+    """Stems of the surveys' names, made unique."""
+    names: list[str] = []
+    for survey in surveys:
+        stem = FilePath(survey.name).stem or "log"
+        others = (f"{stem}_{k}" for k in range(2, len(surveys) + 2))
+        names.append(next(name for name in (stem, *others) if name.lower() not in map(str.lower, names)))
+    return names

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import adjoint
-from magmatch.slam.pose_graph import Closure, PoseGraph
+from magmatch.slam.graph.pose_graph import Closure, PoseGraph
 from magmatch.slam.result import ClosureResult, LogOdometry, Odometry, SlamStatus
 from magmatch.slam.windows import Path
 from magmatch.typing import Covariance6, Vector3
@@ -63,10 +63,13 @@ def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], 
     )
 
 
-def explain(status: SlamStatus, groups: Sequence[Sequence[str]], n_kept: int, n_rejected: int) -> str:
+def explain(
+    status: SlamStatus, groups: Sequence[Sequence[str]], n_kept: int, n_rejected: int, n_fixed: int = 0
+) -> str:
     """In words: what ties the logs, or what would."""
     n = sum(map(len, groups))
     ties = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
+    ties += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""
     if status is SlamStatus.UNCHANGED:
         what = "no place was passed twice, as far as the field tells" if n == 1 else "nothing ties the logs"
         return f"{what} ({ties}); pass some stretches twice, a few field lengths each"

@@ -7,18 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import transform_error
+from magmatch.geometry import transform_error, transform_from_matrix
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.graph.pose_graph import REACH, Closure, PoseGraph
 from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
-from magmatch.slam.pose_graph import Closure, PoseGraph
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
 # Nodes so near along one log are not compared: their windows share a base.
 APART = 3
-# Standard deviations within which the graph's expectation is searched.
-REACH = 3.0
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
 # The base about a node.
@@ -32,6 +30,28 @@ class Candidate:
     node: int
     T_node_window: RigidTransform
     match: Match
+
+
+def numbers_of(candidates: Sequence[Candidate]) -> Matrix:
+    """Candidates as rows of numbers, as they are kept."""
+    rows = [
+        np.concatenate([
+            [c.node, c.match.evidence, c.match.log_prior], c.T_node_window.as_matrix().ravel(),
+            c.match.T_base_log.as_matrix().ravel(), c.match.covariance.ravel(),
+        ])
+        for c in candidates
+    ]  # fmt: skip
+    return np.array(rows).reshape(-1, 71)
+
+
+def of_numbers(rows: Matrix) -> list[Candidate]:
+    """Candidates of such rows."""
+    found = []
+    for row in rows.reshape(-1, 71):
+        T_node_window, T_base_log = (transform_from_matrix(part.reshape(4, 4)) for part in (row[3:19], row[19:35]))
+        match = Match(T_base_log, row[35:].reshape(6, 6), float(row[1]), float(row[2]))
+        found.append(Candidate(int(row[0]), T_node_window, match))
+    return found
 
 
 def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: Stretch) -> list[Candidate]:

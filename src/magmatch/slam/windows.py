@@ -106,7 +106,7 @@ class Path:
         return np.stack([w.center for w in self.windows])
 
 
-def cut(surveys: Sequence[Survey], length: float, config: SlamConfig) -> list[Path]:
+def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int = 0, first: int = 0) -> list[Path]:
     """Cut logs into windows of equal path.
 
     Parameters
@@ -115,11 +115,12 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig) -> list[Pa
     length : float, m
         Over which the field changes.
     config : SlamConfig
+    log, first : int
+        Number of the first of them, and its first node.
     """
     paths: list[Path] = []
-    first = 0
-    for log, survey in enumerate(surveys):
-        walked = _walked(survey, BIN_LENGTH * length)
+    for survey in surveys:
+        walked = walked_along(survey, BIN_LENGTH * length)
         n = max(int(walked[-1] / (config.window_length * length)), 1)
         number = np.minimum((walked / max(walked[-1], 1e-9) * n).astype(np.int64), n - 1)
         # Where odometry jumps, whole windows hold no sample: they are none.
@@ -133,11 +134,11 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig) -> list[Pa
             for k, middle in enumerate(middles)
         )
         paths.append(Path(survey, walked, number, windows, middles, first))
-        first += n
+        log, first = log + 1, first + n
     return paths
 
 
-def _walked(survey: Survey, side: float) -> Scalars:
+def walked_along(survey: Survey, side: float) -> Scalars:
     """Path walked up to each sample; jitter within a bin of some side adds nothing."""
     rows = bin_along_path(np.ascontiguousarray(survey.positions), side)
     counts = np.bincount(rows)

@@ -4,10 +4,12 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from magmatch.geometry import transform_points
 from magmatch.slam.session import Session
 from magmatch.typing import Points
+from magmatch.viz.figures.ellipsoids import LEVEL
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     FIELD_SCALE,
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
 # Nodes along a log whose standard deviation is drawn.
 MAX_NODES = 60
+# Ellipses drawn in a picture.
+MAX_ELLIPSES = 40
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 
@@ -43,13 +47,15 @@ def session_figures(session: Session, component: int) -> "list[Figure]":
     limits = common_limits(magnitude_ut(field_map.survey.field))
     marks = [_line(cut, p, session.names[k], INK, n) for n, (k, p) in enumerate(zip(logs, after, strict=True))]
     marks += _closures(session, cut, set(logs))
+    marks += _ellipses(session, cut, logs)
+    marks += _fixed_points(session, cut, logs)
     mapped = magnitude_slice(
         "After: |B| of the map",
         cut,
         *field_on(cut, field_map),
         limits,
         marks,
-        "; lines: corrected paths, closures (dashed: rejected)",
+        "; lines: corrected paths, closures (dashed: rejected); ellipses: 95 % of where a node may be",
     )
     return [_before(session, cut, logs, before, limits), mapped]
 
@@ -130,3 +136,33 @@ def _closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
             go.Scatter(x=x, y=y, mode="lines+markers", line=style, marker=marker, name=name, hoverinfo="name")
         )
     return found
+
+
+def _ellipses(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
+    """Where nodes along the logs may be, in the plane of the cut: 95 %."""
+    axes = list(cut.axes[:2])
+    nodes = np.concatenate([session.paths[k].nodes for k in logs])
+    nodes = nodes[thinned(len(nodes), MAX_ELLIPSES)]
+    angle = np.linspace(0, 2 * np.pi, 33)
+    circle = np.sqrt(chi2.ppf(LEVEL, 2)) * np.vstack([np.cos(angle), np.sin(angle)])
+    rows = []
+    for node, C in zip(nodes, session.covariances_of_place(nodes), strict=True):
+        values, directions = np.linalg.eigh(C[np.ix_(axes, axes)])
+        rows += [(directions * np.sqrt(values.clip(0))) @ circle + session.graph.p[node, axes][:, None]]
+        rows += [np.full((2, 1), np.nan)]
+    x, y = for_display(np.concatenate(rows, axis=1))
+    name, line = "95 % of where a node may be", {"color": BASE_COLOR, "width": 1}
+    return [require_plotly().Scatter(x=x, y=y, mode="lines", line=line, name=name, hoverinfo="name")]
+
+
+def _fixed_points(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
+    """Surveyors' points, and lines to where the logs are now."""
+    fixed, graph = session.graph.fixed, session.graph
+    if fixed is None or not (rows := np.isin(graph.log[fixed.one], logs)).any():
+        return []
+    at, off = fixed.position[rows], graph.off_fixed()[rows]
+    ends = np.stack([at, at + off, np.full_like(at, np.nan)], axis=1).reshape(-1, 3)
+    x, y = for_display(ends[:, list(cut.axes[:2])]).T
+    marker = {"size": [9, 0, 0] * len(at), "color": INK, "symbol": "diamond"}
+    style = {"color": INK, "width": 2}
+    return [require_plotly().Scatter(x=x, y=y, mode="lines+markers", line=style, marker=marker, name="fixed point")]

@@ -4,6 +4,7 @@
 from math import degrees
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from magmatch.slam.result import SlamResult, SlamStatus
@@ -51,6 +52,8 @@ def write_session_report(path: str | Path, session: Session, result: SlamResult,
     sections.append(Section("Where the graph is weak", [figure_row([weakness_figure(session)])]))
     if result.closures:
         sections.append(_closures(result))
+    if result.anchors:
+        sections.append(_anchors(result))
     sections.append(_again(result, command))
     write_page(path, "magmatch: " + ", ".join(session.names), sections)
 
@@ -93,6 +96,18 @@ def _closures(result: SlamResult) -> Section:
     ]
     words = f"{len(listed)} of {len(result.closures)}, the least sure first."
     return Section("Closures", [note(words), table(rows, ["at", "and at", "probability", "weight in the graph"])])
+
+
+def _anchors(result: SlamResult) -> Section:
+    """Farthest from where they should be first, in standard deviations."""
+    off = [float(np.linalg.norm(a.off)) for a in result.anchors]
+    order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[:MAX_LISTED]
+    rows = [
+        [result.anchors[k].log, f"{result.anchors[k].t:.9g} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
+        for k in order
+    ]
+    words = "Farthest off first. Far beyond its standard deviation one is a wrong number, time or log."
+    return Section("Fixed points", [note(words), table(rows, ["log", "at", "off by", "stated sd"])])
 
 
 def _again(result: SlamResult, command: str) -> Section:

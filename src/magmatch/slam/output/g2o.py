@@ -7,7 +7,7 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.registration.to_other_programs import g2o_edge, g2o_vertex
-from magmatch.slam.pose_graph import PoseGraph
+from magmatch.slam.graph.pose_graph import PoseGraph
 
 
 def write_graph(graph: PoseGraph, path: str | Path) -> None:

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
-from magmatch.slam.pose_graph import PoseGraph
+from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.windows import Path
-from magmatch.typing import Points, Scalars
+from magmatch.typing import Indices, Points, Scalars
 
 
 def corrected(path: Path, graph: PoseGraph) -> Survey:
@@ -42,11 +42,16 @@ def corrected_poses(path: Path, graph: PoseGraph, poses: Trajectory | None = Non
 def _moved(path: Path, graph: PoseGraph, walked: Scalars, x: Points) -> tuple[Points, Rotation]:
     """Points of the odometry's frame and how its axes turn, after so much of the path."""
     R, p, c = graph.R[path.nodes], graph.p[path.nodes], path.centers
-    at = path.walked[path.middles]
-    one = np.clip(np.searchsorted(at, walked, side="right") - 1, 0, max(len(at) - 2, 0))
-    other = np.minimum(one + 1, len(at) - 1)
-    share = np.clip((walked - at[one]) / np.maximum(at[other] - at[one], 1e-9), 0.0, 1.0)
+    one, other, share = around(path, walked)
     a, b = (p[k] + np.einsum("nij,nj->ni", R[k], x - c[k]) for k in (one, other))
     between = Rotation.from_matrix(R[one]).inv() * Rotation.from_matrix(R[other])
     turned = Rotation.from_matrix(R[one]) * Rotation.from_rotvec(between.as_rotvec() * share[:, None])
     return a + share[:, None] * (b - a), turned
+
+
+def around(path: Path, walked: Scalars) -> tuple[Indices, Indices, Scalars]:
+    """Windows whose nodes lie before and after so much of the path, and which share of the way between is behind."""
+    at = path.walked[path.middles]
+    one = np.clip(np.searchsorted(at, walked, side="right") - 1, 0, max(len(at) - 2, 0))
+    other = np.minimum(one + 1, len(at) - 1)
+    return one, other, np.clip((walked - at[one]) / np.maximum(at[other] - at[one], 1e-9), 0.0, 1.0)

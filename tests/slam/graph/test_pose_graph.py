@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import lasting_errors
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.pose_graph import SURE, Closure, Edges, PoseGraph
+from magmatch.slam.graph.pose_graph import SURE, Closure, Edges, PoseGraph
 
 LEVEL = SlamConfig(is_planar=True)
 FREE = SlamConfig(is_gravity_aligned=False)

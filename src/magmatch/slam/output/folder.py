@@ -4,6 +4,7 @@
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from magmatch.data.fingerprint import describe_input
@@ -11,18 +12,36 @@ from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.registration.clock import Clock
-from magmatch.slam.g2o import write_graph
+from magmatch.slam.graph.trajectories import corrected_poses
+from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.output.kept_session import SESSION, write_session
 from magmatch.slam.result import SlamResult
 from magmatch.slam.session import Session
-from magmatch.slam.trajectories import corrected_poses
 
 RESULT, GRAPH, REPORT = "result.json", "graph.g2o", "report.html"
 # Writes the report, given what it is of and where it goes.
 WriteReport = Callable[[Session, SlamResult, Path], None]
 
 
-def require_folder(folder: str | Path, surveys: Sequence[Survey], files: Iterable[str | Path] = ()) -> None:
+def unfinished(folder: str | Path) -> Path:
+    """Where what leads to a folder is kept until it is whole: beside it, under a name of its own."""
+    place = Path(folder).resolve()
+    return place.with_name(f".{place.name[:50]}.unfinished")
+
+
+def require_folder(
+    folder: str | Path, surveys: Sequence[Survey], files: Iterable[str | Path] = (), *, may_be_more: bool = False
+) -> None:
     """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
+
+    Parameters
+    ----------
+    folder : path
+    surveys : sequence of Survey
+    files : paths
+        Of the surveys and whatever else is read.
+    may_be_more : bool
+        Whether some of the surveys may be new.
 
     Raises
     ------
@@ -43,7 +62,10 @@ def require_folder(folder: str | Path, surveys: Sequence[Survey], files: Iterabl
     if not (folder / RESULT).is_file():
         raise DataFormatError(folder, f"is not empty, and holds no earlier result ({RESULT}); {advice}")
     earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
-    if earlier != {describe_input(s)["sha256"] for s in surveys}:
+    given = {describe_input(s)["sha256"] for s in surveys}
+    if earlier < given and not may_be_more:
+        raise DataFormatError(folder, f"holds a result of fewer inputs; add the others with --continue, {advice}")
+    if not earlier <= given:
         raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
 
 
@@ -78,16 +100,19 @@ def write_folder(
         The folder holds something else.
     """
     folder = Path(folder)
-    require_folder(folder, session.given)
+    require_folder(folder, session.given, may_be_more=True)
     if not folder.resolve().parent.is_dir():
         raise DataFormatError(folder, f"the folder {folder.resolve().parent} does not exist; create it first")
-    beside = folder.resolve().with_name(f".{folder.resolve().name[:50]}.tmp-{secrets.token_hex(4)}")
-    beside.mkdir()
+    beside = unfinished(folder) / f"files-{secrets.token_hex(4)}"
+    beside.mkdir(parents=True)
     try:
         result = _write(session, beside, report, poses or [None] * len(session.given))
         _move(beside, folder)
+        shutil.rmtree(beside.parent, ignore_errors=True)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+        with suppress(OSError):  # what was found on the way stays, where it was kept
+            beside.parent.rmdir()
     return result
 
 
@@ -103,6 +128,7 @@ def _write(
         for k in range(len(session.components)):
             session.map(k).save(folder / ("map.map" if k == 0 else f"map_{k + 1}.map"))
     write_graph(session.graph, folder / GRAPH)
+    write_session(session, folder / SESSION)
     seconds = session.seconds
     result = session.result()
     if report is not None:
@@ -120,7 +146,7 @@ def _move(beside: Path, folder: Path) -> None:
         beside.replace(folder.resolve())
         return
     earlier = SlamResult.load(folder / RESULT)
-    stale = {f"{log.name}{ending}" for log in earlier.logs for ending in (".csv", ".tum")}
+    stale = {SESSION} | {f"{log.name}{ending}" for log in earlier.logs for ending in (".csv", ".tum")}
     stale |= {f"map_{log.component + 1}.map" for log in earlier.logs}
     new = {path.name for path in beside.iterdir()}
     for name in sorted(stale - new):

@@ -7,7 +7,7 @@ is likely right, given its probability and how far the rest of the graph contrad
 by expectation and maximisation).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array
@@ -16,11 +16,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import adjoint, skew
 from magmatch.slam.config import SlamConfig
-from magmatch.typing import Covariance6, Indices, Matrix, Points, Tensors
+from magmatch.typing import Covariance6, Indices, Matrix, Points, Scalars, Tensors
 
 N_LASTING = 2
 # Of what nobody doubts: the first node of a component, and directions in which odometry does not drift.
 SURE = 1e-4
+# Of what fixed points need not tell, such as where the frame of a single one points to: rad, m.
+FREE = 1e3
+# Standard deviations beyond which a difference is one, or is looked for.
+REACH = 3.0
+UP = np.array([0.0, 0.0, 1.0])
 # How well gravity and one floor hold at a node: rad, m.
 UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
 # Gauss-Newton: most steps, those before closures are doubted, and the step that ends it.
@@ -43,6 +48,41 @@ class Edges:
     covariance: Tensors
     lasting: np.ndarray
     log: Indices
+
+    @classmethod
+    def none(cls) -> "Edges":
+        """Without any."""
+        nodes = np.zeros(0, np.int64)
+        return cls(nodes, nodes, np.zeros((0, 3)), np.zeros((0, 6, 6)), np.zeros((0, 6, N_LASTING)), nodes)
+
+    def with_more(self, more: "Edges") -> "Edges":
+        """These, then others."""
+        names = (f.name for f in fields(self))
+        return Edges(*(np.concatenate([getattr(self, name), getattr(more, name)]) for name in names))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FixedPoints:
+    """Points of logs whose place is known.
+
+    Attributes
+    ----------
+    one, other : (a,) int arrays
+        Nodes before and after each.
+    share : (a,) array
+        Of the way between them that is behind.
+    x : (a, 3) array, m
+        Odometry's frame.
+    position, sd : (a, 3) and (a,) arrays, m
+        Where it is in the surveyor's frame, and how well that is known per axis.
+    """
+
+    one: Indices
+    other: Indices
+    share: Scalars
+    x: Points
+    position: Points
+    sd: Scalars
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,35 +128,117 @@ class PoseGraph:
         Of each node.
     lasting : (logs, 2) array
         Estimated scale (a share) and turn rate (rad/m) of each log's odometry.
+    fixed : FixedPoints, optional
+        Where they are known, a component has no frame of its own.
     """
 
     config: SlamConfig
-    R: Tensors
-    p: Points
-    log: Indices
-    edges: Edges
+    R: Tensors = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    p: Points = field(default_factory=lambda: np.zeros((0, 3)))
+    log: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+    edges: Edges = field(default_factory=Edges.none)
     closures: list[Closure] = field(default_factory=list)
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
+    fixed: FixedPoints | None = None
     _lu: SuperLU | None = None
     _own: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        self.start = self.p.copy()
+        self.start, self.level = self.p.copy(), self.p[:, 2].copy()
         if not len(self.lasting):
-            self.lasting = np.zeros((int(self.log.max()) + 1, N_LASTING))
+            self.lasting = np.zeros((int(self.log.max(initial=-1)) + 1, N_LASTING))
+
+    def grow(self, centers: Points, logs: Indices, edges: Edges) -> None:
+        """Add nodes at the end: where odometry leads from those before, or in a frame of their own."""
+        self.edges = self.edges.with_more(edges)
+        self.log = np.concatenate([self.log, logs])
+        self.start = np.concatenate([self.start, centers])
+        self.p, self.R = np.concatenate([self.p, centers]), np.concatenate([self.R, _alike(np.eye(3), len(centers))])
+        self.lasting = np.concatenate([self.lasting, np.zeros((int(self.log.max()) + 1 - len(self.lasting), 2))])
+        self.level = np.concatenate([self.level, centers[:, 2]])
+        for i, j, shift in zip(edges.first, edges.second, edges.shift, strict=True):
+            self.R[j], self.p[j] = self.R[i], self.p[i] + self.R[i] @ shift
+            self.level[j] = self.level[i] + shift[2]
 
     def component(self) -> Indices:
-        """First log of the logs that closures tie to each node's log."""
+        """First log of the logs that share each node's frame: by closures, or by fixed points that tell the frame."""
+        root = self._tied()
+        told = [r for r, rows in self._fixed_by(root).items() if self.tell_the_frame(rows)]
+        root[np.isin(root, told)] = min(told, default=0)
+        found: Indices = root[self.log].astype(np.int64)
+        return found
+
+    def _tied(self) -> Indices:
+        """First log of the logs that closures tie to each log."""
         root = np.arange(len(self.lasting))
         for c in self.closures:
             if c.is_kept:
                 a, b = root[self.log[c.first]], root[self.log[c.second]]
                 root[root == max(a, b)] = min(a, b)
-        found: Indices = root[self.log].astype(np.int64)
-        return found
+        return root
+
+    def _fixed_by(self, root: Indices) -> dict[int, Indices]:
+        """Fixed points of each group of logs that has any."""
+        if self.fixed is None:
+            return {}
+        of = root[self.log[self.fixed.one]]
+        return {int(r): np.flatnonzero(of == r) for r in np.unique(of)}
+
+    def tell_the_frame(self, rows: Indices) -> bool:
+        """Whether fixed points lie so far apart, against their sd, that they leave no turn open."""
+        assert self.fixed is not None
+        apart = (self.fixed.position[rows] - self.fixed.position[rows].mean(axis=0)) / self.fixed.sd[rows, None]
+        upright = self.config.is_gravity_aligned
+        lengths = np.linalg.svd(apart[:, :2] if upright else apart, compute_uv=False)
+        # About the vertical one direction tells the turn, in space it takes two.
+        return bool(lengths[0 if upright else 1 :].max(initial=0.0) > REACH)
+
+    def is_fixed(self, node: int) -> bool:
+        """Whether fixed points tell the frame that a node is in."""
+        component = self.component()
+        rows = self._fixed_by(component[np.unique(self.log, return_index=True)[1]])
+        return any(r == component[node] and self.tell_the_frame(some) for r, some in rows.items())
+
+    def _bring_to_fixed(self) -> None:
+        """Move what closures tie, as a whole, to its fixed points: least squares must begin near its answer."""
+        if self.fixed is None:
+            return
+        f, root = self.fixed, self._tied()
+        seen = self._seen_at_fixed()[0]
+        for r, rows in self._fixed_by(root).items():
+            w = f.sd[rows] ** -2
+            a, b = (np.average(points[rows], axis=0, weights=w) for points in (seen, f.position))
+            R = np.eye(3)
+            if self.tell_the_frame(rows):
+                x, y = seen[rows] - a, f.position[rows] - b
+                if self.config.is_gravity_aligned:
+                    x, y = x * [1, 1, 0], y * [1, 1, 0]
+                    # What holds the vertical: a pair of vectors along it that outweighs the rest.
+                    x, y, w = np.vstack([x, UP]), np.vstack([y, UP]), np.append(w, np.inf)
+                R = Rotation.align_vectors(y, x, weights=w)[0].as_matrix()
+            mine = root[self.log] == r
+            self.R[mine], self.p[mine] = R @ self.R[mine], (self.p[mine] - a) @ R.T + b
+            self.level[mine] = self.start[mine, 2] + np.mean(self.p[mine, 2] - self.start[mine, 2])
+
+    def _seen_at_fixed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the graph has the fixed points (a, 3), and the slopes with both nodes of each (a, 3, 12)."""
+        f = self.fixed
+        assert f is not None
+        seen, slopes = np.zeros((len(f.sd), 3)), []
+        for nodes, share in ((f.one, 1 - f.share), (f.other, f.share)):
+            arm = f.x - self.start[nodes]
+            seen += share[:, None] * (self.p[nodes] + np.einsum("nij,nj->ni", self.R[nodes], arm))
+            slopes += [-share[:, None, None] * self.R[nodes] @ skew(arm), share[:, None, None] * self.R[nodes]]
+        return seen, np.concatenate(slopes, axis=2)
+
+    def off_fixed(self) -> Points:
+        """How far the graph leaves each fixed point from where it should be: (a, 3), m."""
+        return np.zeros((0, 3)) if self.fixed is None else self._seen_at_fixed()[0] - self.fixed.position
 
     def solve(self) -> None:
         """Most likely poses; closures that the rest contradicts lose their weight."""
+        self._bring_to_fixed()
+        doubts_from = TRUSTING_STEPS
         for step in range(MOST_STEPS):
             H, v = self._normal_equations()
             # Symmetric and positive definite: pivots stay on the diagonal.
@@ -128,18 +250,32 @@ class PoseGraph:
             turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
             largest = np.abs(turns).max()
             if largest > 0.3:
+                # Still on the way: what seems contradicted now need not be in the end.
+                doubts_from = step + 1 + TRUSTING_STEPS
                 turns, shifts, xi = turns * 0.3 / largest, shifts * 0.3 / largest, xi * 0.3 / largest
             self.p = self.p + np.einsum("nij,nj->ni", self.R, shifts)
             self.R = self.R @ Rotation.from_rotvec(turns).as_matrix()
             self.lasting = self.lasting + xi[6 * n :].reshape(-1, N_LASTING)
-            if step >= TRUSTING_STEPS:
+            if step >= doubts_from:
                 self._doubt()
-            if np.abs(xi).max() < SMALL and (step > TRUSTING_STEPS + 1 or not self.closures):
+            if np.abs(xi).max() < SMALL and (step > doubts_from + 1 or not self.closures):
                 break
+        self._bring_home()
+
+    def _bring_home(self) -> None:
+        """Logs whose last closure was voted out go back to a frame of their own."""
+        component = self.component()
+        names, first = np.unique(component, return_index=True)
+        fixed = [] if self.fixed is None else component[self.fixed.one].tolist()
+        for name, k in zip(names.tolist(), first.tolist(), strict=True):
+            if name not in fixed and np.abs(self.p[k] - self.start[k]).max() > SMALL:
+                R, mine = self.R[k].T, component == name
+                self.R[mine], self.p[mine] = R @ self.R[mine], (self.p[mine] - self.p[k]) @ R.T + self.start[k]
 
     def forget_closures(self) -> None:
         """Back to odometry alone."""
         self.closures.clear()
+        self.level = self.start[:, 2].copy()
         self.p, self.R = self.start.copy(), np.tile(np.eye(3), (len(self.p), 1, 1))
         self.lasting = np.zeros_like(self.lasting)
         self.solve()
@@ -207,7 +343,9 @@ class PoseGraph:
             parts.append((cols, np.concatenate([Ji, Jj, -e.lasting], axis=2), np.linalg.inv(e.covariance), r))
         if self.closures:
             i, j, r, Ji, Jj, P = self._closure_rows()
-            weight = np.array([c.weight for c in self.closures])
+            # What ties two components no more pulls at neither.
+            component = self.component()
+            weight = np.array([c.weight for c in self.closures]) * (component[i] == component[j])
             cols = np.concatenate([_six(i), _six(j)], axis=1)
             parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
         rows, columns, values, v = [], [], [], np.zeros(size)
@@ -235,11 +373,18 @@ class PoseGraph:
             found.append((_six(every), J, _alike(np.eye(3) / UPRIGHT_SD**2, n), up - [0.0, 0.0, 1.0]))
         if c.is_planar:
             J = np.concatenate([np.zeros((n, 3)), self.R[:, 2, :]], axis=1)[:, None, :]
-            off = (self.p[:, 2] - self.start[:, 2])[:, None]
+            off = (self.p[:, 2] - self.level)[:, None]
             found.append((_six(every), J, _alike(np.eye(1) / LEVEL_SD**2, n), off))
-        first = np.unique(self.component(), return_index=True)[1]
+        component = self.component()
+        names, first = np.unique(component, return_index=True)
         k = len(first)
-        found.append((_six(first), _alike(np.eye(6), k), _alike(np.eye(6) / SURE**2, k), np.zeros((k, 6))))
+        has_fixed = np.isin(names, component[self.fixed.one] if self.fixed is not None else names[:0])
+        sure = np.where(has_fixed, FREE, SURE)[:, None, None]
+        found.append((_six(first), _alike(np.eye(6), k), np.eye(6) / sure**2, np.zeros((k, 6))))
+        if self.fixed is not None:
+            f, columns = self.fixed, np.concatenate([_six(self.fixed.one), _six(self.fixed.other)], axis=1)
+            seen, J = self._seen_at_fixed()
+            found.append((columns, J, np.eye(3) / f.sd[:, None, None] ** 2, seen - f.position))
         sd, k = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], 1e-9), len(self.lasting)
         columns = self._lasting_columns(np.arange(k))
         found.append((columns, _alike(np.eye(2), k), _alike(np.diag(sd**-2), k), self.lasting))

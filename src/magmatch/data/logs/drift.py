@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far a log's odometry says itself that it drifts: from the covariance of its poses, where that can be one."""
+
+import logging
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.sniff import sniff
+from magmatch.data.logs.decode import decode
+from magmatch.data.logs.log import batches
+from magmatch.data.logs.open import open_log
+from magmatch.data.logs.read import list_topics
+from magmatch.data.tables.gzipped import plain_file
+from magmatch.typing import Points, Scalars, Tensors
+
+logger = logging.getLogger(__name__)
+
+ODOMETRY = "nav_msgs/Odometry"
+# Path over which the standard deviations are stated, m.
+STATED_OVER = 10.0
+# Poses looked at.
+MOST_POSES = 2000
+
+
+def read_drift(path: str | Path, layout: SurveyFormat | None = None) -> tuple[float, float] | None:
+    """Drift over a walk of 10 m as the odometry of a log states it: m per axis, and degrees about the vertical.
+
+    None where the log has no such odometry, or its covariance cannot be that of a path: not positive definite,
+    wider than the path is long, or one that does not grow. JSON messages are not looked at.
+    """
+    layout = layout or SurveyFormat()
+    if sniff(path) != "log" or layout.trajectory is not None:
+        return None
+    topics, chosen = list_topics(path, layout)
+    topic = next((t for t in topics if t.name == chosen["poses"]), None)
+    if topic is None or topic.type != ODOMETRY or topic.encoding == "json":
+        return None
+    places, covariances = [np.zeros((0, 3))], [np.zeros((0, 36))]
+    with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
+        for channel, _, payloads in batches(log.messages({topic.name})):
+            for _, content in decode(channel, payloads):
+                if isinstance(content, dict):
+                    pose = content["pose"]
+                    places.append(np.column_stack([pose["pose"]["position"][k] for k in "xyz"]).astype(float))
+                    covariances.append(np.asarray(pose["covariance"], dtype=float))
+    found = drift(np.concatenate(places), np.concatenate(covariances).reshape(-1, 6, 6))
+    if found is not None:
+        logger.info("%s: its odometry states a drift of %.2g m and %.2g degrees in 10 m", path, *found)
+    return found
+
+
+def drift(positions: Points, covariances: Tensors) -> tuple[float, float] | None:
+    """Random steps of place and heading, m and degrees in 10 m, from which such covariances follow.
+
+    Parameters
+    ----------
+    positions : (n, 3) array, m
+        Along the path.
+    covariances : (n, 6, 6) array
+        Of each pose, place first, as in ROS messages.
+
+    Notes
+    -----
+    A step of length s adds ``q s`` to the heading's variance and ``p s`` to that of the place along each axis, beside
+    what the heading's error so far carries along.
+    """
+    rows = np.unique(np.linspace(0, len(positions) - 1, min(len(positions), MOST_POSES)).astype(np.int64))
+    x, C = positions[rows, :2], covariances[rows][:, [0, 1, 5]][:, :, [0, 1, 5]]
+    if len(rows) < 3 or not (np.isfinite(x).all() and np.isfinite(C).all()):
+        return None
+    steps = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    s = np.concatenate([[0.0], np.cumsum(steps)])
+    place, turn = C[:, 0, 0] + C[:, 1, 1], C[:, 2, 2]
+    moved = s > s[-1] / 2
+    is_one = s[-1] > 0 and np.linalg.eigvalsh(C[moved])[:, 0].min() > 0 and place.max() < s[-1] ** 2
+    if not is_one or turn.max() > np.pi**2 or not all(_grows(v, s) for v in (place, turn)):
+        return None
+    # What each step adds to what the turns before it carry along.
+    F = np.tile(np.eye(3), (len(steps), 1, 1))
+    F[:, 0, 2], F[:, 1, 2] = -np.diff(x[:, 1]), np.diff(x[:, 0])
+    added = (C[1:] - F @ C[:-1] @ np.swapaxes(F, 1, 2)).sum(axis=0)
+    p, q = (added[0, 0] + added[1, 1]) / (2 * s[-1]), added[2, 2] / s[-1]
+    if p <= 0 or q <= 0:
+        return None
+    return float(np.sqrt(p * STATED_OVER)), float(np.degrees(np.sqrt(q * STATED_OVER)))
+
+
+def _grows(variance: Scalars, walked: Scalars) -> bool:
+    """Whether it is larger in each third of the path than in the one before, on average."""
+    third = np.minimum((3 * walked / walked[-1]).astype(np.int64), 2)
+    means = [variance[third == k].mean() for k in range(3) if (third == k).any()]
+    return len(means) == 3 and bool((np.diff(means) > 0).all())

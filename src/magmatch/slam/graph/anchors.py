@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Surveyors' fixed points: where a log was at some times, in a frame that is none of the logs'."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from magmatch.arguments import number_of, numbers_of
+from magmatch.data.survey import Survey
+from magmatch.data.tables.text import text_blocks
+from magmatch.data.tables.text_rows import cells_of, delimiter_of, names_of, split_row
+from magmatch.data.tables.text_rows import numbers_of as numbers_in
+from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.slam.graph.pose_graph import FixedPoints
+from magmatch.slam.graph.trajectories import around
+from magmatch.slam.windows import Path
+from magmatch.typing import Vector3
+
+NUMBERS = ("t", "x", "y", "z", "sd")
+COLUMNS = ("log", *NUMBERS)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Anchor:
+    """A fixed point that a log passed.
+
+    Attributes
+    ----------
+    log : str
+        Name of the log, with its ending or without.
+    t : float, s
+        On the log's own clock.
+    position : (3,) array, m
+        In the surveyor's frame.
+    sd : float, m
+        Standard deviation of each coordinate, above 0.
+    source : str
+        Where it stands, for messages.
+    """
+
+    log: str
+    t: float
+    position: Vector3
+    sd: float
+    source: str = "anchor"
+
+    def __post_init__(self) -> None:
+        number_of(self.t, f"{self.source}: t", "s")
+        number_of(self.sd, f"{self.source}: sd", "m", is_positive=True)
+        position = numbers_of(self.position, f"{self.source}: position", "(3,)")
+        if position.shape != (3,) or not np.isfinite(position).all():
+            msg = f"{self.source}: position: expected three finite numbers (m), got {self.position!r:.60}"
+            raise ValueError(msg)
+        object.__setattr__(self, "position", position)
+
+
+def read_anchors(path: str | FilePath) -> list[Anchor]:
+    """Read fixed points from a table with the columns ``log,t,x,y,z,sd`` (s and m).
+
+    Raises
+    ------
+    DataFormatError
+        It is none; says line and column.
+    """
+    rows = [(b.start + i, line) for b in text_blocks(path, None) for i, line in enumerate(b.lines)]
+    rows = [(i, line) for i, line in rows if line.strip() and line.strip()[0] != "#"]
+    if len(rows) < 2:
+        raise DataFormatError(path, f"expected a header row ({','.join(COLUMNS)}) and fixed points below, found none")
+    (first, header), *rest = rows
+    mark = delimiter_of(path, header, first + 1)
+    names = names_of(path, split_row(header, mark), first + 1, COLUMNS, ())
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise DataFormatError(path, f"expected columns {', '.join(COLUMNS)}; missing {', '.join(missing)}")
+    at = [i for i, _ in rest]
+    cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
+    numbers = numbers_in(path, at, cells, {name: names.index(name) for name in NUMBERS})
+    for i, sd in zip(at, numbers[:, -1], strict=True):
+        if sd <= 0:
+            raise DataFormatError(
+                path, f"expected a standard deviation above 0 m, found {sd:g}", line=i + 1, column="sd"
+            )
+    logs = [row[names.index("log")].strip() for row in cells]
+    return [
+        Anchor(log, float(n[0]), n[1:4], float(n[4]), f"{path}, line {i + 1}")
+        for i, log, n in zip(at, logs, numbers, strict=True)
+    ]
+
+
+def of_logs(anchors: Sequence[Anchor], given: Sequence[Survey], names: Sequence[str]) -> list[tuple[Anchor, int]]:
+    """Fixed points with the log that passed each; a ConfigurationError names the first that none did."""
+    found = []
+    for anchor in anchors:
+        known = [{name, survey.name, FilePath(survey.name).name} for name, survey in zip(names, given, strict=True)]
+        of = next((k for k, some in enumerate(known) if anchor.log in some), None)
+        if of is None:
+            msg = f"{anchor.source}: expected the name of a log ({', '.join(names)}), found {anchor.log!r}"
+            raise ConfigurationError(msg)
+        times = given[of].times
+        if times is None:
+            msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
+            raise ConfigurationError(msg)
+        if not times[0] <= anchor.t <= times[-1]:
+            between = f"between {times[0]:.9g} and {times[-1]:.9g} s, when log {anchor.log!r} was walked"
+            msg = f"{anchor.source}: expected a time {between}, found {anchor.t:.9g}"
+            raise ConfigurationError(msg)
+        found.append((anchor, of))
+    return found
+
+
+def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -> FixedPoints:
+    """Fixed points as factors of the two nodes around each."""
+    one, other, share, x = [], [], [], []
+    for anchor, log in anchors:
+        path = paths[log]
+        times = path.survey.times
+        assert times is not None
+        a, b, s = around(path, np.interp([anchor.t], times, path.walked))
+        one.append(path.first_node + int(a[0]))
+        other.append(path.first_node + int(b[0]))
+        share.append(float(s[0]))
+        x.append([np.interp(anchor.t, times, axis) for axis in path.survey.positions.T])
+    return FixedPoints(
+        np.array(one, dtype=np.int64),
+        np.array(other, dtype=np.int64),
+        np.array(share),
+        np.array(x).reshape(-1, 3),
+        np.array([a.position for a, _ in anchors]).reshape(-1, 3),
+        np.array([a.sd for a, _ in anchors]),
+    )

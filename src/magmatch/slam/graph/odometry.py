@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What odometry says of neighbouring nodes, and how far it may be wrong."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.geometry import adjoint
+from magmatch.slam.bending import bend, lasting_errors
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.pose_graph import LEVEL_SD, SURE, Edges, PoseGraph
+from magmatch.slam.windows import Path
+from magmatch.typing import Covariance6, Matrix, Vector3
+
+# Points of the path between two nodes that say how odometry bends.
+BEND_POINTS = 16
+# Tilt that a body on one floor keeps within, rms: a steady carrier's, not a climber's, rad.
+MOST_TILT = np.radians(10.0)
+
+
+def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
+    """Nodes as odometry has them, each log in its own frame, tied by odometry alone."""
+    graph = PoseGraph(config)
+    for path in paths:
+        follow(path, graph)
+    return graph
+
+
+def follow(path: Path, graph: PoseGraph) -> None:
+    """Add the nodes of a log that the graph does not have yet, where odometry leads: the last of all nodes."""
+    config, log = graph.config, path.windows[0].log
+    known = max(len(graph.p) - path.first_node, 0)
+    shift, covariance, lasting = [], [], []
+    first = np.arange(max(known - 1, 0), len(path.windows) - 1)
+    for k in first:
+        step, loads, errors = _between(path, int(path.middles[k]), int(path.middles[k + 1]), config)
+        random = loads[:, : -errors.shape[1]]
+        covariance.append(random @ random.T + SURE**2 * np.eye(6))
+        lasting.append(errors)
+        shift.append(step)
+    edges = Edges(
+        path.first_node + first,
+        path.first_node + first + 1,
+        np.array(shift).reshape(-1, 3),
+        np.array(covariance).reshape(-1, 6, 6),
+        np.array(lasting).reshape(-1, 6, 2),
+        np.full(len(first), log),
+    )
+    centers = path.centers[known:]
+    graph.grow(centers, np.full(len(centers), log), edges)
+
+
+def covariance_of_end(path: Path, C: Covariance6, config: SlamConfig, *, from_start: bool) -> Covariance6:
+    """Of a log's last sample, given that of its last node against where it began, its first node or its first sample.
+
+    Parameters
+    ----------
+    path : Path
+    C : (6, 6) array
+        Of xi in ``T Exp(xi)`` about the last node.
+    config : SlamConfig
+    from_start : bool
+        Whether the first sample is meant, which lies before the first node.
+    """
+    after, loads, _ = _between(path, int(path.middles[-1]), len(path.survey) - 1, config)
+    if from_start:
+        first = _between(path, 0, int(path.middles[0]), config)[1]
+        A = adjoint(RigidTransform.from_translation(path.windows[0].center - path.windows[-1].center))
+        C = C + A @ first @ first.T @ A.T
+    A = adjoint(RigidTransform.from_translation(-after))
+    return np.asarray(A @ C @ A.T + loads @ loads.T)
+
+
+def _between(path: Path, a: int, b: int, config: SlamConfig) -> tuple[Vector3, Matrix, Matrix]:
+    """From one sample to another: the shift, what each unit error does to the end, and what the lasting ones do."""
+    points = path.survey.positions[np.unique(np.linspace(a, b, BEND_POINTS).astype(np.int64))]
+    upright, planar = config.is_gravity_aligned, config.is_planar
+    loads = bend(points, 0, config.odometry_of(path.survey.name), upright=upright, planar=planar)[-1]
+    return points[-1] - points[0], loads, lasting_errors(points, 0, upright=upright)[-1]
+
+
+def lie_level(surveys: Sequence[Survey]) -> bool:
+    """Whether all logs keep one height, as well as one floor is trusted to, and their bodies the same way up."""
+    heights = np.concatenate([survey.positions[:, 2] for survey in surveys])
+    return float(np.ptp(heights)) <= 2 * LEVEL_SD and all(_stays_upright(survey) for survey in surveys)
+
+
+def _stays_upright(survey: Survey) -> bool:
+    if survey.orientations is None:
+        return True
+    # The vertical in the body's axes, wherever those point: a sensor need not be mounted upright.
+    up = survey.orientations.inv().apply([0.0, 0.0, 1.0])
+    return float(np.linalg.norm(up.mean(axis=0))) > float(np.cos(MOST_TILT))

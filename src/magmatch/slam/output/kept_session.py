@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A finished session in a file, for more logs to be added: all but the samples, which their own files hold."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from magmatch.data.document import plain, read_document, write_document
+from magmatch.data.fingerprint import describe_input
+from magmatch.data.survey import Survey
+from magmatch.errors import DataFormatError
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.geometry import transform_from_matrix
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.slam.bases import BaseMaker
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.anchors import Anchor
+from magmatch.slam.graph.odometry import odometry_graph
+from magmatch.slam.graph.pose_graph import Closure
+from magmatch.slam.places import Places
+from magmatch.slam.sensor_bias import without_bias
+from magmatch.slam.session import Session
+from magmatch.slam.windows import cut
+
+SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/1", "session of slam"
+MAX_BYTES = 256 * 1024**2
+
+
+def write_session(session: Session, path: Path) -> None:
+    """Write what more logs need to know; nothing, where no log can be added without redoing the others."""
+    places = session.places
+    if session.is_rigid or places is None or places.maker is None:
+        return
+    graph, maker = places.graph, places.maker
+    content = {
+        "schema": SCHEMA, "config": maker.config.model_dump(mode="json"),
+        "inputs": [describe_input(s)["sha256"] for s in session.given],
+        "seconds": session.seconds, "numbers": asdict(maker.numbers), "noise": asdict(maker.noise),
+        "length": maker.length, "biases": [[b, sd] for b, sd in places.biases],
+        "anchors": [[a.log, a.t, a.position, a.sd, log] for a, log in places.anchors],
+        "closures": graph.closures, "R": graph.R, "p": graph.p, "level": graph.level, "lasting": graph.lasting,
+    }  # fmt: skip
+    write_document(path, {key: plain(value, key) for key, value in content.items()})
+
+
+def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session, list[Survey]]:
+    """A session as it was left in a folder, and those of some surveys that are not in it yet.
+
+    Raises
+    ------
+    DataFormatError
+        The folder holds no session, or one of a survey that is not given.
+    """
+    path = Path(folder) / SESSION
+    if not path.is_file():
+        raise DataFormatError(folder, f"holds no session to go on from ({SESSION}); leave out --continue")
+    content = read_document(path, SCHEMA, WHAT, MAX_BYTES)
+    try:
+        by_content = {describe_input(s)["sha256"]: s for s in surveys}
+        missing = [n for n, sha in enumerate(content["inputs"]) if sha not in by_content]
+        if missing:
+            words = f"holds a session of {len(content['inputs'])} logs, of which {len(missing)} are not given"
+            raise DataFormatError(folder, f"{words} or were changed; give all of them, and the new ones")
+        given = [by_content[sha] for sha in content["inputs"]]
+        session = Session(SlamConfig.model_validate(content["config"]), given)
+        session.places, session.seconds = _places(content, given), content["seconds"]
+    except (KeyError, TypeError, IndexError, AttributeError, ValidationError) as error:
+        raise DataFormatError(path, f"is not a {WHAT}: {error!r:.80}") from None
+    return session, [s for s in surveys if describe_input(s)["sha256"] not in content["inputs"]]
+
+
+def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
+    config = SlamConfig.model_validate(content["config"])
+    biases = [(np.array(b), np.array(sd)) for b, sd in content["biases"]]
+    unbiased = [without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)]
+    paths = cut(unbiased, content["length"], config)
+    graph = odometry_graph(paths, config)
+    graph.R, graph.p, graph.level, graph.lasting = (np.array(content[k]) for k in ("R", "p", "level", "lasting"))
+    graph.closures = [_closure(c) for c in content["closures"]]
+    numbers, noise = Hyperparameters(**content["numbers"]), PathNoise(**content["noise"])
+    maker = BaseMaker(numbers, noise, content["length"], config)
+    anchors = [(Anchor(name, t, np.array(x), sd), log) for name, t, x, sd, log in content["anchors"]]
+    places = Places(paths, graph, maker, biases, anchors)
+    places.solve()
+    return places
+
+
+def _closure(c: dict[str, Any]) -> Closure:
+    arrays = {"T_first_second": transform_from_matrix(c["T_first_second"]), "covariance": np.array(c["covariance"])}
+    return Closure(**c | arrays)

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The method on one page: numbers that logs share, windows, and rounds of search for what passes one place twice."""
+
+import logging
+from collections.abc import Collection, Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magmatch.data.checks import CONSTANT_FIELD, extent
+from magmatch.data.survey import Survey
+from magmatch.progress import counted, tell
+from magmatch.registration.clock import Clock
+from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, Stretch, most_likely
+from magmatch.slam.bases import Base, BaseMaker
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.anchors import Anchor, fixed_points
+from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.loop_closure import residuals
+from magmatch.slam.numbers import guessed_noise, shared_numbers
+from magmatch.slam.sensor_bias import sensor_bias, without_bias
+from magmatch.slam.steps import Steps
+from magmatch.slam.tie import Candidate, far_candidates, near_candidates, numbers_of, of_numbers, tie
+from magmatch.slam.windows import Path, Window, cut
+from magmatch.threads import one_blas_thread
+from magmatch.typing import Vector3
+
+log = logging.getLogger(__name__)
+
+# Closures make others possible: so often at most all are looked for again.
+MOST_ROUNDS = 4
+NO_BIAS = (np.zeros(3), np.zeros(3))
+
+
+@dataclass(eq=False, slots=True)
+class Places:
+    """Windows of logs, the graph that ties them, and the stretches that they are compared with.
+
+    Attributes
+    ----------
+    paths : list of Path
+        Each without its sensor's bias.
+    graph : PoseGraph
+    maker : BaseMaker or None
+        Makes stretches ready; None where the field is constant, and tells nothing.
+    biases : list of (bias, sd)
+        Of each log's magnetometer, in its own axes, T.
+    anchors : list of (Anchor, int)
+        Fixed points, and the log that passed each.
+    steps : Steps
+        Where what was found is kept.
+    """
+
+    paths: list[Path]
+    graph: PoseGraph
+    maker: BaseMaker | None = None
+    biases: list[tuple[Vector3, Vector3]] = field(default_factory=list)
+    anchors: list[tuple[Anchor, int]] = field(default_factory=list)
+    steps: Steps = field(default_factory=Steps)
+    made: dict[int, Base] = field(default_factory=dict)
+    far: dict[tuple[int, int], Base] = field(default_factory=dict)
+
+    def copied(self) -> "Places":
+        """These places, to go on from without changing them."""
+        graph = copy(self.graph)
+        graph.closures = list(graph.closures)
+        maker = None if self.maker is None else replace(self.maker)
+        return Places(list(self.paths), graph, maker, list(self.biases), self.anchors)
+
+    def add(self, survey: Survey) -> Path:
+        """Cut one more log into windows, in a frame of its own."""
+        assert self.maker is not None
+        bias = sensor_bias(survey, self.maker.numbers)
+        unbiased = without_bias(survey, bias[0])
+        (path,) = cut([unbiased], self.maker.length, self.maker.config, len(self.paths), len(self.graph.p))
+        self.biases.append(bias)
+        self.paths.append(path)
+        self.solve()
+        return path
+
+    def solve(self) -> None:
+        """Poses of all nodes, those of the last log's new windows too."""
+        follow(self.paths[-1], self.graph)
+        if self.anchors:
+            self.graph.fixed = fixed_points(self.anchors, self.paths)
+        self.graph.solve()
+
+    def close(self, paths: Sequence[Path]) -> None:
+        """Look for closures of some logs, as long as any is found."""
+        for _ in range(MOST_ROUNDS):
+            if not (self.close_near(paths) + self.close_far(paths)):
+                break
+
+    def close_near(self, paths: Sequence[Path]) -> int:
+        """Look for closures where the graph expects them; how many were found."""
+        found = 0
+        for path in paths:
+            closed = {c.second for c in self.graph.closures}
+            candidates = [
+                [] if w.node in closed else self.near(w)
+                for w in counted(f"looking for closures of {path.survey.name}", path.windows)
+            ]
+            found += self.tie(path, candidates)
+        return found
+
+    def close_far(self, paths: Sequence[Path]) -> int:
+        """Look for closures between logs that nothing ties yet, from nowhere; how many were found."""
+        found = 0
+        for path in paths:
+            # Whoever came first is the base; a log that was tied since is corrected as the graph has it.
+            if self.others(path):
+                what = f"looking for {path.survey.name} in other logs"
+                found += self.tie(path, [self.anywhere(w, path) for w in counted(what, path.windows)])
+        return found
+
+    def near(self, window: Window) -> list[Candidate]:
+        """Where a window may lie on earlier path, as the graph expects it."""
+
+        def look() -> list[Candidate]:
+            component = self.graph.component()
+            mine = np.flatnonzero(component == component[window.node])
+            return near_candidates(window, mine[mine < window.node], self.graph, self.stretch)
+
+        return of_numbers(self.steps(lambda: numbers_of(look())))
+
+    def others(self, path: Path) -> list[Path]:
+        """Earlier logs that nothing ties to this one."""
+        component = self.graph.component()
+        earlier = [p for p in self.paths if p.first_node < path.first_node]
+        return [p for p in earlier if component[p.first_node] != component[path.first_node]]
+
+    def anywhere(self, window: Window, path: Path) -> list[Candidate]:
+        """Where a window may lie on other logs, from nowhere."""
+
+        def look() -> list[Candidate]:
+            bases = [self.whole(other) for other in self.others(path)]
+            return far_candidates(window, bases, self.graph)
+
+        return of_numbers(self.steps(lambda: numbers_of(look())))
+
+    def tie(self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = ()) -> int:
+        """Tie what is sure, some windows left out, and solve; how many closures were found."""
+        known = {(c.first, c.second) for c in self.graph.closures}
+        closures = [
+            c for c in tie(path, candidates, self.graph) if (c.first, c.second) not in known and c.second not in but
+        ]
+        self.graph.closures += closures
+        if closures:
+            self.graph.solve()
+        return len(closures)
+
+    def stretch(self, node: int) -> Base:
+        """A window and its neighbours as a base, odometry's frame."""
+        assert self.maker is not None
+        if node not in self.made:
+            path = self.paths[self.graph.log[node]]
+            rows = np.flatnonzero(np.abs(path.nodes[path.number] - node) <= 1)
+            self.made[node] = self.maker.make(path.survey.subset(rows), path.nodes[path.number][rows])
+        return self.made[node]
+
+    def whole(self, path: Path) -> Base:
+        """A whole log as a base, as the graph has it now."""
+        assert self.maker is not None
+        key = path.first_node, len(self.graph.closures)
+        if key not in self.far:
+            self.far[key] = self.maker.make(corrected(path, self.graph), path.nodes[path.number])
+        return self.far[key]
+
+    def learn_noise(self) -> None:
+        """Learn from the closures found what does not repeat."""
+        assert self.maker is not None
+        stretches = [s for s in self._repeats() if len(s.positions) >= MIN_BINS]
+        if len(stretches) < PRIOR_STRETCHES:
+            return
+        self.maker.noise = most_likely(self.maker.noise, stretches)
+        log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
+        self.made.clear()
+        self.far.clear()
+
+    def _repeats(self) -> Iterator[Stretch]:
+        windows = {w.node: w for path in self.paths for w in path.windows}
+        for c in self.graph.closures:
+            window = windows[c.second]
+            T = self.graph.center(c.first) * c.T_first_second * window.T_log_node.inv()
+            yield residuals(window, self.stretch(c.first), T)
+
+
+def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
+    """Settings with what the logs show of themselves: whether they lie level."""
+    if not config.is_gravity_aligned or config.is_planar or not lie_level(given):
+        return config
+    log.info("all poses lie at one height: taken as planar")
+    return config.model_copy(update={"is_planar": True})
+
+
+def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
+    """Logs cut into windows, as odometry has them, and the numbers of the field that they share."""
+    if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
+        # Nothing tells places apart, and the field has no length.
+        paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
+        return Places(paths, odometry_graph(paths, config), None, [NO_BIAS] * len(given))
+    tell("learning how the field changes")
+    numbers, length = shared_numbers(given)
+    biases = [sensor_bias(survey, numbers) for survey in given]
+    paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
+    n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
+    log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
+    maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
+    return Places(paths, odometry_graph(paths, config), maker, biases)
+
+
+def find(
+    given: Sequence[Survey],
+    config: SlamConfig,
+    anchors: Sequence[tuple[Anchor, int]] = (),
+    steps: Steps | None = None,
+    clock: Clock | None = None,
+) -> Places:
+    """All logs at once: the noise is learned from the surest closures, which are forgotten, and found again by it."""
+    clock = clock or Clock()
+    with one_blas_thread():
+        with clock("numbers"):
+            places = begin(given, config)
+        places.steps, places.anchors = steps or Steps(), list(anchors)
+        places.solve()
+        if places.maker is not None:
+            with clock("noise"):
+                places.close_near(places.paths)
+                places.learn_noise()
+                places.graph.forget_closures()
+            with clock("closures"):
+                places.close(places.paths)
+    return places
+
+
+def go_on(
+    earlier: Places, logs: Sequence[Survey], anchors: Sequence[tuple[Anchor, int]], steps: Steps, clock: Clock
+) -> Places:
+    """More logs by the numbers that are known: what was found between those before stays."""
+    places = earlier.copied()
+    places.steps, places.anchors = steps, [*places.anchors, *anchors]
+    with one_blas_thread(), clock("closures"):
+        places.solve()
+        for survey in logs:
+            if places.graph.config.is_planar and not lie_level([survey]):
+                log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
+            places.close([places.add(survey)])
+    return places

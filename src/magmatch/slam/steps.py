@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a search for closures has found so far, kept so that the same search goes on where it was cut off.
+
+A run is the same steps in the same order, so the n-th result that was kept is that of the n-th step. They are kept as
+the numbers they are made of, and read back before use also where they were not cut off: the bits are the same.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from magmatch.data.document import read_document, write_document
+from magmatch.errors import DataFormatError
+from magmatch.typing import Matrix
+
+SCHEMA = "magmatch.slam.steps/1"
+MAX_BYTES = 256 * 1024**2
+# Work that a power cut may cost.
+KEEP_EVERY_S = 5.0
+
+
+class Steps:
+    """Results of steps, in their order; without a folder they are not kept.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Made where it is not there.
+    **of
+        What the steps follow from, as JSON could hold it: results of anything else are deleted.
+    """
+
+    def __init__(self, folder: Path | None = None, **of: Any) -> None:
+        self.folder = folder
+        self._of = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:15]
+        self._kept: list[Any] = []
+        self._new: list[Any] = []
+        self._n_written, self._written = 0, monotonic()
+        if folder is not None:
+            self._read(folder)
+        self.n_kept = len(self._kept)
+
+    def __call__(self, step: Callable[[], Matrix]) -> Matrix:
+        """Give the result of the next step: what was kept, else what it finds."""
+        if self._kept:
+            return np.array(self._kept.pop(0), dtype=np.float64)
+        found = step()
+        if self.folder is not None:
+            self._new.append(found.tolist())
+            if monotonic() - self._written > KEEP_EVERY_S:
+                self.keep()
+        return found
+
+    def keep(self) -> None:
+        """Write what was found since the last time."""
+        if self.folder is None or not self._new:
+            return
+        self.folder.mkdir(exist_ok=True)
+        document = {"schema": SCHEMA, "of": self._of, "results": self._new}
+        write_document(self.folder / f"{self._n_written}.json", document)
+        self._n_written, self._new, self._written = self._n_written + len(self._new), [], monotonic()
+
+    def _read(self, folder: Path) -> None:
+        """Each file is named by how many results stand before it."""
+        while (path := folder / f"{len(self._kept)}.json").is_file():
+            try:
+                document = read_document(path, SCHEMA, "part of a search for closures", MAX_BYTES)
+            except DataFormatError:
+                break
+            if document.get("of") != self._of or not document["results"]:
+                break
+            self._kept += document["results"]
+        self._n_written = len(self._kept)
+        if not self._kept:
+            shutil.rmtree(folder, ignore_errors=True)
