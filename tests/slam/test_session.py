@@ -23,6 +23,7 @@ KEYS = [
     "reason",
     "logs",
     "closures",
+    "anchors",
     "odometry",
     "seconds",
     "config",
@@ -44,7 +45,7 @@ def test_the_document_has_the_keys_of_the_contract(folder):
     assert [key for key in document if key != "checksum"] == KEYS
     assert document["schema"] == "magmatch.slam/1"
     assert set(document["logs"][0]) == {
-        "name", "component", "T_map_log", "length", "n_closures", "moved", "sd",
+        "name", "component", "T_map_log", "length", "n_closures", "moved", "sd", "is_fixed",
     }  # fmt: skip
     assert set(document["closures"][0]) >= {
         "log_a", "t_a", "log_b", "t_b", "T_a_b", "covariance", "probability", "weight",
@@ -118,7 +119,7 @@ def test_the_adjoint_carries_a_tangent_to_another_frame():
 def test_the_folder_holds_what_the_contract_says(folder, three):
     names = {path.name for path in folder.iterdir()}
     assert names == {f"{n}.{e}" for n in "abc" for e in ("csv", "tum")} | {
-        "map.map", "map_2.map", "graph.g2o", "result.json",
+        "map.map", "map_2.map", "graph.g2o", "result.json", "session.json",
     }  # fmt: skip
     for name, survey, truth in zip("abc", three.session.trajectories, three.truth, strict=True):
         poses, there = mm.Trajectory.load(folder / f"{name}.tum"), read_survey(folder / f"{name}.csv")

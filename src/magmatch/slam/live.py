@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.arguments import expect_transform, number_of, points_of
+from magmatch.arguments import column_of, expect_transform, points_of
 from magmatch.data.checks import extent, require_survey
 from magmatch.data.survey import Survey
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
@@ -59,7 +59,7 @@ class LiveLog:
         ValueError
             Time does not go on, or something is not finite; the sample is not taken.
         """
-        t = number_of(t, "t", "s")
+        t = float(column_of([t], "t", "s", 1)[0])
         expect_transform(T_odom_body, "T_odom_body")
         b = points_of(np.reshape(field, (1, -1)), "field", "T", "sample")[0]
         if self._t and t <= self._t[-1]:

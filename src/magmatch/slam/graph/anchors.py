@@ -7,7 +7,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from magmatch.arguments import number_of, numbers_of
+from magmatch.arguments import column_of, number_of, numbers_of
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import text_blocks
 from magmatch.data.tables.text_rows import cells_of, delimiter_of, names_of, split_row
@@ -47,7 +47,7 @@ class Anchor:
     source: str = "anchor"
 
     def __post_init__(self) -> None:
-        number_of(self.t, f"{self.source}: t", "s")
+        column_of([self.t], f"{self.source}: t", "s", 1)
         number_of(self.sd, f"{self.source}: sd", "m", is_positive=True)
         position = numbers_of(self.position, f"{self.source}: position", "(3,)")
         if position.shape != (3,) or not np.isfinite(position).all():

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fixed points: slopes, frames that they tell or do not, and one line for each that cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from drifting import Place, about_z, drifting_walk, trajectory_error
+from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.anchors import Anchor, fixed_points, of_logs, read_anchors
+from magmatch.slam.graph.odometry import odometry_graph
+from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.windows import cut
+
+LEVEL = SlamConfig(is_planar=True)
+LOG, TRUTH = drifting_walk(Place(1), 1, laps=1.0, turn=3.0)
+# The surveyor's frame is none of the log's.
+T = RigidTransform.from_components([20.0, -7.0, 3.0], about_z(2.1)[0])
+
+
+def graph_of(rows, logs=(LOG,), config=LEVEL, sd=0.02, truths=(TRUTH,)):
+    paths = cut(logs, 0.8, config)
+    graph = odometry_graph(paths, config)
+    anchors = [
+        (Anchor(log.name, float(log.times[k]), T.apply(truth[k]), sd), n)
+        for n, (log, truth) in enumerate(zip(logs, truths, strict=True))
+        for k in rows
+    ]
+    graph.fixed = fixed_points(anchors, paths)
+    graph.solve()
+    return graph, paths
+
+
+def test_slopes_are_those_of_finite_differences():
+    graph, _ = graph_of([10, 90, 200], config=SlamConfig(is_gravity_aligned=False))
+    rng = np.random.default_rng(0)
+    graph.R = Rotation.from_rotvec(rng.normal(size=(len(graph.p), 3))).as_matrix()
+    seen, J = graph._seen_at_fixed()
+    small, R, p = 1e-6, graph.R, graph.p
+    for side, nodes in ((0, graph.fixed.one), (6, graph.fixed.other)):
+        for k in range(6):
+            xi = np.zeros((len(p), 6))
+            xi[nodes, k] = small
+            graph.R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+            graph.p = p + np.einsum("nij,nj->ni", R, xi[:, 3:])
+            # Two points between the same nodes move with both.
+            mine = np.isin(nodes, nodes) & (graph.fixed.one != graph.fixed.other)
+            slope = (graph._seen_at_fixed()[0] - seen) / small
+            alone = [
+                i
+                for i in np.flatnonzero(mine)
+                if not set(nodes) & {(graph.fixed.other, graph.fixed.one)[side // 6][i]}
+            ]
+            np.testing.assert_allclose(slope[alone], J[alone, :, side + k], atol=1e-5)
+        graph.R, graph.p = R, p
+
+
+def test_points_that_lie_apart_tell_the_frame_and_correct_the_log():
+    graph, (path,) = graph_of([5, 60, 110, 160, 205])
+    there = corrected(path, graph).positions
+    before = trajectory_error(TRUTH, LOG.positions)
+    error = np.sqrt(((there - T.apply(TRUTH)) ** 2).sum(axis=1).mean())
+    assert error < 0.5 * before  # in the surveyor's own frame: nothing was aligned
+    assert graph.is_fixed(0)
+    assert np.abs(graph.off_fixed()).max() < 0.06
+
+
+def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():
+    errors = []
+    for seed in range(20):
+        log, truth = drifting_walk(Place(1), seed, laps=1.0, turn=4.0, scale=0.0)
+        rng = np.random.default_rng(seed)
+        config = SlamConfig(
+            is_planar=True, odometry={"sd": (0.01, 4.0 * np.sqrt(10)), "scale_sd": 0.001, "turn_sd": 0.01}
+        )
+        paths = cut([log], 0.8, config)
+        graph = odometry_graph(paths, config)
+        anchors = [
+            (Anchor("walk", float(log.times[k]), truth[k] + 0.05 * rng.normal(size=3), 0.05), 0)
+            for k in (3, 100, 206)
+        ]
+        graph.fixed = fixed_points(anchors, paths)
+        graph.solve()
+        node = len(graph.p) // 2
+        error = graph.R[node].T @ (graph.p[node] - truth[paths[0].middles[node]])
+        C = graph.marginals()[node][3:5, 3:5]
+        errors.append(error[:2] @ np.linalg.solve(C, error[:2]) / 2)
+    assert 0.4 < np.mean(errors) < 2.0
+
+
+def test_a_single_point_tells_where_and_not_which_way():
+    graph, (path,) = graph_of([100])
+    assert not graph.is_fixed(0)
+    np.testing.assert_allclose(corrected(path, graph).positions[100], T.apply(TRUTH[100]), atol=0.02)
+    # The log keeps its heading and its shape.
+    np.testing.assert_allclose(np.diff(graph.p[:, :2], axis=0), np.diff(graph.start[:, :2], axis=0), atol=1e-3)
+
+
+def test_logs_that_fixed_points_place_share_a_frame_without_a_closure():
+    other, truth = drifting_walk(Place(5), 4, laps=0.8, name="other.csv")
+    rows = [5, 80, 160]
+    graph, paths = graph_of(rows, (LOG, other), truths=(TRUTH, truth))
+    assert (graph.component() == 0).all()
+    for path, true in zip(paths, (TRUTH, truth), strict=True):
+        assert np.abs(corrected(path, graph).positions[rows] - T.apply(true[rows])).max() < 0.06
+
+
+@given(st.floats(-3, 3), st.tuples(*[st.floats(-50, 50)] * 3))
+@settings(max_examples=15, deadline=None)
+def test_the_answer_moves_with_the_surveyors_frame(angle, shift):
+    moved = RigidTransform.from_components(shift, about_z(angle)[0])
+    paths = cut([LOG], 0.8, LEVEL)
+    found = []
+    for M in (RigidTransform.identity(), moved):
+        graph = odometry_graph(paths, LEVEL)
+        anchors = [(Anchor("walk", float(LOG.times[k]), M.apply(TRUTH[k]), 0.03), 0) for k in (5, 100, 200)]
+        graph.fixed = fixed_points(anchors, paths)
+        graph.solve()
+        found.append(graph.p)
+    np.testing.assert_allclose(found[1], moved.apply(found[0]), atol=2e-3)
+
+
+def test_a_table_is_read_as_it_stands(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("# by the surveyor\nsd;z;y;x;t;log\n0,1;3;2;1;4,5;a b.csv\n\n0.2;0;0;0;5;c\n".replace(",", "."))
+    one, other = read_anchors(path)
+    assert (one.log, one.t, one.sd, one.position.tolist()) == ("a b.csv", 4.5, 0.1, [1, 2, 3])
+    assert other.source.endswith("line 5")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty"),
+        ("log,t,x,y,z,sd\n", "found none"),
+        ("log,t,x,y,z\na,0,0,0,0\n", "missing sd"),
+        ("log,t,x,y,z,sd\na,0,0,0,0,0\n", "line 2, column 'sd': expected a standard deviation above 0"),
+        ("log,t,x,y,z,sd\na,0,0,0,0,-1\n", "above 0"),
+        ("log,t,x,y,z,sd\na,0,nan,0,0,1\n", "line 2, column 'x'"),
+        ("log,t,x,y,z,sd\na,0,0,0,0,1\na,noon,0,0,0,1\n", "line 3, column 't'"),
+        ("log,t,x,y,z,sd\na,0,0,0\n", "line 2"),
+    ],
+)
+def test_a_table_that_cannot_be_is_one_line(tmp_path, text, said):
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(DataFormatError, match="points") as error:
+        read_anchors(path)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("anchor", "said"),
+    [
+        (
+            Anchor("robot", 1.0, np.zeros(3), 0.1, "points.csv, line 2"),
+            "points.csv, line 2: expected the name of a log",
+        ),
+        (Anchor("walk", 1e9, np.zeros(3), 0.1), "expected a time between 0 and"),
+        (Anchor("walk.csv", -0.1, np.zeros(3), 0.1), "found -0.1"),
+    ],
+)
+def test_a_point_that_no_log_passed_is_refused(anchor, said):
+    with pytest.raises(ConfigurationError, match=said):
+        of_logs([anchor], [LOG], ["walk"])
+
+
+def test_points_of_logs_without_times_are_refused():
+    with pytest.raises(ConfigurationError, match="no times"):
+        of_logs([Anchor("walk", 1.0, np.zeros(3), 0.1)], [replace(LOG, times=None)], ["walk"])
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"sd": 0.0}, {"sd": np.nan}, {"t": np.inf}, {"position": [0, 0]}, {"position": [0, np.nan, 0]}]
+)
+def test_numbers_that_no_fixed_point_has_are_refused(wrong):
+    with pytest.raises(ValueError, match="expected"):
+        Anchor(**({"log": "walk", "t": 0.0, "position": [0, 0, 0], "sd": 0.1} | wrong))
