@@ -30,7 +30,7 @@ def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, tmp_path):
     assert "planar" in done.err
     assert "Connected" in done.err
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"walk.tum", "walk.csv", "map.map", "graph.g2o", "report.html", "result.json"}
+    assert names == {"walk.tum", "walk.csv", "map.map", "graph.g2o", "report.html", "result.json", "session.json"}
     assert json.loads(done.out) == SlamResult.load(tmp_path / "out" / "result.json").to_dict()
     truth = np.load(logs / "truth.npy")
     before, after = mm.read_survey(logs / "walk.csv"), mm.Trajectory.load(tmp_path / "out" / "walk.tum")
@@ -137,3 +137,49 @@ def test_help_shows_examples_and_exit_codes(run, name):
     assert done.code == 0
     assert f"magmatch {name} " in done.out
     assert "Exit code 0" in done.out
+
+
+def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, logs, tmp_path):
+    walk, truth = mm.read_survey(logs / "short.csv"), np.load(logs / "truth.npy")
+    points = tmp_path / "points.csv"
+    rows = [f"short,{walk.times[k]},{p[0] + 50},{p[1]},{p[2]},0.02" for k in (3, 70, 140) for p in [truth[k]]]
+    points.write_text("\n".join(["log,t,x,y,z,sd", *rows]))
+    done = run("slam", logs / "short.csv", "--anchors", points, "--out", tmp_path / "out", "--json")
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    assert [a["log"] for a in result["anchors"]] == ["short"] * 3
+    assert result["logs"][0]["is_fixed"]
+    assert "3 fixed points" in result["reason"]
+    there = mm.Trajectory.load(tmp_path / "out" / "short.tum").positions
+    assert np.abs(there[[3, 70, 140]] - truth[[3, 70, 140]] - [50, 0, 0]).max() < 0.1
+    assert "Fixed points" in (tmp_path / "out" / "report.html").read_text()
+    for text, said in (
+        ("robot,1,0,0,0,1", "name of a log"),
+        ("short,1e6,0,0,0,1", "a time"),
+        ("short,1,0,0,0,0", "above 0"),
+    ):
+        points.write_text(f"log,t,x,y,z,sd\n{text}\n")
+        done = run("slam", logs / "short.csv", "--anchors", points, "--out", tmp_path / "no")
+        assert done.code == 2
+        assert said in done.err
+        assert len(done.err.strip().splitlines()) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "points.csv"}
+
+
+def test_one_more_log_is_added_to_a_folder(run, logs, tmp_path):
+    assert run("slam", logs / "walk.csv", "--out", tmp_path / "out").code == 0
+    both = ["slam", logs / "walk.csv", logs / "short.csv", "--out", tmp_path / "out"]
+    refused = run(*both)
+    assert refused.code == 2
+    assert "--continue" in refused.err
+    done = run(*both, "--continue")
+    assert done.code == 0, done.err
+    result = SlamResult.load(tmp_path / "out" / "result.json")
+    assert [(log.name, log.component) for log in result.logs] == [("walk", 0), ("short", 0)]
+    assert (tmp_path / "out" / "short.tum").is_file()
+    refused = run(*both, "--continue", "--planar")
+    assert refused.code == 2
+    assert "--continue" in refused.err
+    refused = run("slam", logs / "short.csv", "--out", tmp_path / "new", "--continue")
+    assert refused.code == 2
+    assert "no session" in refused.err

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.arguments import column_of, expect_transform, points_of
-from magmatch.data.checks import extent, require_survey
+from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
+from magmatch.geometry import path_walked
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
 from magmatch.slam.config import SlamConfig
@@ -20,8 +21,8 @@ from magmatch.slam.windows import Path, Window, walked_along
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Vector3
 
-# Samples at which it is first tried to learn how the field changes; then whenever they have doubled.
-FIRST_SAMPLES = 64
+# Samples at which it is first tried to learn how the field changes, and by which they grow until the next time.
+FIRST_SAMPLES, GROWTH = 64, 1.5
 
 
 class LiveLog:
@@ -90,14 +91,16 @@ class LiveLog:
         """Begin, as soon as windows can be compared."""
         if len(self._t) < self._next_try:
             return False
-        self._next_try *= 2
+        self._next_try = round(GROWTH * self._next_try)
         survey = self.survey()
-        if not extent(survey).any():
+        # Jitter is half as far when every other sample is left out; a path nearly as far.
+        few = survey.positions[np.linspace(0, len(survey) - 1, FIRST_SAMPLES).astype(np.int64)]
+        if path_walked(few[::2])[-1] <= 0.75 * path_walked(few)[-1]:
             return False  # it stands
         require_survey(survey, name="log")
         with one_blas_thread():
             places = begin([survey], settled([survey], self.config))
-            if places.maker is None or len(places.paths[0].windows) <= 2 * APART:
+            if places.maker is None or len(places.paths[0].windows) <= APART:
                 return False
             self.places, self._path = places, places.paths[0]
             places.solve()

@@ -48,10 +48,11 @@ def slam(
     DataFormatError, ConfigurationError
         The table holds no fixed points, or one that no log passed; says which and why.
     """
-    session, given = Session(config), [logs] if isinstance(logs, Survey) else list(logs)
-    expect_kind(session.config, "config", (SlamConfig,))
+    config, given = config or SlamConfig(), [logs] if isinstance(logs, Survey) else list(logs)
+    expect_kind(config, "config", (SlamConfig,))
     if not given:
         msg = "expected at least one log, got none"
         raise ValueError(msg)
+    session = Session(config)
     session.add_logs(given, anchors, progress=progress, keep=keep)
     return session

@@ -7,6 +7,7 @@ the numbers they are made of, and read back before use also where they were not 
 
 import hashlib
 import json
+import logging
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,8 @@ import numpy as np
 from magmatch.data.document import read_document, write_document
 from magmatch.errors import DataFormatError
 from magmatch.typing import Matrix
+
+log = logging.getLogger(__name__)
 
 SCHEMA = "magmatch.slam.steps/1"
 MAX_BYTES = 256 * 1024**2
@@ -44,7 +47,8 @@ class Steps:
         self._n_written, self._written = 0, monotonic()
         if folder is not None:
             self._read(folder)
-        self.n_kept = len(self._kept)
+        if self._kept:
+            log.info("going on after %d steps that were kept in %s", len(self._kept), folder)
 
     def __call__(self, step: Callable[[], Matrix]) -> Matrix:
         """Give the result of the next step: what was kept, else what it finds."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from magmatch.data.document import plain, read_document, write_document
 from magmatch.data.fingerprint import describe_input
@@ -68,7 +67,9 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
         given = [by_content[sha] for sha in content["inputs"]]
         session = Session(SlamConfig.model_validate(content["config"]), given)
         session.places, session.seconds = _places(content, given), content["seconds"]
-    except (KeyError, TypeError, IndexError, AttributeError, ValidationError) as error:
+    except DataFormatError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise DataFormatError(path, f"is not a {WHAT}: {error!r:.80}") from None
     return session, [s for s in surveys if describe_input(s)["sha256"] not in content["inputs"]]
 

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Slam that is killed goes on where it was, gives the same bits, and leaves nothing half-written."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import magmatch
+from drifting import Place, drifting_walk
+from magmatch.slam.output.folder import unfinished
+
+pytest.importorskip("plotly", reason="the report is drawn with the extra 'viz'")
+SOURCE = Path(magmatch.__file__).parents[1]
+# Keeps every step at once: a kill finds some kept and some not, however fast the machine is.
+EAGER = """
+import sys
+from magmatch.slam import steps
+from magmatch.cli.main import main
+steps.KEEP_EVERY_S = -1.0
+sys.exit(main(sys.argv[1:]))
+"""
+RESULTS = ("walk.csv", "walk.tum", "graph.g2o")
+
+
+def start(*words):
+    path = os.pathsep.join([str(SOURCE), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-W", "ignore", "-c", EAGER, *map(str, words)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills with a POSIX signal")
+def test_a_killed_run_goes_on_and_gives_the_same_bits(tmp_path):
+    drifting_walk(Place(1), 1, laps=1.5)[0].save(tmp_path / "walk.csv")
+    whole = start("slam", tmp_path / "walk.csv", "--out", tmp_path / "whole")
+    said = whole.communicate()[1]
+    assert whole.returncode == 0, said
+    out, kept = tmp_path / "out", unfinished(tmp_path / "out")
+    counts = []
+    for n in (3, 9):
+        run = start("slam", tmp_path / "walk.csv", "--out", out)
+        while run.poll() is None and len(list(kept.glob("*.json"))) < n:
+            time.sleep(0.01)
+        run.kill()
+        run.communicate()
+        assert run.returncode == -signal.SIGKILL  # it was cut off in the middle
+        assert not out.exists()
+        counts.append(len(list(kept.glob("*.json"))))
+    assert 3 <= counts[0] < counts[1]
+    before = {path.name: path.stat().st_mtime_ns for path in kept.glob("[0-9]*.json")}
+    run = start("slam", tmp_path / "walk.csv", "--out", out, "--verbose")
+    said = run.communicate()[1]
+    assert run.returncode == 0, said
+    assert f"going on after {len(before)} steps" in said
+    for name in RESULTS:
+        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {"walk.csv", "whole", "out"}

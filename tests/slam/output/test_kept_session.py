@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One more log for a finished session: what was found before stays, and a session that cannot be is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drifting import Place, drifting_walk
+from magmatch.errors import DataFormatError
+from magmatch.slam.output.folder import require_folder, write_folder
+from magmatch.slam.output.kept_session import read_session
+from magmatch.slam.places import Places
+
+OTHER, _ = drifting_walk(Place(1), 2, laps=1.2, start=2.0, name="b.csv")
+
+
+@pytest.fixture(scope="module")
+def folder(lone, tmp_path_factory):
+    place = tmp_path_factory.mktemp("kept") / "out"
+    write_folder(lone.session, place)
+    return place
+
+
+def test_a_session_read_again_is_what_it_was(lone, folder):
+    session, new = read_session(folder, [OTHER, lone.log])
+    assert new == [OTHER]
+    assert session.given == [lone.log]
+    ours, theirs = session.graph, lone.session.graph
+    np.testing.assert_allclose(ours.p, theirs.p, atol=1e-6)
+    assert [(c.first, c.second, c.log_odds) for c in ours.closures] == [
+        (c.first, c.second, c.log_odds) for c in theirs.closures
+    ]
+    assert session.places.maker.noise == lone.session.places.maker.noise
+    assert session.config == lone.session.config
+
+
+def test_one_more_log_is_tied_and_nothing_is_looked_for_again(lone, folder, monkeypatch):
+    looked = []
+    near = Places.near
+    monkeypatch.setattr(Places, "near", lambda self, window: looked.append(window.log) or near(self, window))
+    session, new = read_session(folder, [lone.log, OTHER])
+    session.add_logs(new)
+    assert session.components == [[0, 1]]
+    assert set(looked) == {1}
+    n = len(lone.session.graph.closures)
+    assert [c.log_odds for c in session.graph.closures[:n]] == [c.log_odds for c in lone.session.graph.closures]
+
+
+def test_folders_that_hold_no_such_session_are_refused(lone, folder, tmp_path):
+    with pytest.raises(DataFormatError, match="not given or were changed"):
+        read_session(folder, [OTHER])
+    with pytest.raises(DataFormatError, match="no session to go on from"):
+        read_session(tmp_path, [lone.log])
+    with pytest.raises(DataFormatError, match="--continue"):
+        require_folder(folder, [lone.log, OTHER])
+    require_folder(folder, [lone.log, OTHER], may_be_more=True)
+    content = json.loads((folder / "session.json").read_text())
+    content.pop("checksum")
+    for key, value in [("closures", [{"first": 1}]), ("numbers", {"size": 3}), ("anchors", [[1]]), ("length", "far")]:
+        (tmp_path / "session.json").write_text(json.dumps(content | {key: value}))
+        with pytest.raises(DataFormatError, match="session of slam"):
+            read_session(tmp_path, [lone.log])
+
+
+def test_what_cannot_be_gone_on_from_leaves_no_session(lone, tmp_path):
+    constant = replace(lone.session, places=replace(lone.session.places, maker=None))
+    write_folder(constant, tmp_path / "out")
+    assert not (tmp_path / "out" / "session.json").exists()

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Samples as they come: poses are corrected on the way, and the end is what the whole log gives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+import magmatch as mm
+from drifting import Place, drifting_walk, trajectory_error
+from magmatch.errors import SurveyError
+from magmatch.registration.config import PRESETS
+
+
+def feed(session, log, rows=None):
+    """Samples of a log one by one; the pose after each."""
+    places = []
+    for k in range(len(log)) if rows is None else rows:
+        T = RigidTransform.from_components(log.positions[k], log.orientations[k])
+        session.add(float(log.times[k]), T, log.orientations[k].inv().apply(log.field[k]))
+        places.append(session.pose())
+    return places
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """A log three times round, live and then finished, and what was known on the way."""
+    log, truth = drifting_walk(Place(1), 1, laps=2.2)
+    session = mm.Session()
+    poses = feed(session, log)
+    on_the_way = session.result()
+    so_far = session.trajectories[0]
+    session.finish("walk.csv")
+    return log, truth, poses, on_the_way, so_far, session
+
+
+def test_poses_are_corrected_as_closures_come(walked):
+    log, truth, poses, on_the_way, so_far, _ = walked
+    assert on_the_way.status == "connected"
+    assert on_the_way.logs[0].name == "live"
+    n = len(so_far)
+    assert trajectory_error(truth[:n], so_far.positions) < 0.5 * trajectory_error(truth[:n], log.positions[:n])
+    # The last pose was known when its sample came: nearer to the truth, seen from the start, than odometry is.
+    assert np.isfinite([p.as_matrix() for p in poses]).all()
+    last = poses[-1].translation
+    start = poses[0].translation
+    far = abs(np.linalg.norm(last - start) - np.linalg.norm(truth[-1] - truth[0]))
+    before = abs(np.linalg.norm(log.positions[-1] - log.positions[0]) - np.linalg.norm(truth[-1] - truth[0]))
+    assert far < 0.5 * before
+
+
+def test_finished_it_is_what_slam_makes_of_the_log_bit_for_bit(walked):
+    session = walked[-1]
+    batch = mm.slam(session.given[0])
+    np.testing.assert_array_equal(session.graph.p, batch.graph.p)
+    np.testing.assert_array_equal(session.trajectories[0].field, batch.trajectories[0].field)
+    assert [c.log_odds for c in session.graph.closures] == [c.log_odds for c in batch.graph.closures]
+
+
+def test_a_log_that_is_walked_after_others_finds_them(lone):
+    other, truth = drifting_walk(Place(1), 2, laps=1.2, start=2.0, name="b.csv")
+    before = lone.session.graph.p.copy()
+    session, again = replace(lone.session), replace(lone.session)
+    poses = feed(session, other)
+    assert session.components == [[0, 1]]
+    late = slice(3 * len(truth) // 4, None)  # once it was found
+    found = np.concatenate([session.trajectories[0].positions, [p.translation for p in poses[late]]])
+    assert trajectory_error(np.concatenate([lone.truth, truth[late]]), found) < 0.4
+    # Finished, it is what adding the log gives; those before are what they were.
+    session.finish("b.csv")
+    again.add_log(session.given[1])
+    np.testing.assert_array_equal(session.graph.p, again.graph.p)
+    assert session.result().is_connected
+    np.testing.assert_array_equal(lone.session.graph.p, before)
+
+
+def test_bad_samples_are_refused_and_harm_nothing():
+    log, _ = drifting_walk(Place(1), 1)
+    session = mm.Session()
+    with pytest.raises(ValueError, match="add"):
+        session.pose()
+    with pytest.raises(ValueError, match="no log yet"):
+        session.result()
+    feed(session, log, range(20))
+    T = RigidTransform.identity()
+    for t, field, said in [
+        (log.times[19], [3e-5, 0, 0], "expected a time after"),
+        (0.5, [3e-5, 0, 0], "expected a time after"),
+        (np.nan, [3e-5, 0, 0], "t"),
+        (100.0, [np.nan, 0, 0], "field"),
+        (100.0, [3e-5, 0], "field"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            session.add(t, T, field)
+    with pytest.raises(TypeError, match="T_odom_body"):
+        session.add(100.0, np.eye(4), [3e-5, 0, 0])
+    feed(session, log, range(20, 40))
+    session.finish("walk.csv")
+    assert len(session.given[0]) == 40
+
+
+def test_microtesla_taken_for_tesla_are_refused_on_the_way():
+    log, _ = drifting_walk(Place(1), 1)
+    session = mm.Session()
+    log = replace(log, field=1e6 * log.field)
+    with pytest.raises(SurveyError, match="T"):
+        feed(session, log)
+
+
+def test_a_robot_that_stands_stays_where_it_is():
+    rng = np.random.default_rng(0)
+    session = mm.Session()
+    for k in range(300):
+        T = RigidTransform.from_translation(0.002 * rng.normal(size=3))
+        session.add(0.1 * k, T, 3e-5 + 2e-7 * rng.normal(size=3))
+    assert np.abs(session.pose().translation).max() < 0.02
+    with pytest.raises(ValueError, match="no log yet"):
+        session.result()
+
+
+def test_merged_surveys_take_no_log_that_drifts():
+    session = mm.Session(PRESETS["default"])
+    with pytest.raises(TypeError, match="merge"):
+        session.add(0.0, RigidTransform.identity(), [3e-5, 0, 0])
