@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What odometry states of its drift is found in its covariances, and what cannot be one is not believed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import MAG, ODOM, Messages, Series, make_flight, write_mcap, write_ros1
 from magmatch.data.logs.drift import drift, read_drift
 
 
@@ -46,7 +43,7 @@ def test_the_drift_behind_a_covariance_is_found(place, turn, start, seed):
         lambda C: 0 * C,
         lambda C: 0 * C + 1e9 * np.eye(6),
         lambda C: 0 * C + 1e-3 * np.eye(6),  # the same all along
-        lambda C: np.ones_like(C),
+        np.ones_like,
         lambda C: -C,
         lambda C: np.where(np.arange(len(C))[:, None, None] == 7, np.nan, C),
         lambda C: C[::-1],
@@ -66,30 +63,28 @@ def test_a_robot_that_stands_states_nothing():
 
 
 @pytest.mark.parametrize("container", ["ros1", "mcap"])
-def test_it_is_read_from_odometry_and_nothing_else(container, tmp_path, monkeypatch):
-    flight = make_flight()
+def test_it_is_read_from_odometry_and_nothing_else(container, made, tmp_path, monkeypatch):
+    flight = made.flight()
     C = covariances(flight.poses[:, :3], 0.2, 2.0)
-    build = Messages.build
+    build = made.Messages.build
 
     def with_covariance(self, series, i):
         message = build(self, series, i)
-        if series.type == ODOM:
+        if series.type.endswith("Odometry"):
             message.pose.covariance[:] = C[i].ravel()
         return message
 
-    monkeypatch.setattr(Messages, "build", with_covariance)
-    write = {"ros1": write_ros1, "mcap": write_mcap}[container]
-    found = read_drift(write(tmp_path / f"a.{'bag' if container == 'ros1' else 'mcap'}", flight.series))
-    np.testing.assert_allclose(found, (0.2, 2.0), rtol=1e-3)
+    monkeypatch.setattr(made.Messages, "build", with_covariance)
+    path = tmp_path / f"a.{'bag' if container == 'ros1' else 'mcap'}"
+    np.testing.assert_allclose(read_drift(getattr(made, container)(path, flight.series)), (0.2, 2.0), rtol=1e-3)
 
 
-def test_logs_without_it_state_nothing(tmp_path):
-    flight = make_flight()
-    ones = write_mcap(tmp_path / "ones.mcap", flight.series)  # each covariance is a matrix of ones
-    assert read_drift(ones) is None
-    poses = [replace(s, type="geometry_msgs/msg/PoseStamped") if s.type == ODOM else s for s in flight.series]
-    assert {s.type for s in poses} == {MAG, "geometry_msgs/msg/PoseStamped"}
-    assert read_drift(write_mcap(tmp_path / "poses.mcap", poses)) is None
+def test_logs_without_it_state_nothing(made, tmp_path):
+    flight = made.flight()
+    # Each covariance is a matrix of ones.
+    assert read_drift(made.mcap(tmp_path / "ones.mcap", flight.series)) is None
+    kind = "geometry_msgs/msg/PoseStamped"
+    poses = [made.replace(s, type=kind) if s.type.endswith("Odometry") else s for s in flight.series]
+    assert read_drift(made.mcap(tmp_path / "poses.mcap", poses)) is None
     (tmp_path / "walk.csv").write_text("x,y,z,bx,by,bz\n0,0,0,1e-5,0,0\n")
     assert read_drift(tmp_path / "walk.csv") is None
-    assert isinstance(poses[0], Series)

@@ -76,7 +76,7 @@ def drift(positions: Points, covariances: Tensors) -> tuple[float, float] | None
     place, turn = C[:, 0, 0] + C[:, 1, 1], C[:, 2, 2]
     moved = s > s[-1] / 2
     is_one = s[-1] > 0 and np.linalg.eigvalsh(C[moved])[:, 0].min() > 0 and place.max() < s[-1] ** 2
-    if not is_one or turn.max() > np.pi**2 or not all(_grows(v, s) for v in (place, turn)):
+    if not is_one or turn.max() > np.pi**2 or not _grows(turn, s):
         return None
     # What each step adds to what the turns before it carry along.
     F = np.tile(np.eye(3), (len(steps), 1, 1))

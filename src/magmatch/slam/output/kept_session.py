@@ -58,19 +58,18 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
     if not path.is_file():
         raise DataFormatError(folder, f"holds no session to go on from ({SESSION}); leave out --continue")
     content = read_document(path, SCHEMA, WHAT, MAX_BYTES)
+    by_content = {describe_input(s)["sha256"]: s for s in surveys}
     try:
-        by_content = {describe_input(s)["sha256"]: s for s in surveys}
-        missing = [n for n, sha in enumerate(content["inputs"]) if sha not in by_content]
-        if missing:
-            words = f"holds a session of {len(content['inputs'])} logs, of which {len(missing)} are not given"
-            raise DataFormatError(folder, f"{words} or were changed; give all of them, and the new ones")
-        given = [by_content[sha] for sha in content["inputs"]]
-        session = Session(SlamConfig.model_validate(content["config"]), given)
-        session.places, session.seconds = _places(content, given), content["seconds"]
-    except DataFormatError:
-        raise
+        given = [by_content.get(sha) for sha in content["inputs"]]
+        known = [survey for survey in given if survey is not None]
+        session = Session(SlamConfig.model_validate(content["config"]), known)
+        if len(known) == len(given):
+            session.places, session.seconds = _places(content, known), content["seconds"]
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise DataFormatError(path, f"is not a {WHAT}: {error!r:.80}") from None
+    if len(known) < len(given):
+        words = f"holds a session of {len(given)} logs, of which {len(given) - len(known)} are not given"
+        raise DataFormatError(folder, f"{words} or were changed; give all of them, and the new ones")
     return session, [s for s in surveys if describe_input(s)["sha256"] not in content["inputs"]]
 
 
