@@ -49,3 +49,30 @@ def test_the_page_says_the_verdict_first_and_escapes_names(session, tmp_path):
     assert body.index("Connected") < body.index("What to do next") < body.index("Before")
     assert "rejected" in body
     assert "<walk>" not in body
+
+
+def test_ellipses_hold_ninety_five_percent_of_where_a_node_may_be(session):
+    _, after = session_figures(session, 0)
+    (trace,) = [t for t in after.data if "95 %" in str(t.name)]
+    x, y = (np.array(v).reshape(-1, 34)[:, :33] for v in (trace.x, trace.y))  # a gap after each
+    assert len(x) == len(session.graph.p)
+    node = len(x) - 1
+    C = session.covariances_of_place(np.array([node]))[0][:2, :2]
+    d = np.stack([x[node], y[node]], axis=1) - session.graph.p[node, :2]
+    np.testing.assert_allclose(np.einsum("ni,ni->n", d, np.linalg.solve(C, d.T).T), 5.991, rtol=1e-3)
+
+
+def test_a_recording_holds_logs_on_their_way_and_closures(session, tmp_path):
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    from magmatch.viz.viewers.rerun_recording import N_STEPS, write_session_rerun
+
+    write_session_rerun(tmp_path / "s.rrd", session)
+    chunks = list(RrdReader(tmp_path / "s.rrd").stream())
+    rows = {}
+    for chunk in chunks:
+        rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
+    assert rows["/closures"] == rows["/rejected"] == 1
+    (log,) = [n for path, n in rows.items() if path.startswith("/logs/")]
+    assert log == N_STEPS + 1

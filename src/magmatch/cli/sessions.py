@@ -17,15 +17,25 @@ if TYPE_CHECKING:
     from magmatch.slam.session import Session
 
 
-def require_pictures() -> None:
-    """Ask for what draws the report before the work, not after."""
+def require_pictures(rerun: Path | None = None) -> None:
+    """Ask for what draws the report and the recording before the work, not after."""
     from magmatch.viz.figures.plotting import require_plotly
 
     require_plotly()
+    if rerun is not None:
+        from magmatch.viz.viewers.rerun_recording import require_rerun
+
+        require_rerun()
 
 
 def deliver(
-    session: "Session", out: Path, words: Sequence[str], poses: "Sequence[Trajectory | None]", *, json: bool
+    session: "Session",
+    out: Path,
+    words: Sequence[str],
+    poses: "Sequence[Trajectory | None]",
+    *,
+    json: bool,
+    rerun: Path | None = None,
 ) -> int:
     """Write the folder, tell what is in it, and say whether all logs are in one frame."""
     from magmatch.slam.output.folder import write_folder
@@ -35,6 +45,10 @@ def deliver(
     result = write_folder(
         session, out, lambda session, result, path: write_session_report(path, session, result, again), poses
     )
+    if rerun is not None:
+        from magmatch.viz.viewers.rerun_recording import write_session_rerun
+
+        write_session_rerun(rerun, session)
     if json:
         put(as_json(result.to_dict()))
     if session.graph.config.is_planar:

@@ -10,7 +10,7 @@ import typer
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of, read_samples
 from magmatch.cli.option_values import numbers, refuse
-from magmatch.cli.outputs import check_folder
+from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.sessions import deliver, require_pictures
 from magmatch.cli.settings import merged, read_settings
 
@@ -56,6 +56,7 @@ def slam(
         typer.Option("--continue", help="Add the LOGs that the result in the folder is not of, and keep the others."),
     ] = False,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
+    rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
     """Correct the drift of LOGs by the field, and bring them into one frame with one map.
@@ -80,7 +81,8 @@ def slam(
     if is_more and (planar or no_gravity or odometry_sd or config):
         refuse("--continue", "the settings of the session that it goes on with", "others")
     check_folder(out)
-    require_pictures()
+    check_outputs([rerun], logs)
+    require_pictures(rerun)
     settings = SlamConfig() if config is None else merged(SlamConfig(), read_settings(config), config)
     switches = {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
     settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
@@ -97,7 +99,7 @@ def slam(
     # A session has its logs in the order in which they came.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
     words = ["slam", *map(str, logs), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
-    return deliver(session, out, words, poses, json=json)
+    return deliver(session, out, words, poses, json=json, rerun=rerun)
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A recording for the Rerun viewer: surveys, cuts through maps, the target on its way to where it belongs."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -9,13 +11,16 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.errors import import_extra
+from magmatch.geometry import transform_points
+from magmatch.slam.session import Session
 from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut
 from magmatch.viz.figures.slices import Cut, cut_through
-from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, cut_colors, shaded
+from magmatch.viz.viewers.exhibit import Exhibit, Part, box_of, cut_colors, exhibit, shaded
 
 # Steps of the timeline 'registration', from as recorded to registered.
 N_STEPS = 20
 POINT_SHARE = 0.002
+LINK = (87, 96, 106)
 
 
 def require_rerun() -> ModuleType:
@@ -25,6 +30,31 @@ def require_rerun() -> ModuleType:
 
 def write_rerun(path: str | Path, shown: Exhibit) -> None:
     """Write an exhibit for the Rerun viewer (.rrd), whole or not at all."""
+    with _recording(path, shown) as (rr, recording):
+        _log_registration(rr, recording, shown)
+
+
+def write_session_rerun(path: str | Path, session: Session) -> None:
+    """Write the largest component of a session for the Rerun viewer: its map, its logs on their way, and closures."""
+    logs, graph = session.components[0], session.graph
+    with _recording(path, exhibit([session.map(0)])) as (rr, recording):
+        for k in logs:
+            before = transform_points(session.logs[k].positions, session.T_map_log(k))
+            moved = session.trajectories[k].positions - before
+            for step in range(N_STEPS + 1):
+                recording.set_time("correction", sequence=step)
+                strip = (before + step / N_STEPS * moved).astype(np.float32)
+                recording.log(_path(rr, "logs", session.names[k]), rr.LineStrips3D([strip]))
+        for name, is_kept in (("closures", True), ("rejected", False)):
+            tied = [c for c in graph.closures if c.is_kept == is_kept and int(graph.log[c.second]) in logs]
+            if tied:
+                strips = graph.p[[[c.first, c.second] for c in tied]].astype(np.float32)
+                recording.log(name, rr.LineStrips3D(strips, colors=LINK), static=True)
+
+
+@contextmanager
+def _recording(path: str | Path, shown: Exhibit) -> Iterator[tuple[ModuleType, Any]]:
+    """A recording of an exhibit to which more can be added, and which is then written."""
     rr = require_rerun()
     recording = rr.RecordingStream("magmatch")
     memory = recording.memory_recording()
@@ -32,7 +62,7 @@ def write_rerun(path: str | Path, shown: Exhibit) -> None:
     recording.log("words", rr.TextDocument("\n\n".join(shown.words)), static=True)
     for part in shown.parts:
         _log_part(rr, recording, shown, part)
-    _log_registration(rr, recording, shown)
+    yield rr, recording
     content = memory.drain_as_bytes()
     with atomic_write(path) as stream:
         stream.write(content)
@@ -79,7 +109,7 @@ def _log_registration(rr: ModuleType, recording: Any, shown: Exhibit) -> None:
         recording.log("target", pose)
         if len(ends_base):
             strips = np.stack([ends_base, T.apply(ends_target)], axis=1)
-            recording.log("links", rr.LineStrips3D(strips, colors=[87, 96, 106]))
+            recording.log("links", rr.LineStrips3D(strips, colors=LINK))
 
 
 def _faces(cut: Cut, is_known: np.ndarray) -> np.ndarray:
