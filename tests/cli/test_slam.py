@@ -183,3 +183,34 @@ def test_one_more_log_is_added_to_a_folder(run, logs, tmp_path):
     refused = run("slam", logs / "short.csv", "--out", tmp_path / "new", "--continue")
     assert refused.code == 2
     assert "no session" in refused.err
+
+
+def test_logs_in_mixed_units_and_clocks_that_run_backward_are_one_line(run, logs, tmp_path):
+    walk = mm.read_survey(logs / "short.csv")
+    (tmp_path / "micro.csv").write_text(
+        "t,x,y,z,bx,by,bz\n"
+        + "".join(
+            ",".join(map(repr, row)) + "\n"
+            for row in np.column_stack([walk.times, walk.positions, 1e6 * walk.field]).tolist()
+        )
+    )
+    done = run("slam", logs / "short.csv", tmp_path / "micro.csv", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert "micro.csv" in done.err
+    assert "uT" in done.err
+    lines = (logs / "short.csv").read_text().splitlines()
+    (tmp_path / "back.csv").write_text("\n".join([*lines[:50], lines[20], *lines[50:]]) + "\n")
+    done = run("slam", tmp_path / "back.csv", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert "back.csv, line 51" in done.err
+    assert "backward" in done.err
+    assert {path.name for path in tmp_path.iterdir()} == {"micro.csv", "back.csv"}
+
+
+def test_a_log_of_another_place_is_said_to_be_tied_to_none(run, logs, tmp_path):
+    drifting_walk(Place(9), 3, laps=0.7)[0].save(tmp_path / "far.csv")
+    done = run("slam", logs / "short.csv", tmp_path / "far.csv", "--out", tmp_path / "out")
+    assert done.code == 3, done.err
+    result = SlamResult.load(tmp_path / "out" / "result.json")
+    assert [log.T_map_log for log in result.logs] == [None, None]
+    assert (tmp_path / "out" / "map_2.map").is_file()

@@ -10,6 +10,7 @@ import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
+from magmatch.slam.bending import bend
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.run import slam
 
@@ -51,11 +52,44 @@ def test_a_walk_that_passes_nothing_twice_stays_as_it_came():
     np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-6)
 
 
-def test_odometry_that_jumps_is_no_fault_of_the_program():
+@pytest.mark.parametrize("size", [30.0, 100.0])
+def test_odometry_that_jumps_is_no_fault_of_the_program(size):
+    log, truth = drifting_walk(Place(1), 1, laps=1.5)
+    jump = np.where(np.arange(len(log)) > 300, size, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    jumped = replace(log, positions=log.positions + jump)
+    session = slam(jumped)
+    after = session.trajectories[0].positions
+    assert np.isfinite(after).all()
+    assert trajectory_error(truth, after) < 1.1 * trajectory_error(truth, jumped.positions)
+    assert session.result().logs[0].sd[0] > 0.5  # nobody knows how far it jumped
+
+
+def test_a_gap_in_a_log_is_walked_over():
+    log, truth = drifting_walk(Place(1), 1)
+    rows = np.flatnonzero((np.arange(len(log)) < 100) | (np.arange(len(log)) > 160))
+    session = slam(log.subset(rows))
+    after = session.trajectories[0].positions
+    assert trajectory_error(truth[rows], after) < 0.8 * trajectory_error(truth[rows], log.positions[rows])
+
+
+def test_a_log_of_one_window_does_not_know_its_end():
     log, _ = drifting_walk(Place(1), 1)
-    jump = np.where(np.arange(len(log)) > 300, 30.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    session = slam(replace(log, positions=log.positions + jump))
-    assert np.isfinite(session.trajectories[0].positions).all()
+    session = slam(log, SlamConfig(window_length=100.0))
+    assert len(session.graph.p) == 1
+    (stated,) = session.result().logs
+    assert stated.sd[0] > 0.1
+    assert stated.sd[1] > 0.01
+
+
+def test_what_is_said_of_the_end_is_what_odometry_says_of_the_whole_path():
+    log, _ = drifting_walk(Place(1), 1, laps=0.8)
+    session = slam(log)
+    (path,) = session.paths
+    loads = bend(log.positions[::4], 0, session.config.odometry, upright=True, planar=True)[-1]
+    place = np.sqrt(np.trace(loads[3:] @ loads[3:].T))
+    assert not session.graph.closures
+    assert session.result().logs[0].sd[0] == pytest.approx(place, rel=0.1)
+    assert len(path.windows) > 2
 
 
 def test_a_robot_that_stands_is_left_where_it_is():

@@ -14,15 +14,16 @@ from magmatch.geometry import path_walked
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.numbers import N_PARTS
 from magmatch.slam.places import Places, begin, settled
 from magmatch.slam.sensor_bias import without_bias
-from magmatch.slam.tie import APART, Candidate
+from magmatch.slam.tie import Candidate
 from magmatch.slam.windows import Path, Window, walked_along
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Vector3
 
-# Samples at which it is first tried to learn how the field changes, and by which they grow until the next time.
-FIRST_SAMPLES, GROWTH = 64, 1.5
+# Samples at which it is first tried to learn how the field changes, and their least growth until the next time.
+FIRST_SAMPLES, LEAST_GROWTH = 64, 1.25
 
 
 class LiveLog:
@@ -91,16 +92,19 @@ class LiveLog:
         """Begin, as soon as windows can be compared."""
         if len(self._t) < self._next_try:
             return False
-        self._next_try = round(GROWTH * self._next_try)
         survey = self.survey()
         # Jitter is half as far when every other sample is left out; a path nearly as far.
         few = survey.positions[np.linspace(0, len(survey) - 1, FIRST_SAMPLES).astype(np.int64)]
         if path_walked(few[::2])[-1] <= 0.75 * path_walked(few)[-1]:
+            self._next_try *= 2
             return False  # it stands
         require_survey(survey, name="log")
         with one_blas_thread():
             places = begin([survey], settled([survey], self.config))
-            if places.maker is None or len(places.paths[0].windows) <= APART:
+            # The field's numbers come from so many parts of the path, each of which must see as much as a window.
+            if places.maker is None or (n := len(places.paths[0].windows)) < N_PARTS:
+                share = 2.0 if places.maker is None else N_PARTS / n
+                self._next_try = round(self._next_try * float(np.clip(share, LEAST_GROWTH, 2.0)))
                 return False
             self.places, self._path = places, places.paths[0]
             places.solve()

@@ -61,11 +61,11 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
     if not len(firsts):
         return []
     half, found = window.config.window_length * window.length / 2, []
-    for a, C in zip(firsts, graph.relative_covariances(firsts, b), strict=True):
+    covariances = graph.relative_covariances(firsts, b)
+    sd = np.sqrt(np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1])
+    is_near = np.linalg.norm(graph.p[firsts] - graph.p[b], axis=1) <= half + window.length + REACH * sd
+    for a, C in zip(firsts[is_near], covariances[is_near], strict=True):
         T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
-        sd = float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1]))
-        if np.linalg.norm(T_a_b.translation) > half + window.length + REACH * sd:
-            continue
         rough = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
         # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
         found += [c for c in _candidates(window, stretch(int(a)), rough, graph.center) if c.node == a]

@@ -167,3 +167,30 @@ def test_no_odometry_config_makes_the_numbers_infinite():
     graph = graph_of(ring(8), config)
     graph.solve()
     assert np.isfinite(graph.marginals()).all()
+
+
+def test_a_log_that_loses_its_last_closure_goes_back_to_a_frame_of_its_own():
+    true = ring(24, laps=2)
+    walked = true.copy()
+    logs = np.repeat([0, 1], 12)
+    graph = graph_of(walked, logs=logs, looseness=0.1)
+    # Two that contradict each other by far, the one that fits nothing first.
+    far = (40.0, 0.0, 0.0)
+    graph.closures = [between(true, 0, 12, log_odds=1.0), between(true, 6, 18, far, log_odds=1.0)]
+    graph.solve()
+    assert not any(c.is_kept for c in graph.closures)
+    assert sorted(set(graph.component().tolist())) == [0, 1]
+    np.testing.assert_allclose(graph.p, walked, atol=1e-3)
+
+
+def test_logs_are_tied_from_whatever_headings_they_had():
+    true = ring(24, laps=2)
+    turn = Rotation.from_rotvec([0.0, 0.0, 3.0])
+    walked = np.concatenate([true[:12], turn.apply(true[12:])])
+    graph = graph_of(walked, logs=np.repeat([0, 1], 12), looseness=0.1)
+    for k in range(0, 12, 3):
+        T = RigidTransform.from_components(true[12 + k] - true[k], turn.inv())
+        graph.closures.append(Closure(k, 12 + k, T, TIGHT, 10.0))
+    graph.solve()
+    assert all(c.is_kept for c in graph.closures)
+    np.testing.assert_allclose(graph.p, true, atol=0.02)

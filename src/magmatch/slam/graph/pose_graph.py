@@ -14,7 +14,7 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import adjoint, skew
+from magmatch.geometry import skew
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Covariance6, Indices, Matrix, Points, Scalars, Tensors
 
@@ -308,9 +308,11 @@ class PoseGraph:
         """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6)."""
         assert self._lu is not None
         C_as = self._columns(np.array([second])).reshape(-1, 6, 6)
-        # How a perturbation of each first node moves the second, in the second's axes.
-        T_second = self.pose(second).inv()
-        A = np.stack([adjoint(T_second * self.pose(int(first))) for first in firsts])
+        # How a perturbation of each first node moves the second, in the second's axes: the adjoint of where it is.
+        R = self.R[second].T @ self.R[firsts]
+        A = np.zeros((len(firsts), 6, 6))
+        A[:, :3, :3] = A[:, 3:, 3:] = R
+        A[:, 3:, :3] = skew((self.p[firsts] - self.p[second]) @ self.R[second]) @ R
         AC = A @ C_as[firsts]
         found = C_as[second] + A @ self.marginals()[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
