@@ -26,9 +26,9 @@ from magmatch.simulation.magnets import field_of
 from magmatch.simulation.paths import around_loop, boustrophedon, circles, loop_length, resample, smooth_noise, wander
 from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
 from magmatch.slam.config import OdometryConfig
-from magmatch.slam.pose_graph import Closure
+from magmatch.slam.graph.pose_graph import Closure
+from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.tie import APART
-from magmatch.slam.trajectories import corrected
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
 

@@ -98,9 +98,8 @@ class PathNoise:
         log_factor, log_prior = self.spread * deviates, -0.5 * deviates**2
         chi2, n_free = np.asarray(chi2)[..., None], np.asarray(n_free)[..., None]
         found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor + log_prior
-        largest = found.max(axis=-1)
-        log_sum = largest + np.log(np.exp(found - largest[..., None]).sum(axis=-1))
-        return np.exp(log_factor[found.argmax(axis=-1)]), log_sum - np.log(np.exp(log_prior).sum())
+        log_likelihood = np.logaddexp.reduce(found, axis=-1) - np.logaddexp.reduce(log_prior)
+        return np.exp(log_factor[found.argmax(axis=-1)]), log_likelihood
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""
