@@ -52,10 +52,9 @@ def test_a_walk_that_passes_nothing_twice_stays_as_it_came():
     np.testing.assert_allclose(session.trajectories[0].positions, log.positions, atol=1e-6)
 
 
-@pytest.mark.parametrize("size", [30.0, 100.0])
-def test_odometry_that_jumps_is_no_fault_of_the_program(size):
+def test_odometry_that_jumps_is_no_fault_of_the_program():
     log, truth = drifting_walk(Place(1), 1, laps=1.5)
-    jump = np.where(np.arange(len(log)) > 300, size, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    jump = np.where(np.arange(len(log)) > 300, 100.0, 0.0)[:, None] * [1.0, 0.0, 0.0]
     jumped = replace(log, positions=log.positions + jump)
     session = slam(jumped)
     after = session.trajectories[0].positions
