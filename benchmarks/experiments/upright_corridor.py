@@ -64,7 +64,11 @@ def main() -> None:
             assert result.best_pose is not None
             m, turn, tilt = errors(result.best_pose, pair)
             # About the target's x and y, which the target's axes lie along where both frames are upright.
-            sd = np.nan if result.covariance is None else float(np.sqrt(np.trace(result.covariance[:2, :2])))
+            sd = (
+                np.nan
+                if result.covariance is None
+                else float(np.degrees(np.sqrt(np.trace(result.covariance[:2, :2]))))
+            )
             found[name].append((float(result.is_accepted), m, turn, tilt, tilt / sd))
     floors = {is_upright: rms(found[names[is_upright]])[1] for is_upright in (False, True)}
     lines = []
