@@ -24,7 +24,7 @@ from magmatch.progress import Progress, followed, tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.result import RegistrationResult
-from magmatch.slam.odometry import lie_level
+from magmatch.slam.graph.odometry import lie_level
 from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)

@@ -20,7 +20,7 @@ from magmatch.localization.state import BIAS, Bank, Model, start_covariance
 from magmatch.registration.prepared.pose_prior import PosePriorConfig, pose_prior
 from magmatch.registration.prepared.walk import walk_of
 from magmatch.registration.search.pair_search import PairSearchConfig, pair_search
-from magmatch.slam.pose_graph import LEVEL_SD
+from magmatch.slam.graph.pose_graph import LEVEL_SD
 from magmatch.typing import Points, Scalars, Vector3
 
 # Headings tried, and how many bins of path make one that is scored, and one that is refined.

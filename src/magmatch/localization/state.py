@@ -14,7 +14,7 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
-from magmatch.slam.pose_graph import LEVEL_SD, UPRIGHT_SD
+from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import Matrix, Vector3
 
 THETA, PLACE, BIAS, MISFIT, SCALE, N = 0, 3, 6, 9, 12, 13
