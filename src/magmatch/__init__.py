@@ -11,7 +11,6 @@ from magmatch._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from magmatch.atlas.atlas import Atlas, open_atlas
-    from magmatch.atlas.localize import localize
     from magmatch.atlas.register import register
     from magmatch.data.read import read_survey
     from magmatch.data.survey import Survey
@@ -33,6 +32,11 @@ if TYPE_CHECKING:
     from magmatch.field.live.estimator import FieldEstimator
     from magmatch.field.map import FieldMap
     from magmatch.grid import RegularGrid
+    from magmatch.localization.config import LocalizerConfig
+    from magmatch.localization.localize import localize
+    from magmatch.localization.localizer import Localizer
+    from magmatch.localization.result import LocalizationResult
+    from magmatch.localization.track import Track
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare
     from magmatch.registration.config import PRESETS, RegistrationConfig
@@ -57,6 +61,9 @@ _HOMES = {
     "FieldEstimator": "field.live.estimator",
     "FieldMap": "field.map",
     "Hyperparameters": "field.hyperparameters",
+    "LocalizationResult": "localization.result",
+    "Localizer": "localization.localizer",
+    "LocalizerConfig": "localization.config",
     "MagmatchError": "errors",
     "MapIndex": "registration.index.map_index",
     "MissingExtraError": "errors",
@@ -71,10 +78,11 @@ _HOMES = {
     "Survey": "data.survey",
     "SurveyError": "errors",
     "TaskError": "errors",
+    "Track": "localization.track",
     "Trajectory": "data.trajectory",
     "build_map": "field.build",
     "extract_features": "features.extract",
-    "localize": "atlas.localize",
+    "localize": "localization.localize",
     "merge": "slam.merge",
     "open_atlas": "atlas.atlas",
     "prepare": "preparation.prepare",
@@ -96,6 +104,9 @@ __all__ = [
     "FieldEstimator",
     "FieldMap",
     "Hyperparameters",
+    "LocalizationResult",
+    "Localizer",
+    "LocalizerConfig",
     "MagmatchError",
     "MapIndex",
     "MissingExtraError",
@@ -110,6 +121,7 @@ __all__ = [
     "Survey",
     "SurveyError",
     "TaskError",
+    "Track",
     "Trajectory",
     "build_map",
     "extract_features",

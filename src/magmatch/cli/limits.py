@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How sure an answer must be, as the command line says it, as settings of the registration."""
+"""How sure an answer must be, as the command line says it, as settings of a decision."""
 
 from math import radians
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from magmatch.cli.option_values import numbers, refuse
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from magmatch.localization.config import LocalizerConfig
     from magmatch.registration.config import RegistrationConfig
 
+Config = TypeVar("Config", "RegistrationConfig", "LocalizerConfig")
 
-def with_limits(
-    config: "RegistrationConfig", min_probability: float | None, max_sd: str | None
-) -> "RegistrationConfig":
+
+def with_limits(config: Config, min_probability: float | None, max_sd: str | None) -> Config:
     """Put the least probability and the largest standard deviation into the settings."""
     said: dict[str, Any] = {}
     if min_probability is not None:
@@ -27,7 +28,7 @@ def with_limits(
         said |= {"max_sd_translation": metres, "max_sd_rotation": radians(degrees)}
     if not said:
         return config
-    if config.search == "keypoints":
+    if getattr(config, "search", None) == "keypoints":
         msg = "--min-probability and --max-sd: the published method decides by its fitness, which knows neither"
         raise ConfigurationError(msg)
     return type(config).model_validate(config.model_dump() | {"decision": config.decision.model_dump() | said})

@@ -17,6 +17,7 @@ from magmatch.cli.evaluate import evaluate
 from magmatch.cli.glossary import glossary
 from magmatch.cli.index import index
 from magmatch.cli.info import info
+from magmatch.cli.localize import localize
 from magmatch.cli.map import build
 from magmatch.cli.merge import merge
 from magmatch.cli.narration import narrated, put
@@ -37,10 +38,10 @@ Examples:
 
 \b
 Exit codes:
-  0  done (register: accepted; slam, merge: all in one frame)
+  0  done (register: accepted; slam, merge: all in one frame; localize: at least one pose)
   1  a fault of the machine or the program
   2  bad input or usage, one line on stderr
-  3  registered, but not accepted (slam, merge: not everything is in one frame)
+  3  registered, but not accepted (slam, merge: not everything is in one frame; localize: never localized)
 """
 
 # In the order of the help page.
@@ -49,6 +50,7 @@ COMMANDS = (
     transform,
     slam,
     merge,
+    localize,
     odometry,
     prepare,
     build,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Config = TypeVar("Config", bound=BaseModel)
 # Schemas of results, which hold the settings they were made with.
-RESULTS = ("magmatch.registration/", "magmatch.slam/")
+RESULTS = ("magmatch.registration/", "magmatch.slam/", "magmatch.localization/")
 # Bytes of settings, and of a result that is taken for its settings; stated in docs/formats.md.
 MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
 

@@ -21,7 +21,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.special import logsumexp
 
 from magmatch.geometry import transform_error
 from magmatch.registration.weigh.hypothesis import Hypothesis, Kind
@@ -136,15 +135,25 @@ def posterior_over(
     -------
     Posterior
     """
-    odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind) for h in hypotheses}
-    ranked = sorted((h for h in hypotheses if np.isfinite(odds[id(h)])), key=lambda h: -odds[id(h)])
     kept: list[H] = []
-    for h in ranked:
+    for h in _ranked(hypotheses):
         if not any(is_same_answer(h, other, tolerance) for other in kept):
             kept.append(h)
-    terms = np.array([*(odds[id(h)] for h in kept), elsewhere, -np.log(prior_odds)])
-    shares = np.exp(terms - logsumexp(terms))
+    return posterior_of(kept, prior_odds, elsewhere)
+
+
+def posterior_of(distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
+    """Do as `posterior_over` does, for poses of which no two are one answer."""
+    kept = _ranked(distinct)
+    odds = [log_odds(h.log_evidence, h.misfit, h.kind) for h in kept]
+    terms = np.array([*odds, elsewhere, -np.log(prior_odds)])
+    shares = np.exp(terms - np.logaddexp.reduce(terms))
     return Posterior(tuple(kept), tuple(map(float, shares[:-2])), float(shares[-2]), float(shares[-1]))
+
+
+def _ranked(hypotheses: Sequence[H]) -> list[H]:
+    odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind) for h in hypotheses}
+    return sorted((h for h in hypotheses if np.isfinite(odds[id(h)])), key=lambda h: -odds[id(h)])
 
 
 def is_same_answer(one: Hypothesis, other: Hypothesis, tolerance: tuple[float, float]) -> bool:

@@ -7,6 +7,7 @@ the residuals' covariance are the most likely ones; where the base never passes 
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -94,12 +95,14 @@ class PathNoise:
         log_likelihood : (...) array, nats
             ``-chi2 / 2 k - n/2 ln k``, averaged over k, whose logarithm is normal with the spread.
         """
-        deviates = np.linspace(-4, 4, 161)
-        log_factor, log_prior = self.spread * deviates, -0.5 * deviates**2
+        log_factor, log_prior = self.log_factors()
         chi2, n_free = np.asarray(chi2)[..., None], np.asarray(n_free)[..., None]
         found = -0.5 * chi2 * np.exp(-log_factor) - 0.5 * n_free * log_factor + log_prior
-        log_likelihood = np.logaddexp.reduce(found, axis=-1) - np.logaddexp.reduce(log_prior)
-        return np.exp(log_factor[found.argmax(axis=-1)]), log_likelihood
+        return np.exp(log_factor[found.argmax(axis=-1)]), np.logaddexp.reduce(found, axis=-1)
+
+    def log_factors(self) -> tuple[Scalars, Scalars]:
+        """Logarithms of the covariance's factors that are averaged over, and of their probabilities."""
+        return _log_factors(self.spread)
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""
@@ -119,6 +122,13 @@ class PathNoise:
         flat = moves.reshape(*moves.shape[:-3], 3 * n, 6)
         C = flat @ np.swapaxes(flat, -1, -2) * np.repeat(np.repeat(fades, 3, axis=-2), 3, axis=-1)
         return np.asarray(C + np.kron(self.isotropic(distance, map_sd), np.eye(3)))
+
+
+@cache
+def _log_factors(spread: float) -> tuple[Scalars, Scalars]:
+    deviates = np.linspace(-4, 4, 161)
+    log_prior = -0.5 * deviates**2
+    return spread * deviates, log_prior - np.logaddexp.reduce(log_prior)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -1,0 +1,303 @@
+"""Walks in a known map from an unknown start: first fix, error, wrong fixes, and whether what is stated is true.
+
+    python benchmarks/experiments/localize_walks.py --data DIR --out DIR [--sets cea1,infcenter,museum] [--n 20]
+
+DIR holds ``cea/corridor_*.csv``: walk one is the map, walk two is walked with its true field and with odometry that
+is made up (drift, scale, a phone that is tilted, a sensor's bias); ``dodolilo/infcenter`` and ``ipin2023/pdr``: walks
+with their own odometry, in maps of other walks at true positions (``make_surveys.py`` of DIR).
+Sets: cea1 and cea2 (floors), cea (both floors in one map), infcenter, museum. Cases of cea: odometry of 0.5, 1 and
+3 %, steps, bias; `kidnapped` after 30 m; `jump5` to `jump30`, of the bias (uT), after 25 m; `elsewhere`, walks on the
+other floor. Error: distance in the map's frame without any alignment, horizontal where the truth is. Tuned on cea1,
+infcenter walks 5 and 6, museum routes 1 to 3. A wrong run states a pose more than 1 m off (kidnapped: after it was
+lost; elsewhere: any). Cost: a sample that is tracked, and a search, over an evaluation of field and gradient at a
+point (of a batch of 4,000).
+"""
+
+import csv
+import os
+import subprocess
+import sys
+import time
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import magmatch as mm
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.localization.localize import localize
+from magmatch.registration.index.map_index import make_index, open_index
+from magmatch_evaluation.saved_table import show
+from magmatch_evaluation.script import arguments, kept
+
+COLUMNS = (
+    "set", "case", "n", "first right, m", "never", "wrong", "error, m", "share", "after first", "NEES", "lost for, m",
+    "s a metre",
+)  # fmt: skip
+# Odometry: scale (sd), then per root of a metre: heading (deg) and place (m); vertical (m); tilt (deg).
+LEVELS = {
+    "0.5%": (0.003, 0.10, 0.010, 0.003, 0.2),
+    "1%": (0.010, 0.25, 0.020, 0.005, 0.3),
+    "3%": (0.030, 0.60, 0.050, 0.010, 0.5),
+    "steps": (0.075, 1.00, 0.080, 0.020, 1.0),
+}
+CASES = (*LEVELS, "bias", "kidnapped", "jump5", "jump15", "jump30", "elsewhere")
+LENGTHS = {"kidnapped": 60.0, "elsewhere": 100.0}
+
+
+def odometry_of(p, b, rng, level, bias):
+    """A log of a body at places p that feels b (map's axes): heading along its path, carried with some tilt."""
+    scale_sd, heading_walk, place_walk, height_walk, tilt = LEVELS[level]
+    n, is_phone = len(p), level == "steps"
+    step = np.r_[0.0, np.linalg.norm(np.diff(p, axis=0), axis=1)]
+    v = np.gradient(gaussian_filter1d(p, 8, axis=0), axis=0)
+    heading = np.unwrap(np.arctan2(v[:, 1], v[:, 0])) + is_phone * rng.uniform(-np.pi, np.pi)
+    sway = np.sqrt(15 * 3.5) * gaussian_filter1d(rng.standard_normal((n, 2)), 15, axis=0) * (4.0 if is_phone else 1.0)
+    R = Rotation.from_euler("ZYX", np.c_[heading, np.radians(25.0 * is_phone + sway[:, 0]), np.radians(sway[:, 1])])
+    sign = rng.choice([-1, 1]) * rng.uniform(0.05, 0.10) if is_phone else scale_sd * rng.standard_normal()
+    drift = np.cumsum(np.radians(heading_walk) * np.sqrt(step) * rng.standard_normal(n)) + rng.uniform(-np.pi, np.pi)
+    tilts = np.radians(tilt) * np.sqrt(60 * 3.5) * gaussian_filter1d(rng.standard_normal((n, 2)), 60, axis=0)
+    turned = Rotation.from_euler("z", drift[:, None])
+    moves = turned[:-1].apply(np.diff(p, axis=0) * (1 + sign))
+    moves += np.sqrt(step[1:, None]) * [place_walk, place_walk, height_walk] * rng.standard_normal((n - 1, 3))
+    wrong = turned * Rotation.from_rotvec(np.c_[tilts, np.zeros(n)]) * R
+    z = R.inv().apply(b) + 0.3e-6 * rng.standard_normal((n, 3)) + bias
+    return mm.Survey(
+        np.vstack([np.zeros(3), np.cumsum(moves, axis=0)]),
+        wrong.apply(z),
+        np.cumsum(step + 1e-6) / 0.8,
+        wrong,
+        name="walk",
+    )
+
+
+@cache
+def cea(data):
+    """Walk one and walk two, by floor: places (m) and field (T)."""
+    parts = {}
+    for walk in ("training", "test"):
+        rows = np.loadtxt(data / "cea" / f"corridor_{walk}.csv", delimiter=",") * [1, 1, 1, 1e-6, 1e-6, 1e-6]
+        is_low = rows[:, 2] < 4.5
+        parts[walk] = {"cea1": rows[is_low], "cea2": rows[~is_low], "cea": rows}
+    return parts
+
+
+@cache
+def place_of(name, data, out):
+    """An indexed map, kept."""
+    path = out / f"{name.replace(' ', '-')}.map"
+    if not path.exists():
+        if name.startswith("cea"):
+            rows = cea(data)["training"][name]
+            mm.build_map(mm.Survey(rows[:, :3], rows[:, 3:], name=name)).save(path)
+        else:
+            mm.build_map([survey_at_truth(walk, data, out) for walk in name.split()]).save(path)
+    index = open_index(path, mm.RegistrationConfig())
+    return make_index(path, mm.RegistrationConfig()) if index is None else index.load(mm.FieldMap.load(path))
+
+
+def file_of(walk, data):
+    return data / ("dodolilo/infcenter" if walk.startswith("walk") else "ipin2023/pdr") / f"{walk}.csv"
+
+
+def survey_at_truth(walk, data, out):
+    path = file_of(walk, data)
+    made = out / f"{walk}_true.csv"
+    words = [sys.executable, data / "make_surveys.py", path, path.with_name(f"{walk}_truth.csv"), made]
+    subprocess.run([str(word) for word in words], check=True)
+    return mm.read_survey(made, SurveyFormat(field_frame="sensor"))
+
+
+def walk_of(floor, case, seed, data):
+    """A log of a case, its true places and attitudes, and where on it the case happens (m)."""
+    rng = np.random.default_rng(seed)
+    there = {"cea1": "cea2", "cea2": "cea1"}[floor] if case == "elsewhere" else floor
+    rows = cea(data)["test"][there]
+
+    def part(length):
+        walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))]
+        first = rng.uniform(0, walked[-1] - length)
+        some = rows[(walked >= first) & (walked <= first + length)]
+        return some[:, :3], some[:, 3:]
+
+    direction = rng.standard_normal(3)
+    direction /= np.linalg.norm(direction)
+    level = case if case in LEVELS else "1%"
+    if case == "kidnapped":
+        (p, b), (q, c) = part(30.0), part(30.0)
+        one, other = odometry_of(p, b, rng, level, 0), odometry_of(q, c, rng, level, 0)
+        ends = [RigidTransform.from_components(x.positions[k], x.orientations[k]) for x, k in ((one, -1), (other, 0))]
+        # Only the heading jumps: the odometry knows the vertical.
+        turn = Rotation.from_euler("z", (ends[0].rotation * ends[1].rotation.inv()).as_euler("zyx")[0])
+        T = RigidTransform.from_components(one.positions[-1] - turn.apply(other.positions[0]), turn)
+        moved = other.transformed(T)
+        log = mm.Survey(
+            np.vstack([one.positions, moved.positions]), np.vstack([one.field, moved.field]),
+            np.r_[one.times, one.times[-1] + 0.5 + moved.times],
+            Rotation.concatenate([one.orientations, moved.orientations]), name="walk",
+        )  # fmt: skip
+        return log, np.vstack([p, q])
+    p, b = part(LENGTHS.get(case, 60.0))
+    bias = 30e-6 * direction * rng.uniform() if case == "bias" else 0.0
+    if case.startswith("jump"):
+        walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]
+        bias = np.where(walked[:, None] > 25.0, float(case[4:]) * 1e-6 * direction, 0.0)
+    return odometry_of(p, b, rng, level, bias), p
+
+
+def real_walk(walk, data):
+    log = mm.read_survey(file_of(walk, data), SurveyFormat(field_frame="sensor"))
+    with file_of(walk, data).with_name(f"{walk}_truth.csv").open() as lines:
+        truth = np.array([[float(row[key]) for key in ("t", "x", "y")] for row in csv.DictReader(lines)])
+    return log, truth
+
+
+def work(name, data, out, smooth):
+    """One row."""
+    place_name, case, seed = name.split(": ")
+    place = place_of(place_name, data, out)
+    if place_name.startswith("cea"):
+        log, p = walk_of(place_name, case, int(seed), data)
+        truth = np.c_[log.times, p]
+    else:
+        log, truth = real_walk(case, data)
+    start = time.perf_counter()
+    if smooth:
+        from magmatch.localization.smooth import smooth as localize_smoothly
+
+        track = localize_smoothly(place, log, mm.LocalizerConfig())
+    else:
+        track = localize(place, log, mm.LocalizerConfig())
+    seconds = time.perf_counter() - start - track.seconds["map"]
+    walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(log.positions, axis=0), axis=1))]
+    stated = np.flatnonzero(track.is_stated)
+    row = {"name": name, "walked": float(walked[-1]), "seconds": seconds, "share": len(stated) / len(log)}
+    if not len(stated) or case == "elsewhere":
+        return row | {"first": None, "error": [], "nees": [], "wrong": len(stated) / len(log), "after": 0.0}
+    poses, d = track.poses, truth.shape[1] - 1
+    at = log.times[stated]
+    # Truth at the stated poses, or the stated poses at the few true points.
+    if len(truth) > len(log) / 4:
+        is_in = (at >= truth[0, 0]) & (at <= truth[-1, 0])
+        rows, true = stated[is_in], np.stack([np.interp(at[is_in], truth[:, 0], c) for c in truth.T[1:]], axis=1)
+    else:
+        near = np.clip(np.searchsorted(log.times, truth[:, 0]), 0, len(log) - 1)
+        is_in = np.isin(near, stated)
+        rows, true = near[is_in], truth[is_in, 1:]
+    which = np.searchsorted(stated, rows)
+    off = poses.translation[which][:, :d] - true
+    R = poses.rotation.as_matrix()[which]
+    C = np.array([R[k] @ track.estimates[n].covariance[3:, 3:] @ R[k].T for k, n in enumerate(rows)]).reshape(
+        -1, 3, 3
+    )
+    nees = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C[:, :d, :d]), off) / d
+    error = np.linalg.norm(off, axis=1)
+    right = rows[error < 1.0]
+    first = float(walked[right[0]]) if len(right) else None
+    wrong = float(np.mean(error > 1.0)) if len(error) else 0.0
+    row |= {"first": first, "after": float(track.is_stated[stated[0] :].mean())}
+    if case == "kidnapped":
+        # The odometry's own path is a little longer or shorter.
+        is_late = walked[rows] > 29.0
+        last = walked[rows[(error > 1.0) & is_late]].max(initial=30.0)
+        again = rows[(error < 1.0) & is_late & (walked[rows] >= last)]
+        row |= {"again": float(walked[again[0]]) - 30.0 if len(again) else None}
+        # A body that was put down where it had been is never lost.
+        gone = np.flatnonzero((walked > 30.0) & ~track.is_stated)
+        later = is_late & (rows > (gone[0] if len(gone) else -1))
+        wrong = float(np.mean(error[later] > 1.0)) if later.any() else 0.0
+        error, nees = error[~is_late], nees[~is_late]
+    few = slice(None, None, max(len(error) // 200, 1))
+    return row | {"error": error[few].tolist(), "nees": nees[few].tolist(), "wrong": wrong}
+
+
+def names(sets, n):
+    """Rows of all sets: ``PLACE: CASE: SEED``."""
+    for one in sets:
+        if one == "infcenter":
+            yield from (f"walk1 walk2 walk3 walk4: walk{k}: 0" for k in range(5, 10))
+        elif one == "museum":
+            for r in range(1, 6):
+                yield from (f"route{r}_{a} route{r}_{a + 1}: route{r}_{b}: 0" for a, b in ((1, 3), (3, 1)))
+        else:
+            yield from (
+                f"{one}: {case}: {k}" for case in CASES for k in range(n) if (one, case) != ("cea", "elsewhere")
+            )
+
+
+def cells(label, case, rows):
+    """A line of the table."""
+    first = np.array([np.inf if row["first"] is None else row["first"] for row in rows])
+    error, nees = (np.concatenate([row[key] for row in rows]) for key in ("error", "nees"))
+    again = [np.inf if row["again"] is None else row["again"] for row in rows if "again" in row]
+
+    def at(values, shares):
+        return " / ".join(f"{np.quantile(values, q, method='nearest'):.2f}" for q in shares) if len(values) else ""
+
+    after = [row["after"] for row in rows if row["first"] is not None]
+    seconds = sum(row["seconds"] for row in rows) / sum(row["walked"] for row in rows)
+    return [
+        label, case, len(rows), at(first, (0.5, 0.9)), int(np.isinf(first).sum()),
+        sum(row["wrong"] > 0 for row in rows), at(error, (0.5, 0.75, 0.95)),
+        f"{np.mean([row['share'] for row in rows]):.2f}", f"{np.mean(after or [0.0]):.2f}",
+        f"{np.mean(nees):.2f}" if len(nees) else "", at(again, (0.5, 0.9)), f"{seconds:.3f}",
+    ]  # fmt: skip
+
+
+def cost(place, data):
+    """Mean time of a sample that is tracked, and of a search, over an evaluation of field and gradient at a point."""
+    field_map, rng = place.field_map, np.random.default_rng(0)
+    points = field_map.survey.positions[rng.integers(len(field_map.survey), size=4000)]
+    one = min(_seconds(field_map.evaluate, points, 1) for _ in range(5)) / len(points)
+    log, _ = walk_of("cea1", "1%", 0, data)
+    poses, z = (
+        RigidTransform.from_components(log.positions, log.orientations),
+        log.orientations.inv().apply(log.field),
+    )
+    localizer, tracked, searched = mm.Localizer(place), [], []
+    for n, t in enumerate(log.times):
+        is_stated = localizer.estimate().is_stated
+        (tracked if is_stated else searched).append(_seconds(localizer.update, t, poses[n], z[n]))
+    return np.mean(tracked) / one, max(searched) / one, one
+
+
+def _seconds(function, *words):
+    start = time.perf_counter()
+    function(*words)
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    asked = arguments(
+        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", n=20, smooth=False, jobs=os.cpu_count()
+    )
+    asked.out.mkdir(parents=True, exist_ok=True)
+    wanted = list(names(asked.sets.split(","), asked.n))
+    for place in dict.fromkeys(name.split(": ")[0] for name in wanted):
+        place_of(place, asked.data, asked.out)
+    file = asked.out / ("smooth.jsonl" if asked.smooth else "walks.jsonl")
+    rows = kept(file, wanted, partial(work, data=asked.data, out=asked.out, smooth=asked.smooth), jobs=asked.jobs)
+    groups = {}
+    for name in wanted:
+        place, case, _ = name.split(": ")
+        if name in rows:
+            label = place if place.startswith("cea") else "infcenter" if place.startswith("walk") else "museum"
+            tuned = label == "cea1" or case in ("walk5", "walk6") or case[:6] in ("route1", "route2", "route3")
+            groups.setdefault((label + (", tuned on" if tuned else ""), case), []).append(rows[name])
+    table = [cells(label, case, found) for (label, case), found in groups.items()]
+    show(COLUMNS, table, None)
+    if "cea1" in asked.sets:
+        place = place_of("cea1", asked.data, asked.out)
+        cost(place, asked.data)  # compiles
+        tracked, searched, one = cost(place, asked.data)
+        show(
+            ("a tracked sample", "a search", "evaluation, us"),
+            [[f"{tracked:.0f}", f"{searched:.0f}", 1e6 * one]],
+            None,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``magmatch localize``: where a log's body was in a map."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from magmatch.cli.boundary import DONE, NOT_ACCEPTED
+from magmatch.cli.command import Layouts, command
+from magmatch.cli.inputs import read_poses_of
+from magmatch.cli.limits import with_limits
+from magmatch.cli.narration import put, say
+from magmatch.cli.option_values import numbers, refuse
+from magmatch.cli.outputs import as_json, check_outputs
+from magmatch.cli.places import read_place, read_walk
+from magmatch.cli.settings import merged, read_settings
+
+if TYPE_CHECKING:
+    from magmatch.localization.result import LocalizationResult
+
+EXAMPLES = (
+    "magmatch localize hall.map walk.csv --out where.tum",
+    "magmatch localize buildings/ robot.mcap --out where.tum --report where.html",
+    "magmatch localize hall.map phone.zip --planar --out where.tum --json > where.json",
+    "magmatch localize hall.map walk.csv --smooth --max-sd 0.3,5 --out where.tum",
+)
+
+
+@command("localize", EXAMPLES, surveys=())
+def localize(
+    place: Annotated[Path, typer.Argument(help="A saved map, its index, or a folder of maps.", metavar="MAP")],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            help="Log with odometry and field, in a frame of its own; or a phone's raw log.", metavar="LOG"
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Write the poses of which it is sure here (TUM).", metavar="TRAJECTORY")],
+    layouts: Layouts,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="With hindsight, instead of as it was known live.")
+    ] = False,
+    planar: Annotated[
+        bool, typer.Option("--planar", help="All poses lie on one floor; found by itself where they show it.")
+    ] = False,
+    no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of map and log is not up.")] = False,
+    odometry_sd: Annotated[
+        str | None,
+        typer.Option(help="How far odometry is off after a walk of 10 m: METRES,DEGREES.  [default: 0.15,2]"),
+    ] = None,
+    min_probability: Annotated[
+        float | None, typer.Option(help="State a pose that is right at least so probably.  [default: 0.99]")
+    ] = None,
+    max_sd: Annotated[
+        str | None,
+        typer.Option(
+            help="State a pose known at least so well: metres,degrees.  [default: 0.3 lengths over which the field "
+            "changes, 4.6 degrees]"
+        ),
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page with the path over the map here.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> int:
+    """Find where LOG's body was in MAP's frame, from an unknown start.
+
+    A pose is written only where it is sure: known to the accuracy and probability asked for.
+
+    Exit code 0: at least one pose is stated; 3: never localized, with the reason.
+    """
+    from magmatch.localization.config import LocalizerConfig
+    from magmatch.localization.localize import localize as run
+    from magmatch.localization.smooth import smooth as with_hindsight
+
+    if planar and no_gravity:
+        refuse("--planar", "z up, as one floor needs", "--no-gravity")
+    check_outputs((out, report), inputs=(place, log, *([config] if config else [])))
+    if report is not None:
+        from magmatch.cli.sessions import require_pictures
+
+        require_pictures()
+    settings = LocalizerConfig() if config is None else merged(LocalizerConfig(), read_settings(config), config)
+    settings = with_limits(settings, min_probability, max_sd)
+    switches: dict[str, object] = (
+        {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
+    )
+    if odometry_sd is not None:
+        sd = tuple(numbers("--odometry-sd", odometry_sd, 2, "metres,degrees, such as 0.3,4"))
+        if min(sd) <= 0:
+            refuse("--odometry-sd", "metres,degrees, both above 0, such as 0.3,4", odometry_sd)
+        switches["odometry"] = settings.odometry.model_copy(update={"sd": sd})
+    settings = settings.model_copy(update=switches)
+    walk, known = read_walk(log, layouts), read_place(place)
+    track = with_hindsight(known, walk, settings) if smooth else run(known, walk, settings)
+    result = track.result()
+    track.save(out, read_poses_of(log, layouts))
+    if report is not None:
+        from magmatch.viz.pages.track_page import write_track_report
+
+        write_track_report(report, track, result)
+    if json:
+        put(as_json(result.to_dict()))
+    say(tell(result))
+    say(f"Wrote {out}{f' and {report}' if report else ''}")
+    return DONE if result.is_localized else NOT_ACCEPTED
+
+
+def tell(result: "LocalizationResult") -> str:
+    """Tell a result in a line or two."""
+    level = "Taken as planar: every pose lies at one height\n" if result.is_planar else ""
+    if result.first_fix is None or result.sensor is None:
+        return f"{level}Never localized: {result.reason}"
+    where = f" in {result.map}" if result.map else ""
+    bias = ", ".join(f"{1e6 * b:.1f}" for b in result.sensor["bias"])
+    return (
+        f"{level}{result.status.capitalize()}{where}: {result.reason}\n"
+        f"  first after {result.first_fix[1]:.1f} m; a pose for {result.share:.0%} of the time; bias {bias} uT"
+    )

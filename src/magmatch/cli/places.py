@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What `localize` is given: a map, its index or a folder of maps; and a log, a phone's without poses among them."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from magmatch.cli.command import Layouts
+from magmatch.cli.inputs import read_map, read_samples
+from magmatch.cli.narration import say
+from magmatch.errors import DataFormatError
+
+if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.localization.places import Place
+
+
+def read_place(path: Path) -> "Place":
+    """Read a map, with its index where there is one beside it, or open a folder of maps."""
+    from magmatch.atlas.atlas import open_atlas
+    from magmatch.data.tables.text import is_folder
+    from magmatch.registration.config import RegistrationConfig
+    from magmatch.registration.index.map_index import SUFFIX, open_index
+
+    if is_folder(path):
+        return open_atlas(path)
+    path = path.with_suffix("") if path.suffix == SUFFIX else path
+    known = read_map(path)
+    index = open_index(path, RegistrationConfig())
+    try:
+        return known if index is None else index.load(known)
+    except DataFormatError:  # an index is a cache
+        return known
+
+
+def read_walk(path: Path, layouts: Layouts) -> "Survey":
+    """Read a log; a phone's has no poses of its own: they are dead reckoned, as by `odometry`."""
+    from magmatch.data.formats.phones.read import read_phone_log
+    from magmatch.data.formats.sniff import sniff
+    from magmatch.data.read import read_survey
+    from magmatch.preparation.odometry.dead_reckon import dead_reckon
+
+    layout = layouts.of()
+    if sniff(path) != "phone" or layout.trajectory is not None or layout.columns:
+        return read_samples(path, layouts)
+    phone = read_phone_log(path, ("acceleration", "linear_acceleration", "gravity", "rate"), recover=layout.recover)
+    walk = dead_reckon(phone)
+    say(f"Dead reckoning: {len(walk.steps)} steps, {walk.length:.1f} m")
+    with TemporaryDirectory() as folder:
+        poses = Path(folder) / "walk.tum"
+        walk.trajectory.save(poses)
+        return read_survey(path, layout.model_copy(update={"trajectory": poses}))

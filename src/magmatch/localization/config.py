@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Settings of the localisation in a known map; lengths in field lengths, over which the map's field changes."""
+
+from pydantic import Field
+
+from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.settings import Settings
+from magmatch.slam.config import OdometryConfig
+
+
+class LocalizerConfig(Settings):
+    """Everything that shapes a localisation, stage by stage."""
+
+    # How the odometry drifts; steps of people are up to a tenth longer or shorter than an average walker's.
+    odometry: OdometryConfig = Field(default_factory=lambda: OdometryConfig(sd=(0.15, 2.0), scale_sd=0.05))
+    # Whether z is up in the map's frame and the odometry's, and whether the body keeps one height, the map's, too.
+    is_gravity_aligned: bool = True
+    is_planar: bool = False
+    # Bias of the magnetometer, T: of one that was calibrated and of one that was not, alike probable beforehand; and
+    # how it drifts, T per root of a second.
+    calibrated_bias_sd: float = Field(default=1e-6, gt=0)
+    bias_sd: float = Field(default=30e-6, gt=0)
+    bias_drift: float = Field(default=2e-8, ge=0)
+    # Path whose evidence counts, path that it takes to begin a search, and path between two searches.
+    window: float = Field(default=8.0, gt=0)
+    min_window: float = Field(default=1.5, gt=0)
+    search_every: float = Field(default=0.75, gt=0)
+    # Path of latest evidence that may turn against what was believed.
+    recent: float = Field(default=2.5, gt=0)
+    # Distinct starts that a search refines, and hypotheses that are kept.
+    n_starts: int = Field(default=80, ge=1)
+    n_hypotheses: int = Field(default=16, ge=2)
+    # How probable it is that what was believed ends within the latest path: the body is carried off, its sensor's
+    # bias jumps.
+    end_probability: float = Field(default=0.01, gt=0, lt=1)
+    # What each field length of path outside the map costs a hypothesis that was never believed, nats.
+    price_outside: float = Field(default=3.0, ge=0)
+    # When a pose is stated: the decision of a registration.
+    decision: DecisionConfig = Field(default_factory=DecisionConfig)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is known of the body at one moment."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.typing import Covariance6, Vector3
+
+
+class LocalizerStatus(StrEnum):
+    """How far the pose is known."""
+
+    SEARCHING = "searching"  # it was never known
+    LOCALIZED = "localized"  # by the field, to the accuracy asked for
+    DEAD_RECKONING = "dead_reckoning"  # outside what the map knows, still to the accuracy asked for
+    LOST = "lost"  # it was known, and is no longer
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Estimate:
+    """Where the body is.
+
+    Attributes
+    ----------
+    status : LocalizerStatus
+    reason : str
+        In words, what decided.
+    T_map_body : RigidTransform or None
+        Map's frame from the body's; None unless localized or dead reckoning.
+    covariance : (6, 6) array or None
+        Of xi in ``T_true = T Exp(xi)``, rotation first (rad, m), body's axes.
+    probability : float
+        That the best hypothesis is right.
+    bias, bias_sd : (3,) arrays or None, T
+        Of the sensor, body's axes.
+    scale : float or None
+        True length of a step over that of the odometry.
+    map : str or None
+        Name of the map.
+    """
+
+    status: LocalizerStatus
+    reason: str
+    T_map_body: RigidTransform | None = None
+    covariance: Covariance6 | None = None
+    probability: float = 0.0
+    bias: Vector3 | None = None
+    bias_sd: Vector3 | None = None
+    scale: float | None = None
+    map: str | None = None
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether a pose is stated."""
+        return self.T_map_body is not None

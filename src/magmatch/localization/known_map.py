@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What localisation needs of one map, made once; all in the map's model frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magmatch.field.map import FieldMap
+from magmatch.geometry import rotation_matrix
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import MapIndex, prepare_index
+from magmatch.registration.prepared.cubes import thin
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.raster import Raster, rasterize
+from magmatch.typing import Matrix, Points, Vector3
+
+# Of a field length: spacing of the raster, short against what a tracked position is known to, and of the starts.
+RASTER_SPACING, ANCHOR_SPACING = 0.125, 0.3
+MAX_ANCHORS = 20_000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class KnownMap:
+    """A map made ready to be walked in.
+
+    Attributes
+    ----------
+    index : MapIndex
+    name : str
+    T_map_model : (4, 4) array
+    R_model_map : (3, 3) array
+    up : (3,) array
+        The map's z.
+    raster : Raster
+    length : float, m
+        Field length.
+    noise : PathNoise
+        What residuals of another walk look like.
+    anchors : (a, 3) array, m
+        Where a search begins: the map's own samples, thinned.
+    volume : float, m^3
+        Of all that is searched.
+    field_sd, field_rms : float, T
+        Of one component over the map's samples.
+    """
+
+    index: MapIndex
+    name: str
+    T_map_model: Matrix
+    R_model_map: Matrix
+    up: Vector3
+    raster: Raster
+    length: float
+    noise: PathNoise
+    anchors: Points
+    volume: float
+    field_sd: float
+    field_rms: float
+
+    @classmethod
+    def of(cls, place: FieldMap | MapIndex) -> "KnownMap":
+        """Make a map, or one that is indexed, ready."""
+        index = prepare_index(place, RegistrationConfig())
+        base = index.base
+        raster = rasterize(base.field_map, RASTER_SPACING * index.length, base.draws())
+        anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]
+        R = rotation_matrix(base.T_map_model).T
+        return cls(
+            index,
+            base.field_map.survey.name,
+            base.T_map_model.as_matrix(),
+            np.ascontiguousarray(R),
+            np.ascontiguousarray(R[:, 2]),
+            raster,
+            index.length,
+            index.walks.noise,
+            np.ascontiguousarray(anchors),
+            raster.volume,
+            float(np.sqrt(base.sample_field.var(axis=0).mean())),
+            float(np.sqrt((base.sample_field**2).mean())),
+        )

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A whole log, sample by sample as it would be live; a target without a path of its own is registered to an atlas."""
+
+import logging
+from collections.abc import Sequence
+from typing import overload
+
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.arguments import expect_kind
+from magmatch.atlas.atlas import Atlas
+from magmatch.atlas.localize import localize as register_to_atlas
+from magmatch.data.checks import require_survey
+from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
+from magmatch.field.map import FieldMap
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.estimate import Estimate
+from magmatch.localization.localizer import ADVICE, Localizer
+from magmatch.localization.places import Place
+from magmatch.localization.samples import OdometryJump
+from magmatch.localization.track import Track
+from magmatch.progress import Progress, followed, tell
+from magmatch.registration.clock import Clock
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.result import RegistrationResult
+from magmatch.slam.graph.odometry import lie_level
+from magmatch.threads import one_blas_thread
+
+log = logging.getLogger(__name__)
+
+
+@overload
+def localize(
+    place: Atlas, target: Survey | FieldMap, config: None = None, *, seed: int = 0, progress: Progress | None = None
+) -> RegistrationResult: ...
+@overload
+def localize(
+    place: Place, target: Survey, config: LocalizerConfig, *, seed: int = 0, progress: Progress | None = None
+) -> Track: ...
+@overload
+def localize(
+    place: FieldMap | MapIndex, target: Survey, *, seed: int = 0, progress: Progress | None = None
+) -> Track: ...
+def localize(
+    place: Place,
+    target: Survey | FieldMap,
+    config: LocalizerConfig | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Track | RegistrationResult:
+    """Follow a log through a map; or find the map of an atlas that holds a rigid survey.
+
+    Parameters
+    ----------
+    place : FieldMap, MapIndex or Atlas
+    target : Survey or FieldMap
+        A log: a survey with times; positions and orientations from odometry, in a frame of its own, and the field in
+        that frame. Without orientations the body keeps the odometry's axes. Of an atlas, and without `config`, a
+        survey or map that is rigid: it is registered.
+    config : LocalizerConfig, optional
+    seed : int
+        Of the registration; following a log draws nothing.
+    progress : callable, optional
+        Told what is under way, and which share of it is done; see `magmatch.progress`.
+
+    Returns
+    -------
+    Track
+        Of a log.
+    RegistrationResult
+        Of a rigid target; ``base`` names the map, alternatives name theirs.
+
+    Raises
+    ------
+    SurveyError
+        The log holds NaN, impossible values, too few samples or no times.
+    """
+    expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
+    if isinstance(place, Atlas) and config is None:
+        return register_to_atlas(place, target, seed=seed, progress=progress)
+    expect_kind(target, "target", (Survey,), "a log is a Survey with times; read_survey reads one")
+    assert isinstance(target, Survey)
+    with followed(progress):
+        return follow_log(place, target, config)
+
+
+def follow_log(place: Place, walk: Survey, config: LocalizerConfig | None = None) -> Track:
+    """Do as `localize` does with a log."""
+    config = config or LocalizerConfig()
+    expect_kind(config, "config", (LocalizerConfig,))
+    require_survey(walk, name="log")
+    if walk.times is None:
+        msg = f"{walk.name}: expected a log with times, got none; add a column t (s)"
+        raise SurveyError(msg)
+    clock = Clock()
+    if config.is_gravity_aligned and not config.is_planar and _is_level(place, walk):
+        log.info("all poses of map and log lie at one height each: taken as planar")
+        config = config.model_copy(update={"is_planar": True})
+    R = walk.orientations if walk.orientations is not None else Rotation.identity(len(walk))
+    poses, field = RigidTransform.from_components(walk.positions, R), R.inv().apply(walk.field)
+    with one_blas_thread():
+        with clock("map"):
+            localizer = Localizer(place, config)
+        estimates = []
+        with clock("follow"):
+            for n, t in enumerate(walk.times):
+                if n % 1000 == 0:
+                    tell(f"following {walk.name}", n / len(walk))
+                try:
+                    localizer.update(float(t), poses[n], field[n])
+                except OdometryJump as jump:
+                    log.warning("%s: sample %d: %s", walk.name, n, jump)
+                estimates.append(localizer.estimate())
+    return Track(walk, _maps(place, estimates), estimates, config, clock.seconds())
+
+
+def _is_level(place: Place, walk: Survey) -> bool:
+    """Whether the log keeps one height, and the map does; of an atlas nobody looked."""
+    return not isinstance(place, Atlas) and all(lie_level([s]) for s in (walk, _maps(place, [])[0].survey))
+
+
+def _maps(place: Place, estimates: Sequence[Estimate]) -> tuple[FieldMap, ...]:
+    """The map; of an atlas, those in which a pose is stated."""
+    if isinstance(place, Atlas):
+        named = {e.map for e in estimates}
+        return tuple(place.load(entry).field_map for entry in place.entries if entry.name in named)
+    return (place.field_map if isinstance(place, MapIndex) else place,)

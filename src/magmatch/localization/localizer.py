@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: where a body is in a known map, sample by sample."""
+
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.arguments import expect_kind
+from magmatch.atlas.atlas import Atlas
+from magmatch.field.map import FieldMap
+from magmatch.localization.bins import Binning
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.places import Place, Places
+from magmatch.localization.samples import Samples
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.threads import one_blas_thread
+from magmatch.typing import Vector3
+
+ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
+
+
+class Localizer:
+    """Where a body is in a known map, from an unknown start, by odometry that drifts and the field it feels.
+
+    Parameters
+    ----------
+    place : FieldMap, MapIndex or Atlas
+        The map, or a folder of maps, one of which holds the body.
+    config : LocalizerConfig, optional
+    """
+
+    def __init__(self, place: Place, config: LocalizerConfig | None = None) -> None:
+        config = config or LocalizerConfig()
+        expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
+        expect_kind(config, "config", (LocalizerConfig,))
+        with one_blas_thread():
+            self._places = Places(place, config)
+        self._samples = Samples()
+        self._binning = Binning(self._places.bin_length)
+
+    def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
+        """Take a sample.
+
+        Parameters
+        ----------
+        t : float, s
+            Later than the sample before it.
+        T_odom_body : RigidTransform
+            The body's pose in the odometry's frame, which may drift.
+        field : (3,) array, T
+            In the body's axes.
+
+        Raises
+        ------
+        ValueError, TypeError
+            Not a sample: NaN, a clock that runs backward, another unit, a jump. What is known stays as it was.
+        """
+        new = self._binning.add(*self._samples.take(t, T_odom_body, field))
+        if new is None:
+            return
+        for belief in self._places.follow(new):
+            if belief.is_doubtful():
+                belief.doubt()
+            if belief.is_due():
+                belief.search()
+        self._places.judge()
+
+    def estimate(self) -> Estimate:
+        """Tell what is known now.
+
+        Returns
+        -------
+        Estimate
+            ``T_map_body`` is None unless it is sure.
+        """
+        best = self._places.best
+        if best is None:
+            return Estimate(LocalizerStatus.SEARCHING, self._places.why_none)
+        return best.estimate(self._samples.T_odom_body)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The maps that a body may be in: one, or those of a folder that its path votes for."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magmatch.atlas.atlas import Atlas, AtlasEntry
+from magmatch.atlas.localize import shortlist
+from magmatch.atlas.retrieval import count_votes
+from magmatch.data.checks import CONSTANT_FIELD
+from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
+from magmatch.localization.belief import Belief
+from magmatch.localization.bins import Bin
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.known_map import KnownMap
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.prepared.walk import BIN_LENGTH
+
+Place = FieldMap | MapIndex | Atlas
+# Path between two votes of a folder's maps, in field lengths.
+VOTE_EVERY = 2.0
+
+
+class Places:
+    """What is believed in each map that is likely."""
+
+    def __init__(self, place: Place, config: LocalizerConfig) -> None:
+        self._config, self._atlas = config, place if isinstance(place, Atlas) else None
+        self._maps: dict[AtlasEntry, KnownMap] = {}
+        self._bins: list[Bin] = []
+        self._n_until_vote = round(config.min_window / BIN_LENGTH)
+        self.likely: dict[AtlasEntry | None, Belief] = {}
+        self.bin_length, self.why_none = 1.0, "too little was walked"
+        if isinstance(place, Atlas):
+            self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in place.entries]))
+        elif _survey_of(place).field.std(axis=0).max() < CONSTANT_FIELD:
+            # It has no field length either.
+            self.why_none = "the map's field is constant: nothing tells places apart"
+        else:
+            known = KnownMap.of(place)
+            self.likely = {None: Belief(known, config)}
+            self.bin_length = BIN_LENGTH * known.length
+
+    @property
+    def best(self) -> Belief | None:
+        """That in the likeliest map; None before any was voted for."""
+        return max(self.likely.values(), key=lambda belief: (belief.is_sure, belief.log_odds), default=None)
+
+    def follow(self, done: Bin) -> Sequence[Belief]:
+        """Take a bin along the path; beliefs in the likely maps, each up to it."""
+        for belief in self.likely.values():
+            belief.follow(done)
+        if self._atlas is not None:
+            self._bins = [*self._bins, done][-round(self._config.window / BIN_LENGTH) :]
+            if not any(belief.is_sure for belief in self.likely.values()):
+                self._vote(self._atlas)
+        return list(self.likely.values())
+
+    def judge(self) -> None:
+        """Weigh all hypotheses against each other, whatever their maps."""
+        odds = {key: belief.weigh() for key, belief in self.likely.items()}
+        for key, belief in self.likely.items():
+            belief.judge(max((o for other, o in odds.items() if other is not key), default=-np.inf))
+
+    def _vote(self, atlas: Atlas) -> None:
+        """Now and then ask all maps; beliefs in those that are no longer likely are given up."""
+        self._n_until_vote -= 1
+        if self._n_until_vote > 0:
+            return
+        self._n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
+        p, b = (np.stack(rows) for rows in zip(*((one.p, one.R @ one.z) for one in self._bins), strict=True))
+        votes = count_votes([entry.table for entry in atlas.entries], Survey(p, b), atlas.config.walks.search, 0)
+        voted = shortlist(atlas.entries, votes)
+        self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
+        for entry in voted:
+            if entry not in self.likely:
+                self.likely[entry] = self._begin(atlas, entry)
+
+    def _begin(self, atlas: Atlas, entry: AtlasEntry) -> Belief:
+        if entry not in self._maps:
+            # Wherever it is found, it was looked for in all maps.
+            self._maps[entry] = replace(KnownMap.of(atlas.load(entry)), name=entry.name, volume=atlas.volume)
+        belief = Belief(self._maps[entry], self._config)
+        for one in self._bins:
+            belief.follow(one)
+        return belief
+
+
+def _survey_of(place: FieldMap | MapIndex) -> Survey:
+    return (place.field_map if isinstance(place, MapIndex) else place).survey

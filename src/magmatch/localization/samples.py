@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Samples as a caller hands them in: checked one by one before anything is changed."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.arguments import expect_transform, numbers_of
+from magmatch.data.checks import MAX_FIELD
+from magmatch.typing import Matrix, Vector3
+
+# A body that moves faster has not moved: its odometry began anew, m/s (and m, of clocks that jitter).
+MOST_SPEED, MOST_STEP = 50.0, 5.0
+
+
+class OdometryJump(ValueError):
+    """The odometry says that the body moved faster than any; it goes on from where it jumped to."""
+
+
+@dataclass(eq=False, slots=True)
+class Samples:
+    """The last sample, in an odometry's frame without jumps."""
+
+    t: float | None = None
+    T_odom_body: Matrix = field(default_factory=lambda: np.eye(4))
+    _given: Matrix = field(default_factory=lambda: np.eye(4))
+    _T_odom_given: Matrix = field(default_factory=lambda: np.eye(4))
+
+    def take(self, t: float, T_given_body: RigidTransform, b: Vector3) -> tuple[float, Matrix, Vector3]:
+        """Check a sample and remember it.
+
+        Raises
+        ------
+        ValueError, TypeError
+            What was expected and what was found; an `OdometryJump` is one.
+        """
+        time = numbers_of(t, "t", "(), in s")
+        if time.shape != () or not np.isfinite(time):
+            msg = f"t: expected a finite number of seconds, got {t!r:.40}"
+            raise ValueError(msg)
+        expect_transform(T_given_body, "T_odom_body")
+        T = T_given_body.as_matrix()
+        if not np.isfinite(T).all():
+            msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
+            raise ValueError(msg)
+        z = numbers_of(b, "field", "(3,), in T")
+        if z.shape != (3,) or not np.isfinite(z).all():
+            msg = f"field: expected three finite numbers, in T, got {np.asarray(b)!r:.60}; leave such samples out"
+            raise ValueError(msg)
+        if np.linalg.norm(z) > MAX_FIELD:
+            size = np.linalg.norm(z)
+            msg = f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
+            raise ValueError(msg)
+        now = float(time)
+        if self.t is None:
+            self.t, self.T_odom_body, self._given = now, T, T
+            return now, T, z
+        if now <= self.t:
+            msg = f"t: expected a time after {self.t:.9g} s, got {now:.9g}"
+            raise ValueError(msg)
+        moved = float(np.linalg.norm(T[:3, 3] - self._given[:3, 3]))
+        if moved > MOST_STEP + MOST_SPEED * (now - self.t):
+            # Whatever the odometry says from here on is relative to where it believes to be now.
+            self._T_odom_given, self._given = self.T_odom_body @ np.linalg.inv(T), T
+            step = f"{moved:.3g} m in {now - self.t:.3g} s"
+            msg = f"T_odom_body: expected a step, got a jump of {step}; it counts as none"
+            raise OdometryJump(msg)
+        self.t, self._given = now, T
+        self.T_odom_body = self._T_odom_given @ T
+        return now, self.T_odom_body, z

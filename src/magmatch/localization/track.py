@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A log as it was followed: what was known at each of its poses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch._version import __version__
+from magmatch.data.fingerprint import describe_input
+from magmatch.data.survey import Survey
+from magmatch.data.tables.tum import write_tum
+from magmatch.data.trajectory import Trajectory
+from magmatch.field.map import FieldMap
+from magmatch.geometry import path_walked
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.estimate import Estimate
+from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
+from magmatch.localization.samples import MOST_STEP
+from magmatch.typing import Indices, Mask, Scalars
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Track:
+    """A log through a map.
+
+    Attributes
+    ----------
+    log : Survey
+    maps : tuple of FieldMap
+        The map; of an atlas, those in which a pose is stated.
+    estimates : sequence of Estimate
+        One for each of the log's poses, as it was known then (or, smoothed, with hindsight).
+    config : LocalizerConfig
+    seconds : dict
+        Per stage and total.
+    """
+
+    log: Survey
+    maps: tuple[FieldMap, ...]
+    estimates: Sequence[Estimate]
+    config: LocalizerConfig
+    seconds: dict[str, float]
+
+    @property
+    def is_stated(self) -> Mask:
+        """Where a pose is stated, (n,)."""
+        return np.array([e.is_stated for e in self.estimates], dtype=np.bool_)
+
+    @property
+    def poses(self) -> RigidTransform:
+        """The stated ones, ``T_map_body``; at least one."""
+        return RigidTransform.concatenate([e.T_map_body for e in self.estimates if e.T_map_body is not None])
+
+    def save(self, path: str | Path, odometry: Trajectory | None = None) -> None:
+        """Write the stated poses as TUM, on the log's clock; where there are none, a file without lines of data.
+
+        Parameters
+        ----------
+        path : path
+        odometry : Trajectory, optional
+            The log's poses at their own times, where those are not its samples': the stated ones are then of these.
+        """
+        times, moves = self.log.times, None
+        assert times is not None
+        last = np.flatnonzero(self.is_stated)
+        if odometry is not None and self.log.orientations is not None:
+            last, times, moves = self._carried(times, odometry)
+        else:
+            times = times[last]
+        if not len(last):
+            write_tum(path, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+            return
+        known = [self.estimates[n].T_map_body for n in last.tolist()]
+        poses = RigidTransform.concatenate([T for T in known if T is not None])
+        poses = poses if moves is None else poses * moves
+        write_tum(path, times, poses.translation, poses.rotation.as_quat())
+
+    def _carried(self, times: Scalars, odometry: Trajectory) -> tuple[Indices, Scalars, RigidTransform]:
+        """Poses of a trajectory known at the last sample before each: that, its time, and the move since."""
+        assert self.log.orientations is not None
+        last = np.searchsorted(times, odometry.times, side="right") - 1
+        rows = np.flatnonzero((last >= 0) & self.is_stated[last])
+        samples = RigidTransform.from_components(self.log.positions, self.log.orientations)
+        moves = (
+            samples[last[rows]].inv()
+            * RigidTransform.from_components(odometry.positions, odometry.orientations)[rows]
+        )
+        is_step = np.linalg.norm(moves.translation, axis=1) < MOST_STEP
+        return last[rows][is_step], odometry.times[rows][is_step], moves[is_step]
+
+    def result(self) -> LocalizationResult:
+        """What was found, as a document."""
+        times, is_stated, last = self.log.times, self.is_stated, self.estimates[-1]
+        assert times is not None
+        found = LocalizationResult(
+            LocalizationStatus.NEVER, last.reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
+            seconds=dict(self.seconds), config=self.config.model_dump(mode="json"), version=__version__,
+            inputs=tuple(describe_input(s) for s in (*(m.survey for m in self.maps), self.log)),
+        )  # fmt: skip
+        if not is_stated.any():
+            return found
+        first, final = int(np.argmax(is_stated)), self.estimates[int(np.flatnonzero(is_stated)[-1])]
+        steps = np.diff(times, append=times[-1])
+        assert final.bias is not None
+        assert final.bias_sd is not None
+        return replace(
+            found,
+            status=LocalizationStatus.LOCALIZED if last.is_stated else LocalizationStatus.LOST,
+            map=final.map,
+            first_fix=(float(times[first]), float(path_walked(self.log.positions)[first])),
+            share=float(np.clip((steps * is_stated).sum() / max(steps.sum(), 1e-9), 0.0, 1.0)),
+            sensor={"bias": final.bias.tolist(), "bias_sd": final.bias_sd.tolist(), "scale": 1.0},
+            odometry={"scale": float(final.scale or 1.0)},
+        )
+
+    def _segments(self) -> list[Segment]:
+        times = self.log.times
+        assert times is not None
+        found = []
+        for _, rows in groupby(range(len(times)), key=lambda n: (self.estimates[n].status, self.estimates[n].map)):
+            part = list(rows)
+            e = self.estimates[part[0]]
+            found.append(Segment(float(times[part[0]]), float(times[part[-1]]), e.status, e.reason, e.map))
+        return found

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The report of `localize`: the verdict, the path over the map, and where it was lost and why."""
+
+from pathlib import Path
+
+import yaml
+
+from magmatch.localization.result import LocalizationResult, LocalizationStatus
+from magmatch.localization.track import Track
+from magmatch.viz.figures.track_figures import path_figure, status_figure
+from magmatch.viz.pages.page import Section, bullets, details, figure_row, table, to_copy, verdict, write_page
+
+# Most parts listed one by one, the longest.
+MAX_LISTED = 40
+NEXT_STEPS = {
+    LocalizationStatus.LOCALIZED: ("Use it: the TUM file holds the stated poses, in the map's frame.",),
+    LocalizationStatus.LOST: (
+        "Look below where it was lost: the body left the map, or the place has changed. Map it again there.",
+        "Walk on: a few lengths over which the field changes are enough to be found again.",
+    ),
+    LocalizationStatus.NEVER: (
+        "Check units and --field-frame, and that map and log are of one place; calibrate raw logs with "
+        "'magmatch prepare'.",
+        "Walk farther, with turns; say how far the odometry drifts (--odometry-sd), and --planar on one floor.",
+    ),
+}
+
+
+def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
+    """Write one HTML page about a log in a map; it works offline and on a phone."""
+    headline = result.status.capitalize()
+    answer = [
+        verdict(headline, result.reason, is_good=result.is_localized),
+        "<h2 id='next'>What to do next</h2>",
+        bullets(NEXT_STEPS[result.status]),
+    ]
+    sections = [Section("", answer)]
+    sections += [
+        Section(f"In {m.survey.name}", [figure_row([path_figure(track, k)])]) for k, m in enumerate(track.maps)
+    ]
+    longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[:MAX_LISTED]
+    rows = [
+        [f"{s.t0:.2f}", f"{s.t1 - s.t0:.1f} s", s.status.replace("_", " "), s.map or "", s.why]
+        for s in sorted(longest, key=lambda s: s.t0)
+    ]
+    columns = ["from (s)", "for", "status", "map", "why"]
+    sections.append(Section("Along the log", [figure_row([status_figure(track)]), table(rows, columns)]))
+    settings = to_copy("settings", yaml.safe_dump(result.config, sort_keys=False))
+    sections.append(Section("Run it again", [details("settings.yaml", settings)]))
+    write_page(path, f"magmatch: {track.log.name}", sections)

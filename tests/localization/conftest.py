@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A place whose field is known, its map, and a walk in it by odometry that drifts."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drifting import Place, drifting_walk
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.localization.localize import localize
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import prepare_index
+
+
+@pytest.fixture(scope="session")
+def place():
+    """An indexed map, made at true positions."""
+    _, truth = drifting_walk(Place(1), 7, laps=4.0)
+    noise = 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
+    field_map = build_map(Survey(truth, Place(1).field(truth) + noise, name="place"))
+    return prepare_index(field_map, RegistrationConfig())
+
+
+@pytest.fixture(scope="session")
+def followed(place):
+    """A walk of which only its odometry's frame is known, followed."""
+    log, truth = drifting_walk(Place(1), 3, laps=1.5, start=1.0, bias=(2e-6, -1e-6, 1e-6))
+    return SimpleNamespace(log=log, truth=truth, track=localize(place, log))

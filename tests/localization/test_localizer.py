@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A body is found in its map from an unknown start, and nowhere else."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import magmatch as mm
+from drifting import Place, drifting_walk
+from magmatch.localization.samples import OdometryJump
+
+
+def feed(localizer, log, rows=slice(None), T=None, later=0.0):
+    """Hand samples of a log over, its odometry's frame moved by T; the estimate after each."""
+    R = log.orientations
+    poses = RigidTransform.from_components(log.positions, R)
+    field = R.inv().apply(log.field)
+    found = []
+    for n in range(len(log))[rows]:
+        localizer.update(log.times[n] + later, poses[n] if T is None else T * poses[n], field[n])
+        found.append(localizer.estimate())
+    return found
+
+
+def states(estimates):
+    return [(e.status, None if e.T_map_body is None else e.T_map_body.as_matrix().tolist()) for e in estimates]
+
+
+def test_a_walk_from_an_unknown_start_is_found_and_followed(followed):
+    is_stated = followed.track.is_stated
+    first = int(np.argmax(is_stated))
+    assert is_stated[first:].mean() > 0.9
+    error = np.linalg.norm(followed.track.poses.translation - followed.truth[is_stated], axis=1)
+    # The map's field length is 0.6 m.
+    assert np.median(error) < 0.1
+    assert error.max() < 0.6
+
+
+def test_the_sensors_bias_and_the_odometrys_scale_are_found(followed):
+    result = followed.track.result()
+    np.testing.assert_allclose(result.sensor["bias"], [2e-6, -1e-6, 1e-6], atol=4e-7)
+    assert result.odometry["scale"] == pytest.approx(1 / 1.01, abs=0.01)
+
+
+def test_the_stated_covariance_covers_the_error(followed):
+    stated = [(e, p) for e, p in zip(followed.track.estimates, followed.truth, strict=True) if e.is_stated]
+    local = [e.T_map_body.inv().apply(p) for e, p in stated]
+    nees = [x @ np.linalg.solve(e.covariance[3:, 3:], x) / 3 for x, (e, _) in zip(local, stated, strict=True)]
+    # One walk of correlated errors: within a factor of a few.
+    assert 0.1 < np.mean(nees) < 4
+
+
+def test_the_odometrys_frame_does_not_matter(place, followed):
+    turn = Rotation.from_rotvec([0, 0, 2.0])
+    moved = followed.log.transformed(RigidTransform.from_components([30.0, -20.0, 0.0], turn))
+    again = mm.localize(place, moved)
+    both = followed.track.is_stated & again.is_stated
+    assert both.sum() > 0.95 * followed.track.is_stated.sum()
+    a, b = ([e.T_map_body for e, s in zip(t.estimates, both, strict=True) if s] for t in (followed.track, again))
+    off = [np.linalg.norm(x.translation - y.translation) for x, y in zip(a, b, strict=True)]
+    assert np.median(off) < 0.02
+
+
+def test_with_nothing_known_of_the_odometrys_frame_the_walk_is_found_too(place, followed):
+    T = RigidTransform.from_components([3.0, 8.0, -2.0], Rotation.from_rotvec([1.0, -2.0, 0.5]))
+    track = mm.localize(place, followed.log.transformed(T), mm.LocalizerConfig(is_gravity_aligned=False))
+    is_stated = track.is_stated
+    assert is_stated.mean() > 0.6
+    error = np.linalg.norm(track.poses.translation - followed.truth[is_stated], axis=1)
+    assert np.median(error) < 0.1
+    up = track.poses.rotation.apply([0.0, 0.0, 1.0])
+    assert np.median(up[:, 2]) > 0.99
+
+
+def test_the_same_log_gives_the_same_bits(place, followed):
+    assert states(mm.localize(place, followed.log).estimates) == states(followed.track.estimates)
+
+
+def test_the_field_turns_with_the_map(place, followed):
+    T = RigidTransform.from_components([5.0, 1.0, 2.0], Rotation.from_rotvec([0, 0, 1.0]))
+    track = mm.localize(place.field_map.transformed(T), followed.log)
+    is_stated = track.is_stated
+    assert is_stated.mean() > 0.8
+    error = np.linalg.norm(track.poses.translation - T.apply(followed.truth[is_stated]), axis=1)
+    assert np.median(error) < 0.1
+
+
+def test_in_a_constant_field_nothing_is_stated_and_the_reason_is_named(followed):
+    rng = np.random.default_rng(0)
+    field_map = mm.build_map(mm.Survey(rng.uniform(0, 3, (60, 3)), np.tile([2e-5, 0.0, -4e-5], (60, 1))))
+    result = mm.localize(field_map, followed.log).result()
+    assert (result.status, result.share) == ("never", 0.0)
+    assert "constant" in result.reason
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_elsewhere_no_pose_is_stated(place, seed):
+    log, _ = drifting_walk(Place(90 + seed), seed, laps=1.5)
+    track = mm.localize(place, log)
+    assert not track.is_stated.any()
+    assert track.result().status == "never"
+
+
+def test_a_body_that_is_carried_off_is_lost_and_found_again(place):
+    one, _ = drifting_walk(Place(1), 21, laps=0.6, start=0.0)
+    other, p_other = drifting_walk(Place(1), 22, laps=0.8, start=3.5)
+    localizer = mm.Localizer(place)
+    assert feed(localizer, one)[-1].is_stated
+    R = one.orientations
+    T_end = RigidTransform.from_components(one.positions[-1], R[-1])
+    T_begin = RigidTransform.from_components(other.positions[0], other.orientations[0])
+    after = feed(localizer, other, T=T_end * T_begin.inv(), later=one.times[-1] + 1.0)
+    is_wrong = [
+        e.is_stated and np.linalg.norm(e.T_map_body.translation - p) > 0.6
+        for e, p in zip(after, p_other, strict=True)
+    ]
+    walked = np.linspace(0, 1, len(after)) * 0.8 * 20.8
+    assert walked[np.flatnonzero(is_wrong)].max(initial=0.0) < 2.5
+    assert any(e.status == "lost" for e in after)
+    assert after[-1].is_stated
+    assert np.linalg.norm(after[-1].T_map_body.translation - p_other[-1]) < 0.3
+
+
+def test_a_sensor_whose_bias_jumps_is_not_followed_astray(place):
+    log, truth = drifting_walk(Place(1), 23, laps=1.6, start=2.0)
+    half = len(log) // 2
+    jump = np.where(np.arange(len(log))[:, None] > half, [15e-6, -10e-6, 8e-6], 0.0)
+    jumped = mm.Survey(log.positions, log.field + log.orientations.apply(jump), log.times, log.orientations)
+    estimates = mm.localize(place, jumped).estimates
+    off = [np.linalg.norm(e.T_map_body.translation - p) for e, p in zip(estimates, truth, strict=True) if e.is_stated]
+    assert max(off) < 0.6
+    assert estimates[-1].is_stated
+    np.testing.assert_allclose(estimates[-1].bias, [15e-6, -10e-6, 8e-6], atol=1e-6)
+
+
+def test_outside_the_map_a_pose_is_stated_only_while_it_is_known(place):
+    log, truth = drifting_walk(Place(1), 24, laps=0.8, start=0.5)
+    localizer = mm.Localizer(place)
+    assert feed(localizer, log)[-1].is_stated
+    # Straight on, away from the loop, through a uniform field.
+    R, t = log.orientations[-1], log.times[-1]
+    step = truth[-1] - truth[-4]
+    found = []
+    for n in range(1, 400):
+        T = RigidTransform.from_components(log.positions[-1] + 0.1 * n * step / np.linalg.norm(step), R)
+        localizer.update(t + 0.1 * n, T, R.inv().apply([20e-6, 0.0, -45e-6]))
+        found.append(localizer.estimate())
+    assert not any(e.is_stated for e in found[200:])
+    assert all(np.sqrt(np.diag(e.covariance)[3:].max()) < 0.3 for e in found if e.is_stated)
+
+
+BAD = {
+    "NaN in the field": (1e9, RigidTransform.identity(), [np.nan, 0, 0], ValueError, "finite"),
+    "a field in uT": (1e9, RigidTransform.identity(), [20.0, 0, -45.0], ValueError, "1e-6"),
+    "two numbers": (1e9, RigidTransform.identity(), [2e-5, 0], ValueError, "three"),
+    "a clock that runs backward": (-1.0, RigidTransform.identity(), [2e-5, 0, 0], ValueError, "after"),
+    "a time that is none": (np.nan, RigidTransform.identity(), [2e-5, 0, 0], ValueError, "finite"),
+    "a matrix": (1e9, np.eye(4), [2e-5, 0, 0], TypeError, "RigidTransform"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_sample_is_refused_and_leaves_the_state_as_it_was(place, followed, what):
+    t, T, field, kind, said = BAD[what]
+    clean, troubled = mm.Localizer(place), mm.Localizer(place)
+    feed(clean, followed.log, slice(0, 60))
+    feed(troubled, followed.log, slice(0, 40))
+    with pytest.raises(kind, match=said):
+        troubled.update(t, T, field)
+    feed(troubled, followed.log, slice(40, 60))
+    assert states([troubled.estimate()]) == states([clean.estimate()])
+
+
+def test_odometry_that_begins_anew_is_no_step(place, followed):
+    localizer = mm.Localizer(place)
+    assert feed(localizer, followed.log, slice(0, 100))[-1].is_stated
+    T = RigidTransform.from_translation([100.0, 0.0, 0.0])
+    log = followed.log
+    R = log.orientations
+    with pytest.raises(OdometryJump, match="a jump of"):
+        localizer.update(
+            log.times[100], T * RigidTransform.from_components(log.positions[100], R[100]),
+            R[100].inv().apply(log.field[100]),
+        )  # fmt: skip
+    found = feed(localizer, log, slice(101, 140), T=T)
+    assert all(e.is_stated for e in found)
+    assert np.linalg.norm(found[-1].T_map_body.translation - followed.truth[139]) < 0.3
+
+
+def test_a_body_that_stands_still_learns_nothing(place, followed):
+    localizer = mm.Localizer(place)
+    log = followed.log
+    before = feed(localizer, log, slice(0, 100))[-1]
+    T = RigidTransform.from_components(log.positions[99], log.orientations[99])
+    z = log.orientations[99].inv().apply(log.field[99])
+    for n in range(1, 300):
+        localizer.update(log.times[99] + 0.01 * n, T, z)
+    after = localizer.estimate()
+    np.testing.assert_array_equal(after.T_map_body.as_matrix(), before.T_map_body.as_matrix())
+    assert after.probability == before.probability
+
+
+def test_other_things_than_maps_and_logs_are_named(place):
+    with pytest.raises(TypeError, match="build_map"):
+        mm.Localizer("hall.map")
+    with pytest.raises(TypeError, match="config"):
+        mm.Localizer(place, mm.SlamConfig())
+    log, _ = drifting_walk(Place(1), 3, laps=0.5)
+    with pytest.raises(mm.SurveyError, match="times"):
+        mm.localize(place, mm.Survey(log.positions, log.field))

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A body is found in the right map of a folder, and in none where its own is missing."""
+
+import numpy as np
+import pytest
+
+import magmatch as mm
+from drifting import Place, drifting_walk
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Maps of three places; the walks are of the second and of a fourth."""
+    folder = tmp_path_factory.mktemp("maps")
+    rng = np.random.default_rng(5)
+    for k, name in enumerate(("attic", "cellar", "hall")):
+        _, truth = drifting_walk(Place(40 + k), 40 + k, laps=3.0)
+        field = Place(40 + k).field(truth) + 2e-7 * rng.standard_normal(truth.shape)
+        mm.build_map(mm.Survey(truth, field, name=name)).save(folder / f"{name}.map")
+    return folder
+
+
+def test_the_right_map_of_a_folder_is_named_and_the_pose_is_in_it(folder):
+    log, truth = drifting_walk(Place(41), 51, laps=1.2, start=1.0)
+    track = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True))
+    result = track.result()
+    assert result.map == "cellar.map"
+    assert {s.map for s in result.segments} <= {None, "cellar.map"}
+    assert result.share > 0.7
+    error = np.linalg.norm(track.poses.translation - truth[track.is_stated], axis=1)
+    assert np.median(error) < 0.1
+
+
+def test_a_walk_of_no_map_in_the_folder_is_nowhere(folder):
+    log, _ = drifting_walk(Place(77), 52, laps=1.2)
+    track = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True))
+    assert not track.is_stated.any()
+
+
+def test_a_rigid_survey_is_still_registered_to_an_atlas(folder):
+    _, truth = drifting_walk(Place(42), 53, laps=0.6)
+    result = mm.localize(mm.open_atlas(folder), mm.Survey(truth, Place(42).field(truth)))
+    assert isinstance(result, mm.RegistrationResult)
+    assert result.base in ("hall.map", None)

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is written of a track is what was known, at the times it was known for."""
+
+import numpy as np
+
+import magmatch as mm
+
+
+def test_the_stated_poses_are_written_at_their_times(followed, tmp_path):
+    track = followed.track
+    track.save(tmp_path / "where.tum")
+    read = mm.Trajectory.load(tmp_path / "where.tum")
+    np.testing.assert_array_equal(read.times, followed.log.times[track.is_stated])
+    np.testing.assert_array_equal(read.positions, track.poses.translation)
+
+
+def test_poses_between_the_samples_are_written_at_their_own_times(followed, tmp_path):
+    log, track = followed.log, followed.track
+    middle = (log.times[:-1] + log.times[1:]) / 2
+    track.save(tmp_path / "where.tum", mm.Trajectory(log.times, log.positions, log.orientations))
+    whole = mm.Trajectory.load(tmp_path / "where.tum")
+    np.testing.assert_allclose(whole.positions, track.poses.translation, atol=1e-12)
+    positions, R = mm.Trajectory(log.times, log.positions, log.orientations).interpolate(middle)
+    track.save(tmp_path / "between.tum", mm.Trajectory(middle, positions, R))
+    between = mm.Trajectory.load(tmp_path / "between.tum")
+    np.testing.assert_array_equal(between.times, middle[track.is_stated[:-1]])
+    p, _ = whole.interpolate(between.times[:-1])
+    assert np.median(np.linalg.norm(between.positions[:-1] - p, axis=1)) < 0.02
+
+
+def test_the_result_reads_back_as_it_was_written(followed, tmp_path):
+    result = followed.track.result()
+    result.save(tmp_path / "result.json")
+    assert mm.LocalizationResult.load(tmp_path / "result.json").to_dict() == result.to_dict()
+    assert result.first_fix[0] == followed.log.times[np.argmax(followed.track.is_stated)]
+    assert result.segments[0].t0 == followed.log.times[0]
+    assert result.segments[-1].t1 == followed.log.times[-1]
