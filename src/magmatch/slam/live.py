@@ -18,7 +18,7 @@ from magmatch.slam.numbers import N_PARTS
 from magmatch.slam.places import Places, begin, settled
 from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.tie import Candidate
-from magmatch.slam.windows import Path, Window, walked_along
+from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Vector3
 
@@ -145,7 +145,8 @@ class LiveLog:
         walked = path.walked[-1] + step + walked_along(part, BIN_LENGTH * length)
         middle = int(np.searchsorted(walked, (walked[0] + walked[-1]) / 2))
         k, first = len(path.windows), path.windows[0]
-        window = Window(first.log, path.first_node + k, part, part.positions[middle], length, first.config)
+        node, center = path.first_node + k, part.positions[middle]
+        window = Window(first.log, node, part, center, length, first.config, mean_field(whole))
         return Path(
             whole,
             np.concatenate([path.walked, walked]),

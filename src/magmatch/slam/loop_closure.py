@@ -70,7 +70,10 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     prior = _prior(window, base, config, expected)
     found = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
     starts = [c.T_base_target for c in found.candidates]
-    weighed = weigh_walk(index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending)
+    around = window.around if isinstance(expected, Rough) else None
+    weighed = weigh_walk(
+        index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, around
+    )
     M = adjoint(window.T_middle_node.inv())
     # Poses that the data cannot tell apart are one answer.
     same = SAME_SHIFT * index.length, SAME_TURN

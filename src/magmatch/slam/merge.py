@@ -26,7 +26,7 @@ from magmatch.slam.graph.pose_graph import MOST_ODDS, Closure, PoseGraph
 from magmatch.slam.places import Places
 from magmatch.slam.session import Session
 from magmatch.slam.statement import covariance_about
-from magmatch.slam.windows import Path, Window
+from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Points
 
@@ -128,7 +128,7 @@ def _rigid(survey: Survey, k: int) -> Path:
     """A survey as one window, its node at the centroid."""
     walked = path_walked(survey.positions)
     config = SlamConfig(is_gravity_aligned=False)
-    window = Window(k, k, survey, survey.centroid, max(float(walked[-1]), 1e-9), config)
+    window = Window(k, k, survey, survey.centroid, max(float(walked[-1]), 1e-9), config, mean_field(survey))
     return Path(survey, walked, np.zeros(len(survey), np.int64), (window,), np.zeros(1, np.int64), k)
 
 

@@ -34,6 +34,8 @@ class Window:
         Place of the middle sample, the node's origin; the node's axes are the odometry's.
     length : float, m
         Field length.
+    log_field : (vector, float)
+        Mean of the field along the whole log (T), odometry's frame, and variance of a component about it (T^2).
     """
 
     log: int
@@ -42,6 +44,7 @@ class Window:
     center: Vector3
     length: float
     config: SlamConfig
+    log_field: tuple[Vector3, float]
 
     @property
     def T_log_node(self) -> RigidTransform:
@@ -52,6 +55,12 @@ class Window:
     def walk(self) -> Walk:
         """In bins along the path."""
         return walk_of(self.survey, self.length)
+
+    @property
+    def around(self) -> tuple[Vector3, float]:
+        """Mean and variance of the log's field, walk's axes."""
+        mean, variance = self.log_field
+        return mean @ rotation_matrix(self.walk.T_survey_walk), variance
 
     @property
     def T_middle_node(self) -> RigidTransform:
@@ -142,13 +151,19 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int =
         ends = np.searchsorted(number, np.arange(n + 1))
         half = [(walked[a] + walked[b - 1]) / 2 for a, b in pairwise(ends)]
         middles = np.clip(np.searchsorted(walked, half), ends[:-1], ends[1:] - 1)
+        whole = mean_field(survey)
         windows = tuple(
-            Window(log, first + k, survey.subset(number == k), survey.positions[middle], length, config)
+            Window(log, first + k, survey.subset(number == k), survey.positions[middle], length, config, whole)
             for k, middle in enumerate(middles)
         )
         paths.append(Path(survey, walked, number, windows, middles, first))
         log, first = log + 1, first + n
     return paths
+
+
+def mean_field(survey: Survey) -> tuple[Vector3, float]:
+    """Mean of a log's field (T), and variance of a component about it (T^2)."""
+    return survey.field.mean(axis=0), float(survey.field.var(axis=0).mean())
 
 
 def walked_along(survey: Survey, side: float) -> Scalars:

@@ -106,6 +106,7 @@ def weigh_walk(
     prior: PosePrior,
     config: LineConfig,
     bending: np.ndarray | None = None,
+    around: tuple[Vector3, float] | None = None,
 ) -> list[LineEvidence]:
     """Refine poses of a walk and order them by their evidence.
 
@@ -123,6 +124,9 @@ def weigh_walk(
     bending : (n, 6, m) array, optional
         How m independent errors of unit variance turn (rad) and shift (m) each bin of a walk whose shape is known
         by dead reckoning alone, about its own place, walk's axes; takes the place of the noise's drift.
+    around : (vector, float), optional
+        Mean of the field wherever the walk may be (T), walk's axes, and variance of a component about it (T^2): where
+        the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
 
     Returns
     -------
@@ -133,7 +137,7 @@ def weigh_walk(
         return []
     distance = cdist(walk.positions, walk.positions)
     squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
-    null = UnrelatedWalk.most_likely(walk, distance, noise, length)
+    null = UnrelatedWalk.most_likely(walk, distance, noise, length, around)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False), config)
@@ -171,23 +175,32 @@ class UnrelatedWalk:
     noise: PathNoise
 
     @classmethod
-    def most_likely(cls, walk: Walk, distance: Matrix, noise: PathNoise, length: float) -> "UnrelatedWalk":
+    def most_likely(
+        cls,
+        walk: Walk,
+        distance: Matrix,
+        noise: PathNoise,
+        length: float,
+        around: tuple[Vector3, float] | None = None,
+    ) -> "UnrelatedWalk":
         """Choose lengthscale and strength by the likelihood of the walk's field."""
         n = len(walk)
         some = np.unique(np.linspace(0, n - 1, min(n, NULL_BINS)).astype(np.int64))
         d2 = distance[np.ix_(some, some)] ** 2
         spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
-        constant = float((walk.field**2).sum(axis=1).mean()) / 3
+        square = float((walk.field**2).sum(axis=1).mean()) / 3
+        mean, constant = around or (np.zeros(3), square)
+        field = walk.field - mean
         errors = noise.isotropic(distance, np.zeros(n))
-        errors = errors + 2 * constant * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
+        errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
         best, chosen = -np.inf, (length, spread2)
         for factor, strength in product(NULL_LENGTHSCALES, NULL_STRENGTHS):
             numbers = factor * length, strength**2 * spread2
             K = _unrelated_covariance(d2, *numbers, constant) + errors[np.ix_(some, some)]
-            found = _log_likelihood(walk.field[some], K, noise)
+            found = _log_likelihood(field[some], K, noise)
             if found > best:
                 best, chosen = found, numbers
-        return cls(walk.field, _unrelated_covariance(distance**2, *chosen, constant) + errors, noise)
+        return cls(field, _unrelated_covariance(distance**2, *chosen, constant) + errors, noise)
 
     def log_likelihood(self, rows: Mask) -> float:
         """Log density of some bins' field (the factor of 2 pi left out)."""

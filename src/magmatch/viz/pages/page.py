@@ -140,7 +140,7 @@ def _terms_of(sections: Sequence[Section]) -> list[Section]:
     told = "".join(
         f'<dt id="{_anchor(term)}">{escape(term)}</dt><dd>{escape(said)}</dd>' for term, said in used.items()
     )
-    return [Section("Terms", [details(f"What {len(used)} words mean", f"<dl>{told}</dl>")])] if used else []
+    return [Section("Terms", [details("What the words mean", f"<dl>{told}</dl>")])] if used else []
 
 
 def _anchor(term: str) -> str:
