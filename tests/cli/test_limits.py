@@ -104,8 +104,11 @@ def test_a_wide_spread_and_a_modest_probability_accept_what_was_accepted(place, 
     assert result["T_base_target"] == before["T_base_target"]
 
 
-def test_a_probability_beyond_what_is_reached_refuses(place, run):
-    code, result = registered(run, place, "--min-probability", "0.9999999999999999")
+def test_a_probability_beyond_what_is_reached_refuses(place, run, tmp_path):
+    # To double precision good evidence is certain: here it stands against odds.
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("decision:\n  prior_odds: 1.0e-40\n", encoding="utf-8")
+    code, result = registered(run, place, "--min-probability", "0.9999", "--config", str(settings))
     assert code == 3
     assert result["T_base_target"] is None
     assert result["status"] in ("inconsistent", "uninformative", "no_overlap", "ambiguous")

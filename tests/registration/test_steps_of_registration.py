@@ -130,8 +130,8 @@ def test_a_pose_elsewhere_takes_its_share_and_prior_odds_theirs():
     there = decided([best], elsewhere=log_odds(100.0, 1.0, "map"))
     assert there.status is Status.AMBIGUOUS
     assert there.probability == pytest.approx(0.5, abs=1e-4)
-    sceptical = decided([best], config=DecisionConfig(prior_odds=1e-9))
-    odds = 1e-9 * np.exp(log_odds(100.0, 1.0, "map"))
+    sceptical = decided([best], config=DecisionConfig(prior_odds=1e-11))
+    odds = 1e-11 * np.exp(log_odds(100.0, 1.0, "map"))
     assert not sceptical.is_accepted
     assert sceptical.probability == pytest.approx(odds / (1 + odds))
 
