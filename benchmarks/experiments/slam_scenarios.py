@@ -13,17 +13,26 @@ run goes on where the first ended.
 """
 
 import os
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
+from slam_walks import aligned_rms
 
 import magmatch as mm
 from magmatch.geometry import path_walked
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import field_of
-from magmatch.simulation.paths import around_loop, boustrophedon, circles, loop_length, resample, smooth_noise, wander
+from magmatch.simulation.paths import (
+    around_loop,
+    boustrophedon,
+    circles,
+    heading_along,
+    loop_length,
+    resample,
+    smooth_noise,
+    wander,
+)
 from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
 from magmatch.slam.config import OdometryConfig
 from magmatch.slam.graph.pose_graph import Closure
@@ -75,7 +84,7 @@ def drifted(path: np.ndarray, field: np.ndarray, percent: float, rng: np.random.
     steps = np.diff(path, axis=0)
     length = np.linalg.norm(steps, axis=1)
     total = length.sum()
-    ahead = np.unwrap(np.arctan2(*np.gradient(path[:, :2], axis=0).T[::-1]))
+    ahead = heading_along(path)
     turned = np.concatenate(
         [[0], np.cumsum(np.radians(percent) * np.sqrt(length / 10) * rng.standard_normal(len(length)))]
     )
@@ -88,21 +97,12 @@ def drifted(path: np.ndarray, field: np.ndarray, percent: float, rng: np.random.
     wrong = mm.Survey(
         positions, about_z(turned).apply(measured), times=path_walked(path), orientations=sensor, name="walk.csv"
     )
-    return wrong.transformed(RigidTransform.from_rotation(about_z(rng.uniform(-np.pi, np.pi))))
+    return wrong.transformed(RigidTransform.from_rotation(Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))))
 
 
-def about_z(angles: np.ndarray | float) -> Rotation:
+def about_z(angles: np.ndarray) -> Rotation:
     """Turns about the vertical."""
-    return (
-        Rotation.from_euler("z", np.reshape(angles, (-1, 1))) if np.ndim(angles) else Rotation.from_euler("z", angles)
-    )
-
-
-def error(path: np.ndarray, positions: np.ndarray) -> float:
-    """Rms distance after one rigid alignment in the plane, m."""
-    a, b = (x[:, :2] - x[:, :2].mean(axis=0) for x in (positions, path))
-    U, _, Vt = np.linalg.svd(a.T @ b)
-    return float(np.sqrt(((a @ U @ np.diag([1, np.linalg.det(U @ Vt)]) @ Vt - b) ** 2).sum(axis=1).mean()))
+    return Rotation.from_euler("z", angles[:, None])
 
 
 def heading_error(log: mm.Survey, truth: Rotation) -> float:
@@ -151,7 +151,7 @@ def work(name: str) -> dict[str, object]:
     rng = np.random.default_rng([PLACES.index(kind), int(seed)])
     path, field = place(kind, int(passes), rng)
     log = drifted(path, field, float(percent), rng)
-    ahead = about_z(np.unwrap(np.arctan2(*np.gradient(path[:, :2], axis=0).T[::-1])))
+    ahead = about_z(heading_along(path))
     length = float(path_walked(path)[-1])
     # As its maker states it: of 10 m, per axis.
     sd = (float(percent) / 100 * np.sqrt(length * 10 / 2), float(percent))
@@ -168,9 +168,10 @@ def work(name: str) -> dict[str, object]:
     after, nees = session.trajectories[0], nees_of(session, path, ahead)
     return {
         "name": name, "length": length, "field_length": field_length,
-        "before": error(path, log.positions), "after": error(path, after.positions),
+        "before": aligned_rms(log.positions[:, :2], path[:, :2]),
+        "after": aligned_rms(after.positions[:, :2], path[:, :2]),
         "heading": [heading_error(log, ahead), heading_error(after, ahead)], "nees": nees,
-        "ceiling": error(path, ceiling(session, path, turned).positions),
+        "ceiling": aligned_rms(ceiling(session, path, turned).positions[:, :2], path[:, :2]),
         "closures": len(off), "off": off, "wrong": int(wrong), "survive": int(survive), "seconds": seconds,
         "processor": processor,
     }  # fmt: skip
@@ -182,7 +183,7 @@ def main() -> None:
     seeds = range(asked.first, asked.first + (3 if asked.quick else asked.seeds))
     groups = [f"{kind} {passes} {percent}" for kind in PLACES for passes in PASSES for percent in DRIFTS]
     wanted = [f"{group} {seed}" for seed in seeds for group in groups]
-    rows = kept(asked.out / "scenarios.jsonl", wanted, partial(work), jobs=asked.jobs)
+    rows = kept(asked.out / "scenarios.jsonl", wanted, work, jobs=asked.jobs)
     table = []
     for group in groups:
         some = [rows[f"{group} {seed}"] for seed in seeds if f"{group} {seed}" in rows]

@@ -51,7 +51,11 @@ def error(found: list[tuple[np.ndarray, np.ndarray]], truths: list[np.ndarray]) 
         rows = truth[(truth[:, 0] >= times[0]) & (truth[:, 0] <= times[-1])]
         a.append(np.stack([np.interp(rows[:, 0], times, column) for column in positions.T[:2]], axis=1))
         b.append(rows[:, 1:])
-    x, y = (np.concatenate(parts) for parts in (a, b))
+    return aligned_rms(*(np.concatenate(parts) for parts in (a, b)))
+
+
+def aligned_rms(x: np.ndarray, y: np.ndarray) -> float:
+    """Rms distance of points (n, 2) from true ones after one rigid alignment in the plane, m."""
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
     U, _, Vt = np.linalg.svd(x.T @ y)
     turn = U @ np.diag([1, np.linalg.det(U @ Vt)]) @ Vt

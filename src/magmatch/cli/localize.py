@@ -11,7 +11,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of
 from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
-from magmatch.cli.option_values import numbers, refuse
+from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.places import read_place, read_walk
 from magmatch.cli.settings import merged, read_settings
@@ -73,8 +73,7 @@ def localize(
     from magmatch.localization.localize import localize as run
     from magmatch.localization.smooth import smooth as with_hindsight
 
-    if planar and no_gravity:
-        refuse("--planar", "z up, as one floor needs", "--no-gravity")
+    switches = vertical(planar=planar, no_gravity=no_gravity)
     check_outputs((out, report), inputs=(place, log, *([config] if config else [])))
     if report is not None:
         from magmatch.cli.sessions import require_pictures
@@ -82,9 +81,6 @@ def localize(
         require_pictures()
     settings = LocalizerConfig() if config is None else merged(LocalizerConfig(), read_settings(config), config)
     settings = with_limits(settings, min_probability, max_sd)
-    switches: dict[str, object] = (
-        {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
-    )
     if odometry_sd is not None:
         sd = tuple(numbers("--odometry-sd", odometry_sd, 2, "metres,degrees, such as 0.3,4"))
         if min(sd) <= 0:

@@ -26,6 +26,13 @@ def one_of(option: str, value: str, known: Iterable[str]) -> str:
     return value
 
 
+def vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:
+    """Settings that ``--planar`` and ``--no-gravity`` change."""
+    if planar and no_gravity:
+        refuse("--planar", "z up, as one floor needs", "--no-gravity")
+    return {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
+
+
 def refuse(option: str, expected: str, found: str) -> NoReturn:
     """Refuse a value that an option does not take."""
     msg = f"{option}: expected {expected}; found '{found}'"

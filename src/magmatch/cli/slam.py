@@ -9,7 +9,7 @@ import typer
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of, read_samples
-from magmatch.cli.option_values import numbers, refuse
+from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.sessions import deliver, require_pictures
 from magmatch.cli.settings import merged, read_settings
@@ -76,15 +76,13 @@ def slam(
     from magmatch.slam.output.kept_session import read_session
     from magmatch.slam.session import Session
 
-    if planar and no_gravity:
-        refuse("--planar", "z up, as one floor needs", "--no-gravity")
+    switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):
         refuse("--continue", "the settings of the session that it goes on with", "others")
     check_folder(out)
     check_outputs([rerun], logs)
     require_pictures(rerun)
     settings = SlamConfig() if config is None else merged(SlamConfig(), read_settings(config), config)
-    switches = {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
     settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
     surveys = [read_samples(path, layouts) for path in logs]
     if not any(":" not in text for text in odometry_sd or []):

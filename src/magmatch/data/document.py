@@ -8,8 +8,9 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -92,6 +93,36 @@ def read_typed(
     except ValidationError as error:
         place, words = first_fault(error)
         raise DataFormatError(path, f"key '{place}': {words}") from None
+
+
+class TypedDocument:
+    """A dataclass that is a file: its fields, in their order, under a schema."""
+
+    __slots__ = ()
+    SCHEMA: ClassVar[str]
+    # What errors call it, and how large it is at most.
+    KIND: ClassVar[str]
+    MAX_BYTES: ClassVar[int] = 256 * 1024**2
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the result says, in lists, numbers and words, keys and order as in the file."""
+        names = [f.name for f in fields(self)]  # type: ignore[arg-type]
+        return {"schema": self.SCHEMA} | {name: plain(getattr(self, name), name) for name in names}
+
+    def save(self, path: str | Path) -> None:
+        """Write the result as JSON, whole or not at all."""
+        write_document(path, self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a result; saving it again gives the same bytes.
+
+        Raises
+        ------
+        DataFormatError
+            Not such a file, or one of its values cannot be; names the key.
+        """
+        return read_typed(path, partial(TypeAdapter, cls), cls.SCHEMA, cls.KIND, cls.MAX_BYTES)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

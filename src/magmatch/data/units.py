@@ -19,6 +19,8 @@ UNITS_PER_SECOND: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns":
 # or so, hence the wider window in which a median magnitude is ordinary.
 EARTH_FIELD = 48e-6
 ORDINARY_FIELD = (10e-6, 200e-6)
+# Path over which standard deviations of odometry are stated, m.
+STATED_OVER = 10.0
 
 
 Unit = TypeVar("Unit", bound=str)

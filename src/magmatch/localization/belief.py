@@ -23,6 +23,7 @@ from magmatch.localization.null_model import NullModel
 from magmatch.localization.start import search
 from magmatch.localization.state import BIAS, Bank, model_of, predict
 from magmatch.registration.decide.decision import in_words
+from magmatch.registration.decide.estimate import worst_sd
 from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
 from magmatch.registration.prepared.walk import BIN_LENGTH
 from magmatch.typing import Matrix
@@ -158,9 +159,8 @@ class Belief:
             self._trail = []
 
     def _is_known_well(self, one: Weighed) -> bool:
-        blocks = one.covariance[3:, 3:], one.covariance[:3, :3]
         most = self._config.decision.max_sd(self._known.length)
-        return all(np.linalg.eigvalsh(C)[-1] <= sd**2 for C, sd in zip(blocks, most, strict=True))
+        return all(sd <= limit for sd, limit in zip(worst_sd(one.covariance), most, strict=True))
 
     def estimate(self, T: Matrix) -> Estimate:
         """What is known now, at a pose in the odometry's frame, (4, 4)."""

@@ -1,22 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What following a log through a map came to: one typed document."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cache
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, TypeAdapter
 from typing_extensions import TypedDict
 
-from magmatch.data.document import plain, read_typed, write_document
+from magmatch.data.document import TypedDocument
 from magmatch.localization.estimate import LocalizerStatus
-from magmatch.registration.result import Count, Fraction, Number, NumberOrNull, Three
-
-SCHEMA = "magmatch.localization/1"
-MAX_BYTES = 256 * 1024**2
-Length = Annotated[Number, Field(ge=0)]
+from magmatch.registration.result import Count, Fraction, Length, Number, NumberOrNull, Three
 
 
 class LocalizationStatus(StrEnum):
@@ -63,7 +56,7 @@ class OdometryResult(TypedDict):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LocalizationResult:
+class LocalizationResult(TypedDocument):
     """The answer of `localize`; fields stand in the order of the file.
 
     Attributes
@@ -85,6 +78,9 @@ class LocalizationResult:
         Enough to run it again and get the same numbers.
     """
 
+    SCHEMA = "magmatch.localization/1"
+    KIND = "result of localize"
+
     status: LocalizationStatus
     reason: str
     map: str | None = None
@@ -104,28 +100,3 @@ class LocalizationResult:
     def is_localized(self) -> bool:
         """Whether any pose is stated."""
         return self.status is not LocalizationStatus.NEVER
-
-    def to_dict(self) -> dict[str, Any]:
-        """What the result says, in lists, numbers and words, keys and order as in the file."""
-        return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name), f.name) for f in fields(self)}
-
-    def save(self, path: str | Path) -> None:
-        """Write the result as JSON, whole or not at all."""
-        write_document(path, self.to_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> "LocalizationResult":
-        """Read a result; saving it again gives the same bytes.
-
-        Raises
-        ------
-        DataFormatError
-            Not such a file, or one of its values cannot be; names the key.
-        """
-        return read_typed(path, _adapter, SCHEMA, "result of localize", MAX_BYTES)
-
-
-@cache
-def _adapter() -> TypeAdapter[LocalizationResult]:
-    """Built when the first file is read."""
-    return TypeAdapter(LocalizationResult)

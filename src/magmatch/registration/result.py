@@ -42,6 +42,7 @@ Number = Annotated[float, Strict()]
 NULL_IS_NAN = WrapValidator(lambda value, read: math.nan if value is None else read(value))
 NumberOrNull = Annotated[Number, NULL_IS_NAN]
 Fraction = Annotated[Number, Field(ge=0, le=1)]
+Length = Annotated[Number, Field(ge=0)]
 Count = Annotated[int, Strict(), Field(ge=0)]
 Three = Annotated[list[T], Field(min_length=3, max_length=3)]
 Four = Annotated[list[T], Field(min_length=4, max_length=4)]

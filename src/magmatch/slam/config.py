@@ -4,12 +4,10 @@
 import numpy as np
 from pydantic import Field
 
+from magmatch.data.units import STATED_OVER
 from magmatch.registration.search.pair_search import PairSearchConfig
 from magmatch.registration.weigh.line_evidence import LineConfig
 from magmatch.settings import Settings
-
-# Path over which the odometry's standard deviations are stated, m.
-STATED_OVER = 10.0
 
 
 class OdometryConfig(Settings):

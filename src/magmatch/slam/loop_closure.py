@@ -8,11 +8,11 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import adjoint
-from magmatch.registration.decide.posterior import effective_evidence, is_same_answer
+from magmatch.registration.decide.posterior import distinct, effective_evidence
 from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
+from magmatch.registration.weigh.line_evidence import weigh_walk
 from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
@@ -77,10 +77,6 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     M = adjoint(window.T_middle_node.inv())
     # Poses that the data cannot tell apart are one answer.
     same = SAME_SHIFT * index.length, SAME_TURN
-    kept: list[LineEvidence] = []
-    for e in weighed:
-        if np.isfinite(e.log_evidence) and not any(is_same_answer(e, other, same) for other in kept):
-            kept.append(e)
     return [
         Match(
             index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv(),
@@ -88,7 +84,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
             effective_evidence(e.log_evidence, e.misfit),
             prior.log_density(e.T_base_target, e.center),
         )
-        for e in kept
+        for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same)
     ]
 
 

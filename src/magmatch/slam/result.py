@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What slam and merge found, how sure they are, and what was rejected: one typed document."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cache
-from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 from typing_extensions import TypedDict
 
-from magmatch.data.document import plain, read_typed, write_document
-from magmatch.registration.result import Count, Covariance, Fraction, Number, NumberOrNull, Three, Transform
-
-SCHEMA = "magmatch.slam/1"
-MAX_BYTES = 256 * 1024**2
-Length = Annotated[Number, Field(ge=0)]
+from magmatch.data.document import TypedDocument
+from magmatch.registration.result import Count, Covariance, Fraction, Length, Number, NumberOrNull, Three, Transform
 
 
 class SlamStatus(StrEnum):
@@ -136,7 +130,7 @@ class Odometry(TypedDict, total=False):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class SlamResult:
+class SlamResult(TypedDocument):
     """The answer of `slam` or `merge`; fields stand in the order of the file.
 
     Attributes
@@ -157,6 +151,9 @@ class SlamResult:
         Enough to run it again and get the same numbers.
     """
 
+    SCHEMA = "magmatch.slam/1"
+    KIND = "result of slam or merge"
+
     status: SlamStatus
     reason: str
     logs: tuple[LogResult, ...]
@@ -173,28 +170,3 @@ class SlamResult:
     def is_connected(self) -> bool:
         """Whether every log is in one frame, or the only one corrected."""
         return self.status is SlamStatus.CONNECTED
-
-    def to_dict(self) -> dict[str, Any]:
-        """What the result says, in lists, numbers and words, keys and order as in the file."""
-        return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name), f.name) for f in fields(self)}
-
-    def save(self, path: str | Path) -> None:
-        """Write the result as JSON, whole or not at all."""
-        write_document(path, self.to_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> "SlamResult":
-        """Read a result; saving it again gives the same bytes.
-
-        Raises
-        ------
-        DataFormatError
-            Not such a file, or one of its values cannot be; names the key.
-        """
-        return read_typed(path, _adapter, SCHEMA, "result of slam or merge", MAX_BYTES)
-
-
-@cache
-def _adapter() -> TypeAdapter[SlamResult]:
-    """Built when the first file is read."""
-    return TypeAdapter(SlamResult)

@@ -74,9 +74,9 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
 
 def far_candidates(window: Window, bases: Sequence[Base], graph: PoseGraph) -> list[Candidate]:
     """Where a window may lie on whole logs, from nowhere; bases in their components' frames."""
-    volume = sum(base.volume for base in bases)
     if not window.keeps_shape:
         return []
+    volume = sum(base.volume for base in bases)
     return [c for base in bases for c in _candidates(window, base, float(volume), graph.pose)]
 
 

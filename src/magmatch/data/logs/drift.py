@@ -14,13 +14,13 @@ from magmatch.data.logs.log import batches
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.read import list_topics
 from magmatch.data.tables.gzipped import plain_file
+from magmatch.data.units import STATED_OVER
+from magmatch.geometry import path_walked
 from magmatch.typing import Points, Scalars, Tensors
 
 logger = logging.getLogger(__name__)
 
 ODOMETRY = "nav_msgs/Odometry"
-# Path over which the standard deviations are stated, m.
-STATED_OVER = 10.0
 # Poses looked at.
 MOST_POSES = 2000
 
@@ -71,15 +71,14 @@ def drift(positions: Points, covariances: Tensors) -> tuple[float, float] | None
     x, C = positions[rows, :2], covariances[rows][:, [0, 1, 5]][:, :, [0, 1, 5]]
     if len(rows) < 3 or not (np.isfinite(x).all() and np.isfinite(C).all()):
         return None
-    steps = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    s = np.concatenate([[0.0], np.cumsum(steps)])
+    s = path_walked(x)
     place, turn = C[:, 0, 0] + C[:, 1, 1], C[:, 2, 2]
     moved = s > s[-1] / 2
     is_one = s[-1] > 0 and np.linalg.eigvalsh(C[moved])[:, 0].min() > 0 and place.max() < s[-1] ** 2
     if not is_one or turn.max() > np.pi**2 or not _grows(turn, s):
         return None
     # What each step adds to what the turns before it carry along.
-    F = np.tile(np.eye(3), (len(steps), 1, 1))
+    F = np.tile(np.eye(3), (len(x) - 1, 1, 1))
     F[:, 0, 2], F[:, 1, 2] = -np.diff(x[:, 1]), np.diff(x[:, 0])
     added = (C[1:] - F @ C[:-1] @ np.swapaxes(F, 1, 2)).sum(axis=0)
     p, q = (added[0, 0] + added[1, 1]) / (2 * s[-1]), added[2, 2] / s[-1]

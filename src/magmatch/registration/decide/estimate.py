@@ -54,10 +54,7 @@ class Estimate:
     @property
     def worst_sd(self) -> tuple[float, float]:
         """Standard deviation in the worst direction, of the place (m) and of the turn (rad); inf where not known."""
-        if self.covariance is None:
-            return np.inf, np.inf
-        turn, shift = (float(np.linalg.eigvalsh(C)[-1]) for C in (self.covariance[:3, :3], self.covariance[3:, 3:]))
-        return np.sqrt(max(shift, 0.0)), np.sqrt(max(turn, 0.0))
+        return (np.inf, np.inf) if self.covariance is None else worst_sd(self.covariance)
 
     def free_directions(self, max_sd: tuple[float, float]) -> tuple[DegenerateDirection, ...]:
         """Directions in which the pose is worse known than allowed (m, rad), worst first, with words in base axes."""
@@ -73,6 +70,12 @@ class Estimate:
             motion, along = ("turning about", theta) if is_turn else ("sliding along", rho)
             found.append(DegenerateDirection(xi / np.linalg.norm(xi), f"{motion} base {_axis_words(R @ along)}"))
         return tuple(found)
+
+
+def worst_sd(covariance: Covariance6) -> tuple[float, float]:
+    """Standard deviation in the worst direction, of the place (m) and of the turn (rad)."""
+    turn, shift = (float(np.linalg.eigvalsh(C)[-1]) for C in (covariance[:3, :3], covariance[3:, 3:]))
+    return np.sqrt(max(shift, 0.0)), np.sqrt(max(turn, 0.0))
 
 
 def _axis_words(v: np.ndarray) -> str:

@@ -13,7 +13,7 @@ the numbers are fitted to pairs of known truth; they lie in ``fitted.json`` with
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -135,11 +135,7 @@ def posterior_over(
     -------
     Posterior
     """
-    kept: list[H] = []
-    for h in _ranked(hypotheses):
-        if not any(is_same_answer(h, other, tolerance) for other in kept):
-            kept.append(h)
-    return posterior_of(kept, prior_odds, elsewhere)
+    return posterior_of(distinct(_ranked(hypotheses), tolerance), prior_odds, elsewhere)
 
 
 def posterior_of(distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
@@ -154,6 +150,15 @@ def posterior_of(distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: floa
 def _ranked(hypotheses: Sequence[H]) -> list[H]:
     odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind) for h in hypotheses}
     return sorted((h for h in hypotheses if np.isfinite(odds[id(h)])), key=lambda h: -odds[id(h)])
+
+
+def distinct(ranked: Iterable[H], tolerance: tuple[float, float]) -> list[H]:
+    """Poses of which no two are one answer, the first of each."""
+    kept: list[H] = []
+    for h in ranked:
+        if not any(is_same_answer(h, other, tolerance) for other in kept):
+            kept.append(h)
+    return kept
 
 
 def is_same_answer(one: Hypothesis, other: Hypothesis, tolerance: tuple[float, float]) -> bool:
