@@ -1,11 +1,13 @@
 """Pairs of known truth: fit how evidence turns into probability, or report how good stated probabilities are.
 
     python benchmarks/experiments/fit_decision.py --out DIR [--first 510000] [--rooms 20] [--kinds 8] [--walks 40]
-        [--areas 20] [--pairs 1000] [--jobs 2] [--minutes M] [--from RECORDINGS] [--fit] [--save NAME]
+        [--areas 20] [--pairs 1000] [--overlaps 100 75 50 30 15] [--moved 10 20 30 40] [--lengths 20 10 5] [--jobs 2]
+        [--minutes M] [--from RECORDINGS] [--fit] [--save NAME]
 
-Registered are rooms of five overlaps, rooms with moved sources, rooms and robots of 18 further kinds, rooms that
-repeat, areas of a building, stretches of 20, 10 and 5 m of its second walk in the map of the first and in the
-map of the other floor, and maps of different places. A pair's name decides its half: the numbers are fitted to one
+Registered are rooms of five overlaps (in %), rooms of which a share of the sources moved (in %), rooms and robots of
+18 further kinds, rooms that repeat, areas of a building, stretches of 20, 10 and 5 m of its second walk in the map of
+the first and in the map of the other floor, and maps of different places. Little overlap and short stretches make
+pairs that are doubtful. A pair's name decides its half: the numbers are fitted to one
 (``--fit`` prints them for ``decide/fitted.json``), all tables are of the other. Pairs of one place and of different
 places weigh alike in the fit, as do maps and walks: the prior odds are one. Maps and rows stay in DIR; a second run
 goes on where the first ended.
@@ -15,7 +17,7 @@ import os
 import zlib
 from collections.abc import Iterator
 from functools import lru_cache, partial
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +46,6 @@ from magmatch_evaluation.statistics import wilson_interval
 from magmatch_evaluation.survey_pairs import area
 
 ROOM = {"room_size": (3.0, 3.0, 0.6)}
-OVERLAPS, MOVED = (100, 75, 50, 30, 15), (10, 20, 30, 40)
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "full": ("office-random", {}),
     "overlap-75": ("office-random", {"overlap": 0.75}),
@@ -180,20 +181,16 @@ def cut_area(floor: int, k: int, maps: Path, source: Path | None) -> tuple[mm.Fi
     return base, mapped, target, T
 
 
-def names(first: int, n_rooms: int, n_kinds: int, n_walks: int, n_areas: int) -> Iterator[str]:
+def names(asked: Any) -> Iterator[str]:
     """Pairs of one place, and walks on the wrong floor."""
-    for k in range(n_rooms):
-        yield from (f"room ov{overlap} {first + 10 * k + j}" for j, overlap in enumerate(OVERLAPS))
-        yield from (f"room moved{share} {first + 10000 + 10 * k + j}" for j, share in enumerate(MOVED))
-    for k in range(n_kinds):
-        yield from (f"room {kind} {first + 20000 + k}" for kind in KINDS)
-    for k in range(n_walks):
-        for floor in (1, 2):
-            for length in (20, 10, 5):
-                yield from (
-                    f"walk {base} {floor} {length} {k}" for base in ("training", f"training-floor{3 - floor}")
-                )
-    for k in range(n_areas):
+    for k in range(asked.rooms):
+        yield from (f"room ov{overlap} {asked.first + 10 * k + j}" for j, overlap in enumerate(asked.overlaps))
+        yield from (f"room moved{share} {asked.first + 10000 + 10 * k + j}" for j, share in enumerate(asked.moved))
+    for k in range(asked.kinds):
+        yield from (f"room {kind} {asked.first + 20000 + k}" for kind in KINDS)
+    for k, floor, length in product(range(asked.walks), (1, 2), asked.lengths):
+        yield from (f"walk {base} {floor} {length} {k}" for base in ("training", f"training-floor{3 - floor}"))
+    for k in range(asked.areas):
         yield from (f"area {floor} {k}" for floor in (1, 2))
 
 
@@ -314,13 +311,14 @@ BIN_COLUMNS = ("prior odds", "stated", "n", "mean stated", "right", "95 % bounds
 
 def main() -> None:
     asked = arguments(
-        __doc__, out=Path, first=510000, rooms=20, kinds=8, walks=40, areas=20, pairs=1000, jobs=os.cpu_count(),
+        __doc__, out=Path, first=510000, rooms=20, kinds=8, walks=40, areas=20, pairs=1000,
+        overlaps=[100, 75, 50, 30, 15], moved=[10, 20, 30, 40], lengths=[20, 10, 5], jobs=os.cpu_count(),
         minutes=np.inf, recordings=None, fit=False, save=saver, save_reliability=saver,
     )  # fmt: skip
     (asked.out / "maps").mkdir(parents=True, exist_ok=True)
     source = asked.recordings and asked.recordings / "cea"
     work, how = partial(make, folder=asked.out, source=source), {"jobs": asked.jobs, "minutes": asked.minutes}
-    wanted = list(names(asked.first, asked.rooms, asked.kinds, asked.walks, asked.areas))
+    wanted = list(names(asked))
     np.random.default_rng(0).shuffle(wanted)
     found = kept(asked.out / "pairs.jsonl", wanted, work, **how)
     wanted = crossed(asked.out, asked.pairs, asked.first)
