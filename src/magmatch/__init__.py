@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Register magnetic surveys: two maps of one place in, one SE(3) transform and its certainty out.
+"""Magnetic maps: make them, register them, correct drifting odometry by them, be found in them.
 
 Names are resolved on first use, so that importing the package costs nothing until work begins.
 """

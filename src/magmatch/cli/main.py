@@ -101,4 +101,4 @@ def _program(
     verbose: Verbose = False,
     debug: Debug = False,
 ) -> None:
-    """Register magnetic surveys: two maps of one place in, one SE(3) transform and its certainty out."""
+    """Magnetic maps: make them, register them, correct drifting odometry by them, be found in them."""
