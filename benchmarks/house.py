@@ -4,7 +4,8 @@
     python benchmarks/house.py [CHECKOUT] [CHECKOUT]
 
 Lines are of all Python in a checkout but the tests, whose own stand below for comparison: of code, of docstring, of
-comment alone, and all. Settings are the leaves of `RegistrationConfig`, a model within a model counted leaf by leaf.
+comment alone, and all. Settings are the leaves of `RegistrationConfig`, a model within a model counted leaf by leaf;
+numbers are all that somebody chose or fitted there, constants too.
 The depth is the number of calls from `register` to the first step of the search, `register` not counted. With two
 checkouts: before and after.
 """
@@ -132,6 +133,28 @@ def settings() -> int:
     return leaves(RegistrationConfig)
 
 
+def numbers(root: Path) -> int:
+    """Numbers that somebody chose in registration: defaults of settings, and what is assigned in modules and classes.
+
+    Those that were fitted count too; the published method and the format of results do not.
+    """
+    room = root / "src/magmatch/registration"
+    fitted = [json.loads(path.read_text(encoding="utf-8")) for path in room.rglob("fitted.json")]
+    count = sum(len(law["offset"]) + ("scale" in law) + ("saturation" in law) for law in fitted)
+    for path in room.rglob("*.py"):
+        if path.parent.name == "published" or path.name in ("result.py", "mapped_arrays.py"):
+            continue
+        module = ast.parse(path.read_text(encoding="utf-8"))
+        bodies = [module.body, *(node.body for node in module.body if isinstance(node, ast.ClassDef))]
+        for node in (node for body in bodies for node in body if isinstance(node, ast.Assign | ast.AnnAssign)):
+            value = node.value
+            if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "Field":
+                value = next((word.value for word in value.keywords if word.arg == "default"), None)
+            found = [] if value is None else [n.value for n in ast.walk(value) if isinstance(n, ast.Constant)]
+            count += sum(type(number) in (int, float) for number in found)
+    return count
+
+
 def exported() -> int:
     """Names that the package itself gives."""
     import magmatch
@@ -195,6 +218,7 @@ def figures(root: Path) -> dict[str, object]:
         "words of the documentation": sum(len((root / p).read_text().split()) for p in files_of(root, ".md")),
         "largest folders": ", ".join(f"{name} {n}" for name, n in largest_folders(root)),
         "settings of registration": asked_inside(root, "settings"),
+        "numbers chosen in registration": numbers(root),
         "names of the package": asked_inside(root, "exported"),
         "public functions and classes": public_names(root),
         "longest page of an algorithm": "; ".join(f"{name} {n}" for name, n in pages.items()),

@@ -11,6 +11,9 @@ from magmatch.registration.search.scoring import Evidence, expected_variance, mi
 from magmatch.threads import side_by_side, slices
 from magmatch.typing import Points, Scalars, Tensors
 
+# Inaccuracy that is granted at each step, as a share of a candidate's own.
+COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
+
 
 def anneal_poses(
     rotations: Tensors,

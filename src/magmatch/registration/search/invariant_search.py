@@ -12,7 +12,7 @@ from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.search.annealing import anneal_poses
+from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.settings import Settings
@@ -49,8 +49,7 @@ class InvariantSearchConfig(Settings):
     n_draws: int = Field(default=8, ge=2)
 
 
-# Granted inaccuracy per annealing step, as a share of the configured one.
-COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
+# As `COARSE_SCHEDULE`, from poses that went through that.
 FINE_SCHEDULE = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
 
 

@@ -14,16 +14,13 @@ from magmatch.registration.prepared.cubes import thin
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.search.annealing import anneal_poses
+from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
-
-# Granted inaccuracy per annealing step, as a share of that of a pose from one pair.
-SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
 
 
 class PairSearchConfig(Settings):
@@ -130,7 +127,7 @@ def pair_search(
     best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.length, config)
     R, pb, pair_rows = R[best], pb[best], pair_rows[best]
     R, pb, scores = anneal_poses(
-        R, pb, pair_rows, pt, rows, evidence, base, np.outer(SCHEDULE, sd), config.outlier_share, damping=0.3
+        R, pb, pair_rows, pt, rows, evidence, base, np.outer(COARSE_SCHEDULE, sd), config.outlier_share, damping=0.3
     )
     moved = _carry(center, R, pb, pt[pair_rows])
     scores[~prior.admits(R, moved, center, (sd[0], sd[1]))] = -np.inf
