@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from magmatch_evaluation.saved_table import ResultTable, saver
+from magmatch_evaluation.saved_table import ResultTable, saver, show
+from magmatch_evaluation.script import kept
 
 SCRIPT = Path(__file__).parents[1] / "benchmarks" / "write_results.py"
 SOME = '{"columns": ["error"], "where": {"case": ["walk"]}}'
@@ -185,6 +186,30 @@ def test_a_benchmark_saves_the_commit_it_began_with(root, monkeypatch):
     assert found.rows == [["room", "0.5"]]
     assert (found.title, found.note, found.remark, found.covers) == ("Errors", "In mm.", "", ["src"])
     assert found.command.endswith("python b.py --seed 3 --from DIR")
+
+
+def test_kept_rows_keep_the_commits_they_were_made_of(root, monkeypatch):
+    monkeypatch.chdir(root)
+    monkeypatch.setattr("sys.argv", ["b.py", "--save", "errors"])
+    for folder in ("evaluation", "benchmarks"):
+        (root / folder / "code.py").parent.mkdir(exist_ok=True)
+        (root / folder / "code.py").write_text("x = 1\n")
+
+    def rows(*names):
+        return kept(root / "rows.jsonl", names, lambda name: {"name": name}).values()
+
+    first = commit(root)
+    rows("a")
+    (root / "src" / "code.py").write_text("x = 2\n")
+    second = commit(root)
+    show(["case", "error"], [["room", "0.5"]], saver("errors"), rows("a", "b"))
+    path = root / "benchmarks" / "results" / "errors.json"
+    assert ResultTable.load(path).commits == sorted([first, second])
+    (root / "benchmarks" / "code.py").write_text("x = 3\n")
+    before = path.read_text()
+    with pytest.raises(ValueError, match="1 of 2 kept rows are of no commit"):
+        show(["case", "error"], [["room", "0.6"]], saver("errors"), rows("a", "c"))
+    assert path.read_text() == before
 
 
 def test_a_benchmark_of_uncommitted_code_saves_nothing(root, monkeypatch):

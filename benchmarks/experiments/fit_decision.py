@@ -332,8 +332,8 @@ def main() -> None:
         law = fit([case for case in everything if is_fitted_to(case[0])])
         print(law.model_dump_json(indent=1))
     by_group, by_bin = report([case for case in everything if not is_fitted_to(case[0])], law)
-    show(GROUP_COLUMNS, by_group, asked.save)
-    show(BIN_COLUMNS, by_bin, asked.save_reliability)
+    show(GROUP_COLUMNS, by_group, asked.save, found.values())
+    show(BIN_COLUMNS, by_bin, asked.save_reliability, found.values())
 
 
 if __name__ == "__main__":

@@ -146,12 +146,12 @@ def main() -> None:
     asked.out.mkdir(parents=True, exist_ok=True)
     make, how = partial(work, asked.out), {"jobs": asked.jobs, "minutes": asked.minutes}
     found = kept(asked.out / "rooms.jsonl", rooms(asked.first, asked.rooms), make, **how)
-    show(ROOM_COLUMNS, table_of_rooms(found), asked.save)
+    show(ROOM_COLUMNS, table_of_rooms(found), asked.save, found.values())
     names = crossed([asked.out, *map(Path, asked.maps)], asked.pairs, asked.first)
     found = kept(asked.out / "pairs.jsonl", names, make, **how)
     accepted = [name for name, row in found.items() if row["status"] == "accepted"]
     each = np.median([float(r["seconds"]) for r in found.values()]) if found else np.nan  # type: ignore[arg-type]
-    show(PAIR_COLUMNS, table_of_pairs(found), asked.save_pairs)
+    show(PAIR_COLUMNS, table_of_pairs(found), asked.save_pairs, found.values())
     print(f"{each:.2f} s each")
     for name in accepted:
         print("  ", name, found[name])

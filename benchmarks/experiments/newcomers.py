@@ -218,7 +218,7 @@ def main() -> None:
     names = [f"{pair} {mode}" for pair in order if drawn[pair] % 8 == 0 or not asked.quick for mode in MODES]
     make = partial(one, asked.data, asked.out)
     found = kept(asked.out / "rows.jsonl", names, make, jobs=asked.jobs, minutes=asked.minutes)
-    show(COLUMNS, table([Row(row) for row in found.values()]), asked.save)
+    show(COLUMNS, table([Row(row) for row in found.values()]), asked.save, found.values())
     for name, row in sorted(found.items()):
         told = Row(row)
         if asked.pairs or told.is_wrong or (told.best_is_right and not told.is_accepted):

@@ -199,7 +199,7 @@ def main() -> None:
             f"{np.median(heading[:, 1] / heading[:, 0]):.2f}", f"{np.median([r['nees'] for r in some]):.2f}",
             total["closures"], total["wrong"], total["survive"], f"{total['seconds'] / total['length']:.3f}",
         ])  # fmt: skip
-    show(COLUMNS, table, asked.save)
+    show(COLUMNS, table, asked.save, rows.values())
 
 
 if __name__ == "__main__":

@@ -9,22 +9,26 @@ import shlex
 import subprocess
 import sys
 from argparse import ArgumentTypeError
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 FOLDER = Path("benchmarks") / "results"
 PACKAGES = ("numpy", "scipy", "numba")
 
 
 class Saver(Protocol):
-    """Saves the columns and rows of one table, and the command if it is not the one that was typed."""
+    """Saves one table: columns, rows, the command if not as typed, and the commits if not that of the start."""
 
     def __call__(  # noqa: D102
-        self, columns: Sequence[str], rows: Sequence[Sequence[str]], command: str | None = None
+        self,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        command: str | None = None,
+        commits: Sequence[str] = (),
     ) -> None: ...
 
 
@@ -104,21 +108,43 @@ def saver(name: str) -> Saver:
         raise ArgumentTypeError(message) from None
     commit = clean_commit(old.covers)
 
-    def save(columns: Sequence[str], rows: Sequence[Sequence[str]], command: str | None = None) -> None:
-        new = replace(
-            old, remark="", command=command or typed(), commits=[commit], machine=this_machine(), date=today()
-        )
-        replace(new, columns=columns, rows=rows).save(path)
+    def save(
+        columns: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        command: str | None = None,
+        commits: Sequence[str] = (),
+    ) -> None:
+        new = replace(old, remark="", command=command or typed(), commits=commits or [commit])
+        replace(new, machine=this_machine(), date=today(), columns=columns, rows=rows).save(path)
 
     return save
 
 
-def show(columns: Sequence[str], rows: Sequence[Sequence[object]], save: Saver | None = None) -> None:
-    """Print a table as Markdown, and save it where that is asked for."""
+def show(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    save: Saver | None = None,
+    made: Iterable[Mapping[str, Any]] = (),
+) -> None:
+    """Print a table as Markdown, and save it where that is asked for.
+
+    ``made``: the rows of `script.kept` that it sums up, whose commits it then states.
+    """
     cells = [[str(cell) for cell in row] for row in rows]
     print(markdown_table(columns, cells), flush=True)  # noqa: T201
     if save is not None:
-        save(columns, cells)
+        save(columns, cells, commits=commits_of(made))
+
+
+def commits_of(made: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Commits of kept rows; `ValueError` where one is of no commit, so that no table claims another."""
+    commits = [row.get("commit") for row in made]
+    if unknown := commits.count(None):
+        message = (
+            f"not saved: {unknown} of {len(commits)} kept rows are of no commit (made of changed code); delete them"
+        )
+        raise ValueError(message)
+    return sorted(set(filter(None, commits)))
 
 
 def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 UT = 1e-6
+# What rows may depend on.
+CODE = ("src", "evaluation", "benchmarks/*.py")
 # Folder of public recordings beside the checkout; None, the cache, where there is none.
 RECORDINGS = next(filter(Path.is_dir, [Path("../shared/data")]), None)
 
@@ -87,15 +89,23 @@ def kept(
     jobs: int = 1,
     minutes: float = np.inf,
 ) -> dict[str, dict[str, Any]]:
-    """Rows of all names, in a file of JSON lines: those that it holds are not made again."""
+    """Rows of all names, in a file of JSON lines: those that it holds are not made again.
+
+    Each notes the commit it was made of; None where the code has changed since.
+    """
     from magmatch_evaluation.parallel import run_all, until
+    from magmatch_evaluation.saved_table import clean_commit
 
     known = {r["name"]: r for r in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
     wanted, end = list(names), time.monotonic() + 60 * minutes
+    try:
+        commit = clean_commit(CODE)
+    except (argparse.ArgumentTypeError, OSError, subprocess.CalledProcessError):
+        commit = None
     with path.open("a") as stream:
         for name, row in run_all(make, until(end, [name for name in wanted if name not in known]), jobs):
-            known[name] = row
-            stream.write(json.dumps(row) + "\n")
+            known[name] = row | {"commit": commit}
+            stream.write(json.dumps(known[name]) + "\n")
             stream.flush()
     return {name: known[name] for name in wanted if name in known}
 
