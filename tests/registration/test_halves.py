@@ -69,3 +69,13 @@ def test_a_straight_walk_that_was_refused_is_not_said_to_drift_nor_one_without_a
     assert refused.best_pose is not None
     assert not refused.is_accepted
     assert "drift" not in refused.reason
+
+
+def test_a_walk_that_bends_a_little_is_accepted_with_as_much_more_spread(base):
+    straight = made(3).target.subset(ROWS)
+    rigid, drifting = answered(base, straight), answered(base, bent(straight, 2.0))
+    assert rigid.is_accepted
+    assert "drift" not in rigid.reason
+    assert drifting.is_accepted
+    assert "drift" in drifting.reason
+    assert drifting.standard_deviations[0] > 1.5 * rigid.standard_deviations[0]

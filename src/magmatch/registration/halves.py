@@ -16,8 +16,8 @@ from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk, is_line
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch.registration.weigh.bend import DRIFTS, REMEDY
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
-from magmatch.typing import Indices
 
 
 def naming_drift(
@@ -28,7 +28,8 @@ def naming_drift(
     Both must have the evidence that an answer needs, and together as much more than the whole walk by one pose: two
     poses are dearer than one, so what is left shows that they are not the same.
     """
-    if answer.is_accepted or answer.best_pose is None or config.search not in ("auto", "pairs"):
+    is_told = answer.is_accepted or DRIFTS in answer.reason
+    if is_told or answer.best_pose is None or config.search not in ("auto", "pairs"):
         return answer
     if not is_line(samples, index.length):
         return answer
@@ -41,7 +42,7 @@ def naming_drift(
 
     halves = []
     for rows in np.array_split(np.arange(len(walk)), 2):
-        part = _part(walk, rows)
+        part = walk.part(rows)
         found = strategy.search(replace(pair, target=part))
         halves += weighed(part, [best, *(one.T_base_target for one in found.candidates)])
     evidence = [effective_evidence(one.log_evidence, one.misfit) for one in halves]
@@ -51,12 +52,5 @@ def naming_drift(
         return answer
     between, middle = halves[0].T_base_target.inv() * halves[1].T_base_target, walk.positions[len(walk) // 2]
     apart, turn = np.linalg.norm(between.apply(middle) - middle), np.degrees(between.rotation.magnitude())
-    words = (
-        f"the target's positions or orientations drift: its halves fit poses {apart:.1f} m and {turn:.0f} deg apart "
-        "where they meet; register shorter pieces, or correct the walk with magmatch slam"
-    )
+    words = f"{DRIFTS}: its halves fit poses {apart:.1f} m and {turn:.0f} deg apart where they meet; {REMEDY}"
     return replace(answer, reason=f"{answer.reason}; {words}")
-
-
-def _part(walk: Walk, rows: Indices) -> Walk:
-    return replace(walk, positions=walk.positions[rows], field=walk.field[rows], counts=walk.counts[rows])

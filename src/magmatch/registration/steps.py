@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The algorithm: map, then for each strategy prepare, search, refine and weigh, settle, decide."""
 
+from dataclasses import replace
 from typing import Any
 
 from magmatch.data.survey import Survey
@@ -37,7 +38,7 @@ def register_once(
         return base, target_map, register_published(map_of(base), target_map, config.keypoints, seed, clock)
     with clock("prepare"):
         index = prepare_index(base, config)
-    tried: list[tuple[Target, RegistrationResult]] = []
+    bend, tried = None, list[tuple[Target, RegistrationResult]]()
     for strategy in strategies(index.length, target, samples, config, seed, clock):
         with clock("prepare"):
             pair = strategy.pair(index)
@@ -45,7 +46,8 @@ def register_once(
             found = strategy.search(pair)
         with clock("refine"):
             weighed = strategy.refine_and_weigh(pair, found)
-        answer = settle_and_decide(weighed, config.decision, clock)
+        bend = weighed.bend or bend
+        answer = settle_and_decide(replace(weighed, bend=bend), config.decision, clock)
         tried.append((strategy.target, answer))
         if answer.is_accepted:
             break
@@ -65,10 +67,14 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
     if not posterior.poses:
         return no_pose(weighed.found)
     with clock("settle"):
-        by = weighed.strategy
-        stated = by.settle if posterior.best >= config.min_probability else by.state
-        estimate, support = stated(pair, posterior.poses[0])
+        by, is_probable = weighed.strategy, posterior.best >= config.min_probability
+        estimate, support = (by.settle if is_probable else by.state)(pair, posterior.poses[0])
+        bend = weighed.bend(estimate.T_base_target) if weighed.bend and is_probable else None
+        if bend is not None:
+            estimate = estimate.with_spread(bend.spread(estimate.center))
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
+        if bend is not None:
+            verdict = replace(verdict, reason=f"{verdict.reason}; {bend}")
         poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
         return state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length), weighed.found)

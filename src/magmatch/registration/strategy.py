@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How a target is compared with a base, as a map or as a walk: the steps that both fill, and their order."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -15,6 +16,7 @@ from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.weigh.bend import Bend
 from magmatch.registration.weigh.hypothesis import Hypothesis
 
 BaseSide = TypeVar("BaseSide")
@@ -59,6 +61,9 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
         In any order.
     elsewhere : float, nats
         Log odds of the best pose in any other base; -inf where there is none.
+    bend : callable or None
+        How the target surely bends about a pose, in the surveys' frames, or None. Not given where it was not asked as
+        a walk: what that takes costs more than comparing maps.
     """
 
     strategy: "Strategy[BaseSide, TargetSide, W]"
@@ -66,6 +71,7 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
     found: SearchResult
     ranked: list[W]
     elsewhere: float = -np.inf
+    bend: Callable[[RigidTransform], Bend | None] | None = None
 
     @property
     def best_log_odds(self) -> float:

@@ -3,9 +3,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
@@ -22,6 +24,7 @@ from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.weigh.bend import Bend, bend_of
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
 
 WalkPair = Pair[WalkIndex, Walk]
@@ -67,15 +70,23 @@ class WalkStrategy:
         starts, walks = [c.T_base_target for c in found.candidates], pair.base
         config = self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, starts, walks.noise, walks.length, pair.prior, config)
+        bend = partial(self.bend, pair)
         if walks.noise.is_learned or not ranked:
-            along: WeighedWalk = Weighed(self, pair, found, ranked)
+            along: WeighedWalk = Weighed(self, pair, found, ranked, bend=bend)
             return along
         tell("weighing the walk's poses from both sides")
         mapped = self.mapped()
         as_maps = mapped.pair_with(walks.base, pair.prior.volume)
         to_model = pair.T_target_model.inv() * as_maps.T_target_model
         poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
-        return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
+        return replace(mapped.refine_and_weigh(as_maps, replace(found, candidates=poses)), bend=bend)
+
+    def bend(self, pair: WalkPair, T_base_target: RigidTransform) -> Bend | None:
+        """How the walk bends about a pose, in the surveys' frames; None where a rigid one might seem to."""
+        T, walks, config = pair.T_base_model.inv() * T_base_target * pair.T_target_model, pair.base, self.config.walks
+        found = bend_of(walks.base, pair.target, T, walks.noise, walks.length, pair.prior, config.evidence)
+        is_sure = found is not None and found.is_sure(self.config.decision.min_probability)
+        return found.seen_from(pair.T_target_model) if found is not None and is_sure else None
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """As the residuals along the path show it."""

@@ -40,6 +40,10 @@ class Estimate:
         M = np.kron(np.eye(2), rotation_matrix(T_target_model))
         return replace(estimate, covariance=M @ pose.covariance @ M.T)
 
+    def with_spread(self, covariance: Covariance6) -> "Estimate":
+        """The same pose with what else it may be off by; one that nothing fixes stays so."""
+        return self if self.covariance is None else replace(self, covariance=self.covariance + covariance)
+
     @property
     def covariance_about_origin(self) -> Covariance6 | None:
         """Of xi about the origin of the target's survey frame, as results state it."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A survey that is a line: averaged in short bins along its path, and the test that says so."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -54,6 +54,10 @@ class Walk:
         """Path per bin, m."""
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
         return float(np.median(steps)) if len(steps) else 0.0
+
+    def part(self, rows: Indices) -> "Walk":
+        """Some of the bins."""
+        return replace(self, positions=self.positions[rows], field=self.field[rows], counts=self.counts[rows])
 
 
 def walk_of(survey: Survey, length: float) -> Walk:
