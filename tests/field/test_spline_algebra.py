@@ -20,6 +20,7 @@ from magmatch.field.spline.element_matrices import (
     smoothness_matrix,
 )
 from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.spline.spline_prior import CONSTANT_SD, outside_covariance
 
 few = settings(deadline=None, derandomize=True, max_examples=8)
 SHAPES = {"volume": (1.0, 0.7, 0.4), "plane": (1.2, 1.0, 0.0), "line": (2.5, 0.0, 0.0), "point": (0.0, 0.0, 0.0)}
@@ -147,6 +148,21 @@ def test_prior_is_positive_definite_at_extremes(a, divergence_weight):
     assert np.linalg.eigvalsh(prior_element(a, divergence_weight)).min() > 0
     covariance = lone_cell_covariance(a, divergence_weight, 1.5)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9 * covariance.max()
+
+
+@pytest.mark.parametrize("divergence_weight", [0.0, 300.0])
+def test_outside_of_all_cells_the_prior_is_the_mean_of_a_lone_cells(divergence_weight):
+    """Which is that of the dense model of one cell and its reach, at points that integrate splines exactly."""
+    h = Hyperparameters(0.5, 2e-6, 1e-7, 0.2, divergence_weight, reach=1.5)
+    model = SplineModel.over(np.zeros((1, 3)), h)
+    prior = model.infer(model.observe(np.zeros((0, 3)), np.zeros((0, 3))))
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    points = np.stack(np.meshgrid(*[h.spacing * nodes / 2] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    mean = np.average(
+        prior.covariance(points, order=1), axis=0, weights=np.einsum("i,j,k->ijk", *[weights] * 3).ravel()
+    )
+    mean[:3, :3] -= CONSTANT_SD**2 * np.eye(3)
+    np.testing.assert_allclose(mean, outside_covariance(h, np.zeros((3, 3))), rtol=1e-6, atol=1e-6 * mean[0, 0])
 
 
 def test_region_too_large_for_its_spacing_is_refused_in_one_line():
