@@ -257,3 +257,21 @@ def path_walked(positions: Points) -> Scalars:
         From 0.
     """
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+
+
+def principal_frame(positions: Points, lean: Vector3) -> RigidTransform:
+    """Frame at the points' centroid along their principal axes, longest first: takes its coordinates to theirs.
+
+    Axes are signed by the skewness of the points along them, by ``lean`` where that vanishes.
+    """
+    centroid = positions.mean(axis=0)
+    offset = positions - centroid
+    _, axes = np.linalg.eigh(offset.T @ offset / len(offset))
+    R = axes[:, ::-1].copy()
+    along = offset @ R
+    skewness = (along**3).mean(axis=0)
+    spread = (along**2).mean(axis=0) ** 1.5
+    is_skewed = np.abs(skewness) > 1e-6 * np.maximum(spread, np.finfo(float).tiny)
+    R *= np.where(np.where(is_skewed, skewness, lean @ R) < 0, -1.0, 1.0)
+    R[:, 2] = np.cross(R[:, 0], R[:, 1])
+    return RigidTransform.from_components(centroid, Rotation.from_matrix(R))

@@ -3,7 +3,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -37,14 +36,9 @@ from magmatch.data.survey_columns import (
 from magmatch.data.tables.frames import frame_of_xarray
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table, write_table
-from magmatch.data.units import (
-    FieldUnit,
-    LengthUnit,
-    TimeUnit,
-    field_text,
-)
+from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit, field_text
 from magmatch.errors import SurveyError, in_short
-from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.geometry import principal_frame, rotate_vectors, transform_points
 from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
@@ -133,8 +127,8 @@ class Survey:
 
     def picture(self) -> str:
         """Samples coloured by field magnitude: inline SVG."""
-        magnitude = np.linalg.norm(self.field, axis=1)
-        return coloured_points(self.positions, magnitude, f"samples of {self.name}, coloured by field magnitude")
+        title = f"samples of {self.name}, coloured by field magnitude"
+        return coloured_points(self.positions, np.linalg.norm(self.field, axis=1), title)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -211,7 +205,7 @@ class Survey:
         return Survey(
             positions=np.concatenate([s.positions for s in parts]),
             field=np.concatenate([s.field for s in parts]),
-            orientations=reduce(_concatenate, orientations) if len(orientations) == len(parts) else None,
+            orientations=Rotation.concatenate(orientations) if len(orientations) == len(parts) else None,
             frame=self.frame,
             name="+".join(in_short([s.name for s in parts])),
             pose_sd=max(s.pose_sd for s in parts),
@@ -380,26 +374,14 @@ class Survey:
     def principal_frame(self) -> RigidTransform:
         """Frame laid along the samples' principal axes, moving with the survey: ``T_survey_principal``.
 
-        Axes are ordered from longest to shortest and signed by the skewness of the samples along them (by the
-        mean field where that vanishes), so that the frame follows every rigid motion of the survey.
+        Signed by skewness, or the mean field: the frame follows every rigid motion of the survey.
 
         Returns
         -------
         RigidTransform
             Takes principal coordinates to survey coordinates; its origin is the centroid.
         """
-        offset = self.positions - self.centroid
-        _, axes = np.linalg.eigh(offset.T @ offset / len(self))
-        R = axes[:, ::-1].copy()
-        along = offset @ R
-        skewness = (along**3).mean(axis=0)
-        spread = (along**2).mean(axis=0) ** 1.5
-        lean = self.field.mean(axis=0) @ R
-        is_skewed = np.abs(skewness) > 1e-6 * np.maximum(spread, np.finfo(float).tiny)
-        sign = np.where(np.where(is_skewed, skewness, lean) < 0, -1.0, 1.0)
-        R *= sign
-        R[:, 2] = np.cross(R[:, 0], R[:, 1])
-        return RigidTransform.from_components(self.centroid, Rotation.from_matrix(R))
+        return principal_frame(self.positions, self.field.mean(axis=0))
 
 
 def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
@@ -416,7 +398,3 @@ def _as_survey(name: str, step: Callable[[], T]) -> T:
     except ValueError as error:
         msg = f"{name}: {error}"
         raise SurveyError(msg) from None
-
-
-def _concatenate(first: Rotation, second: Rotation) -> Rotation:
-    return Rotation.concatenate([first, second])

@@ -6,11 +6,10 @@ centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gra
 """
 
 from dataclasses import dataclass, fields
-from itertools import product
 
 import numpy as np
 from pydantic import Field
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -21,18 +20,14 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.weigh.hypothesis import Kind
+from magmatch.registration.weigh.unrelated_walk import UnrelatedWalk
 from magmatch.settings import Settings
-from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3, Vectors
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
 # Longest step: rad, and in correlation lengths.
 MAX_TURN, MAX_SHIFT = 0.15, 0.3
 # Spread of a pose that the data leave free, rad and in correlation lengths: what the search hands over is nearer.
 FREE_TURN, FREE_SHIFT = 0.5, 1.5
-# Unrelated field: tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
-NULL_LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
-NULL_STRENGTHS = (0.5, 1.0, 2.0, 4.0)
-# Every so many-th bin decides which unrelated field is the most likely.
-NULL_BINS = 60
 
 
 class LineConfig(Settings):
@@ -160,51 +155,6 @@ def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
     n_known = fits.known.sum(axis=1)
     enough = max(config.min_bins, config.min_coverage * fits.known.shape[1])
     return fits.rows(np.flatnonzero(n_known >= enough))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class UnrelatedWalk:
-    """The walk's field as a smooth random field of its own, the most likely one: what a pose has to beat.
-
-    The walk's own errors, and how they differ from walk to walk, are those that a pose may plead too: else a rough
-    walk would match whatever is calm.
-    """
-
-    field: Vectors
-    covariance: Matrix
-    noise: PathNoise
-
-    @classmethod
-    def most_likely(
-        cls,
-        walk: Walk,
-        distance: Matrix,
-        noise: PathNoise,
-        length: float,
-        around: tuple[Vector3, float] | None = None,
-    ) -> "UnrelatedWalk":
-        """Choose lengthscale and strength by the likelihood of the walk's field."""
-        n = len(walk)
-        some = np.unique(np.linspace(0, n - 1, min(n, NULL_BINS)).astype(np.int64))
-        d2 = distance[np.ix_(some, some)] ** 2
-        spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
-        square = float((walk.field**2).sum(axis=1).mean()) / 3
-        mean, constant = around or (np.zeros(3), square)
-        field = walk.field - mean
-        errors = noise.isotropic(distance, np.zeros(n))
-        errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
-        best, chosen = -np.inf, (length, spread2)
-        for factor, strength in product(NULL_LENGTHSCALES, NULL_STRENGTHS):
-            numbers = factor * length, strength**2 * spread2
-            K = _unrelated_covariance(d2, *numbers, constant) + errors[np.ix_(some, some)]
-            found = _log_likelihood(field[some], K, noise)
-            if found > best:
-                best, chosen = found, numbers
-        return cls(field, _unrelated_covariance(distance**2, *chosen, constant) + errors, noise)
-
-    def log_likelihood(self, rows: Mask) -> float:
-        """Log density of some bins' field (the factor of 2 pi left out)."""
-        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -382,24 +332,3 @@ def _strained(fits: _Fits, config: LineConfig) -> Matrix:
     # A pose that disagrees nearly everywhere is wrong rather than disturbed.
     is_disturbed = is_strained.sum(axis=1) <= config.max_strained_share * fits.known.sum(axis=1)
     return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
-
-
-def _unrelated_covariance(d2: Matrix, length: float, variance: float, constant: float) -> Matrix:
-    # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant
-    return K
-
-
-def _log_likelihood(values: Vectors, K: Matrix, noise: PathNoise) -> float:
-    L = _cholesky(K)
-    z = _solve(L, values)
-    log_likelihood = noise.factor(np.array((z**2).sum()), np.array(3 * len(L)))[1]
-    return float(log_likelihood) - float(3 * np.log(np.diag(L)).sum())
-
-
-def _cholesky(C: Matrix) -> Matrix:
-    return np.asarray(cholesky(C, lower=True, check_finite=False, overwrite_a=True))
-
-
-def _solve(L: Matrix, rows: Matrix | Scalars) -> Matrix:
-    return np.asarray(solve_triangular(L, rows, lower=True, check_finite=False))

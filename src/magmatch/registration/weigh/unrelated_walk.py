@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a pose of a walk has to beat: that its field has nothing to do with the base's."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.walk import Walk
+from magmatch.typing import Mask, Matrix, Vector3, Vectors
+
+# Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
+LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
+STRENGTHS = (0.5, 1.0, 2.0, 4.0)
+# Every so many-th bin decides which unrelated field is the most likely.
+MOST_BINS = 60
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class UnrelatedWalk:
+    """The walk's field as a smooth random field of its own, the most likely one: what a pose has to beat.
+
+    The walk's own errors, and how they differ from walk to walk, are those that a pose may plead too: else a rough
+    walk would match whatever is calm.
+    """
+
+    field: Vectors
+    covariance: Matrix
+    noise: PathNoise
+
+    @classmethod
+    def most_likely(
+        cls,
+        walk: Walk,
+        distance: Matrix,
+        noise: PathNoise,
+        length: float,
+        around: tuple[Vector3, float] | None = None,
+    ) -> "UnrelatedWalk":
+        """Choose lengthscale and strength by the likelihood of the walk's field."""
+        n = len(walk)
+        some = np.unique(np.linspace(0, n - 1, min(n, MOST_BINS)).astype(np.int64))
+        d2 = distance[np.ix_(some, some)] ** 2
+        spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
+        square = float((walk.field**2).sum(axis=1).mean()) / 3
+        mean, constant = around or (np.zeros(3), square)
+        field = walk.field - mean
+        errors = noise.isotropic(distance, np.zeros(n))
+        errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
+        best, chosen = -np.inf, (length, spread2)
+        for factor, strength in product(LENGTHSCALES, STRENGTHS):
+            numbers = factor * length, strength**2 * spread2
+            K = _covariance(d2, *numbers, constant) + errors[np.ix_(some, some)]
+            found = _log_likelihood(field[some], K, noise)
+            if found > best:
+                best, chosen = found, numbers
+        return cls(field, _covariance(distance**2, *chosen, constant) + errors, noise)
+
+    def log_likelihood(self, rows: Mask) -> float:
+        """Log density of some bins' field (the factor of 2 pi left out)."""
+        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise)
+
+
+def _covariance(d2: Matrix, length: float, variance: float, constant: float) -> Matrix:
+    # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
+    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant
+    return K
+
+
+def _log_likelihood(values: Vectors, K: Matrix, noise: PathNoise) -> float:
+    L = cholesky(K, lower=True, check_finite=False, overwrite_a=True)
+    z = solve_triangular(L, values, lower=True, check_finite=False)
+    log_likelihood = noise.factor(np.array((z**2).sum()), np.array(3 * len(L)))[1]
+    return float(log_likelihood) - float(3 * np.log(np.diag(L)).sum())
