@@ -70,16 +70,15 @@ class WalkStrategy:
         starts, walks = [c.T_base_target for c in found.candidates], pair.base
         config = self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, starts, walks.noise, walks.length, pair.prior, config)
-        bend = partial(self.bend, pair)
         if walks.noise.is_learned or not ranked:
-            along: WeighedWalk = Weighed(self, pair, found, ranked, bend=bend)
+            along: WeighedWalk = Weighed(self, pair, found, ranked, bend=partial(self.bend, pair))
             return along
         tell("weighing the walk's poses from both sides")
         mapped = self.mapped()
         as_maps = mapped.pair_with(walks.base, pair.prior.volume)
         to_model = pair.T_target_model.inv() * as_maps.T_target_model
         poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
-        return replace(mapped.refine_and_weigh(as_maps, replace(found, candidates=poses)), bend=bend)
+        return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
 
     def bend(self, pair: WalkPair, T_base_target: RigidTransform) -> Bend | None:
         """How the walk bends about a pose, in the surveys' frames; None where a rigid one might seem to."""
