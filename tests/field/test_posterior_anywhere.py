@@ -12,6 +12,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
+from oracles.dense_matrix import to_dense
 
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.3, 100.0)
 FAR = np.array([[40.0, 0.0, 0.0], [-40.0, 5.0, 0.0]])
@@ -122,7 +123,7 @@ def spline():
 def test_solves_equal_the_dense_inverse(spline):
     model, fitted = spline
     x, b = samples()
-    precision = (model.observe(x, b).gram + model.prior_precision()).to_dense(model.cells)
+    precision = to_dense(model.observe(x, b).gram + model.prior_precision(), model.cells)
     q = np.r_[queries(30), FAR[:1]]
     Phi = np.array([fitted.evaluate(q, 0, w).field.ravel() for w in np.eye(len(precision))]).T
     dense = H.noise_sd**2 * Phi @ np.linalg.inv(precision) @ Phi.T

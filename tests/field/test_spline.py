@@ -13,6 +13,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
+from oracles.dense_matrix import to_dense
 
 few = settings(deadline=None, derandomize=True, max_examples=8)
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 300.0)
@@ -77,7 +78,7 @@ def test_inference_equals_dense_bayesian_regression(fitted):
     q = np.array([[0.3, 1.1, 0.2], [1.9, 0.1, 0.4]])
     rows = np.array([small.evaluate(np.r_[x[few_points], q], 0, w).field for w in np.eye(len(small.weights))])
     Phi = rows.reshape(len(small.weights), -1).T
-    prior = np.linalg.inv(model.prior_precision().to_dense(model.cells)) * H.noise_sd**2
+    prior = np.linalg.inv(to_dense(model.prior_precision(), model.cells)) * H.noise_sd**2
     K = Phi @ prior @ Phi.T
     n = 120
     gain = K[n:, :n] @ np.linalg.inv(K[:n, :n] + H.noise_sd**2 * np.eye(n))
@@ -155,7 +156,7 @@ def test_far_from_data_the_field_is_the_constant_with_its_variance_and_the_prior
     assert not posterior.knows(far)[0]
     assert posterior.knows(x).all()
     assert np.array_equal(posterior.evaluate(far).field[0], posterior.weights[-3:])
-    precision = (model.observe(x, b).gram + model.prior_precision()).to_dense(model.cells)
+    precision = to_dense(model.observe(x, b).gram + model.prior_precision(), model.cells)
     constant = np.linalg.inv(precision)[-3:, -3:] * (H.inflation * H.noise_sd) ** 2
     expected = constant + H.signal_sd**2 * np.eye(3)
     np.testing.assert_allclose(posterior.covariance(far)[0], expected, atol=1e-6 * H.signal_sd**2)

@@ -46,12 +46,6 @@ def rotation_invariants(field: Vectors, gradient: Tensors) -> Matrix:
     )
 
 
-def mirrored_invariants(invariants: Matrix, *, is_mirrored: bool, sign: float) -> Matrix:
-    """Invariants of the field's mirror image (chirality changes sign), or of the field times a sign of 1 or -1."""
-    reflected: Matrix = invariants * np.array([1.0, 1.0, sign, 1.0, sign, -1.0 if is_mirrored else 1.0])
-    return reflected
-
-
 def point_frames(field: Vectors, gradient: Tensors) -> Tensors:
     """Rotation matrices whose columns are axes in the map: along B, then in the plane of B and GB, right-handed.
 

@@ -13,6 +13,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import EvidenceSearch, integrated_autocorrelation_time
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
+from oracles.dense_matrix import to_dense
 
 H = Hyperparameters(0.5, 3e-6, 0.5e-6, 0.3, reach=1.0, divergence_weight=30.0)
 
@@ -30,7 +31,7 @@ def dense_covariance(x, h):
     posterior = model.infer(model.observe(x[:0], x[:0]))
     m = len(posterior.weights)
     Phi = np.stack([posterior.evaluate(x, 0, row).field.ravel() for row in np.eye(m)], axis=1)
-    P = model.prior_precision().to_dense(model.cells) / h.noise_sd**2
+    P = to_dense(model.prior_precision(), model.cells) / h.noise_sd**2
     return Phi @ np.linalg.solve(P, Phi.T) + h.noise_sd**2 * np.eye(3 * len(x))
 
 

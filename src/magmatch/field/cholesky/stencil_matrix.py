@@ -59,22 +59,6 @@ class StencilMatrix:
         )
         return out
 
-    def to_dense(self, cells: CellGrid) -> np.ndarray:
-        """Dense matrix (m + 3, m + 3), for checks."""
-        m = cells.n_nodes
-        dense = np.zeros((m + 3, m + 3))
-        flat, shifts, lookup = (
-            cells.flat_nodes(),
-            cells.stencil_shifts()[HALF_STENCIL - 1 :],
-            cells.node_index.ravel(),
-        )
-        other = lookup[flat[:, None] + shifts]
-        row, slot = np.nonzero(other >= 0)
-        dense[row, other[row, slot]] = self.stencil[row, slot]
-        dense[other[row, slot], row] = self.stencil[row, slot]
-        dense[:m, m:], dense[m:, :m], dense[m:, m:] = self.border, self.border.T, self.corner
-        return dense
-
 
 def sum_of_elements(cells: CellGrid, element: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Stencils (m, 172) of the weighted sum of one 64 x 64 matrix over all active cells."""
