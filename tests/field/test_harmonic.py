@@ -14,6 +14,7 @@ from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+from magmatch.field.variogram import typical_length
 
 EARTH = np.array([18e-6, 2e-6, -44e-6])
 BOX = np.array([2.0, 1.5, 0.8])
@@ -71,6 +72,20 @@ def test_the_number_of_charges_is_bounded_whatever_is_asked():
         shell = lay_shell(region, distance, 0.7 * distance, 300)
         assert 0 < len(shell.sources) <= 300
         assert shell.spacing / shell.distance == pytest.approx(0.7)
+
+
+def test_what_is_affordable_is_what_a_layer_takes_that_stands_as_near_as_the_field_changes():
+    points, field = room()
+    length = typical_length(points, field)
+    needed = {
+        distance: len(lay_shell(points, distance * length, 0.7 * distance * length, 10**6).sources)
+        for distance in (0.5, 1.0)
+    }
+    assert needed[1.0] < 0.5 * needed[0.5]
+    for cap, expected in ((1.2 * needed[0.5], True), (1.2 * needed[1.0], True), (0.8 * needed[1.0], False)):
+        prior = HarmonicPrior(HarmonicConfig(max_sources=int(cap), spacing_ratio=0.7))
+        assert prior.is_affordable(points, field) is expected
+        assert prior.is_affordable(10 * points, field) is expected
 
 
 def test_a_declared_box_is_kept_free_of_charges():

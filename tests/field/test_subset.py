@@ -23,3 +23,11 @@ def test_the_distance_of_samples_anywhere_is_the_side_of_the_cube_that_each_has(
 
 def test_the_distance_of_samples_at_one_place_is_nothing():
     assert sample_distance(np.zeros((5, 3))) == 0
+
+
+@pytest.mark.parametrize("n", [1, 40, 200])
+def test_one_place_is_the_samples_nearest_to_the_one_in_the_middle(n):
+    points = np.random.default_rng(1).normal(size=(200, 3))
+    middle = points[np.argmin(np.linalg.norm(points - np.median(points, axis=0), axis=1))]
+    away = np.linalg.norm(points - middle, axis=1)
+    np.testing.assert_array_equal(choose_part(points, n, 1), away <= np.sort(away)[n - 1])

@@ -28,7 +28,7 @@ class Saver(Protocol):
         columns: Sequence[str],
         rows: Sequence[Sequence[str]],
         command: str | None = None,
-        commits: Sequence[str] = (),
+        commits: Sequence[str] | None = None,
     ) -> None: ...
 
 
@@ -112,9 +112,9 @@ def saver(name: str) -> Saver:
         columns: Sequence[str],
         rows: Sequence[Sequence[str]],
         command: str | None = None,
-        commits: Sequence[str] = (),
+        commits: Sequence[str] | None = None,
     ) -> None:
-        new = replace(old, remark="", command=command or typed(), commits=commits or [commit])
+        new = replace(old, remark="", command=command or typed(), commits=[commit] if commits is None else commits)
         replace(new, machine=this_machine(), date=today(), columns=columns, rows=rows).save(path)
 
     return save
@@ -124,7 +124,7 @@ def show(
     columns: Sequence[str],
     rows: Sequence[Sequence[object]],
     save: Saver | None = None,
-    made: Iterable[Mapping[str, Any]] = (),
+    made: Iterable[Mapping[str, Any]] | None = None,
 ) -> None:
     """Print a table as Markdown, and save it where that is asked for.
 
@@ -133,18 +133,13 @@ def show(
     cells = [[str(cell) for cell in row] for row in rows]
     print(markdown_table(columns, cells), flush=True)  # noqa: T201
     if save is not None:
-        save(columns, cells, commits=commits_of(made))
+        save(columns, cells, commits=None if made is None else commits_of(made))
 
 
 def commits_of(made: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Commits of kept rows; `ValueError` where one is of no commit, so that no table claims another."""
-    commits = [row.get("commit") for row in made]
-    if unknown := commits.count(None):
-        message = (
-            f"not saved: {unknown} of {len(commits)} kept rows are of no commit (made of changed code); delete them"
-        )
-        raise ValueError(message)
-    return sorted(set(filter(None, commits)))
+    """Commits of kept rows; none, which counts as older than any code, where one is of code not committed."""
+    commits = {row.get("commit") for row in made}
+    return [] if None in commits else sorted(filter(None, commits))
 
 
 def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -118,6 +118,21 @@ def test_two_supported_transforms_are_two_candidates():
     assert transform_error(found[1].T_base_target, other, CENTER)[0] < 1e-6
 
 
+def test_no_two_candidates_are_one_answer_however_far_the_target_lies_from_its_origin():
+    T = random_transform(np.random.default_rng(8))
+    (p_base, p_target, b_base, b_target), _ = correspondences(
+        8, T, 60, outlier_share=0.3, point_sd=0.06, angle_sd=0.06
+    )
+    away = np.array([20.0, -30.0, 10.0])
+    found = find((p_base, p_target + away, b_base, b_target), CONFIG.model_copy(update={"min_inliers": 3}))
+    assert len(found) > 1
+    center = p_target.mean(axis=0) + away
+    for k, one in enumerate(found):
+        for other in found[:k]:
+            distance, angle = transform_error(one.T_base_target, other.T_base_target, center)
+            assert distance > DISTANCE or angle > 0.1
+
+
 def test_random_correspondences_have_little_support():
     pairs, _ = correspondences(7, RigidTransform.identity(), 200, 1.0)
     found = find(pairs)

@@ -27,7 +27,7 @@ DARK = {
     PAPER: "#14181d", GROUND: "#20262d", SHADE: "#2C4157", FILL: "#56718C",
 }  # fmt: skip
 # Half of what a scene shows at unit distance (45 deg from top to bottom), less the room for labels.
-SCENE_HEIGHT, SCENE_WIDTH = 0.36, 0.45
+SCENE_HEIGHT, SCENE_WIDTH = 0.36, 0.38
 # Most samples drawn of one survey: what a phone turns smoothly, and what keeps a page small.
 MAX_DRAWN = 5000
 UT_PER_TESLA = 1e6
@@ -115,6 +115,8 @@ def _box(p: Points, unit: str) -> dict[str, Any]:
         f"{axis}axis": {
             "title": {"text": f"{axis} ({unit})"},
             "range": [float(low[k]), float(high[k])],
+            # Numbers along a short side would lie upon each other.
+            "nticks": 2 + int(6 * (high - low)[k] / (high - low).max()),
             "backgroundcolor": PAPER,
             "gridcolor": QUIET,
             "zerolinecolor": QUIET,
