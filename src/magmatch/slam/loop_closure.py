@@ -69,7 +69,10 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     index, walk = base.index, window.walk
     prior = _prior(window, base, config, expected)
     found = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
-    starts = [c.T_base_target for c in found.candidates]
+    # Where the graph expects it is a pose to begin from as well.
+    starts = [c.T_base_target for c in found.candidates] + (
+        [] if prior.T_base_target is None else [prior.T_base_target]
+    )
     around = window.around if isinstance(expected, Rough) else None
     weighed = weigh_walk(
         index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, around

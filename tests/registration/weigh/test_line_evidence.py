@@ -219,31 +219,34 @@ def test_best_comes_first_and_poses_with_too_little_inside_are_left_out(base, wa
     assert weigh_walk(base, outside(walk, 17), [HERE], NOISE, LENGTH, PRIOR, CONFIG) == []
 
 
-def test_an_unrelated_walk_is_the_most_likely_of_smooth_fields_about_nothing(walk):
+@pytest.mark.parametrize("around", [None, (np.array([18e-6, 3e-6, -45e-6]), 1e-11)])
+def test_an_unrelated_walk_is_a_smooth_field_the_most_likely_or_about_a_known_mean_the_average(walk, around):
     d = cdist(walk.positions, walk.positions)
-    null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH)
+    null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH, around)
     spread2 = walk.field.var(axis=0).mean() + NOISE.nugget_sd**2
-    constant = (walk.field**2).mean()
+    mean, constant = around or (np.zeros(3), (walk.field**2).mean())
+    square = (walk.field**2).mean()
     errors = NOISE.misfit_sd**2 * np.exp(-d / NOISE.misfit_length) + NOISE.constant_sd**2
-    errors += 2 * constant * NOISE.attitude_sd**2 * np.exp(-d / NOISE.drift_length)
+    errors += 2 * square * NOISE.attitude_sd**2 * np.exp(-d / NOISE.drift_length)
     errors += NOISE.nugget_sd**2 * np.eye(len(d))
     # Walks differ by a factor on the whole, whose logarithm is normal.
     deviates = np.linspace(-4, 4, 161)
     log_prior = -0.5 * deviates**2
     tried = []
     for factor in (0.55, 0.8, 1.2, 1.7, 2.6):
-        for strength in (0.5, 1.0, 2.0, 4.0):
+        for strength in (0.5, 1.0, 2.0, 4.0) if around is None else (0.0, 0.5, 1.0, 2.0, 4.0):
             K = strength**2 * spread2 / (1 + d**2 / (2 * (factor * LENGTH) ** 2)) + constant + errors
             found = [
                 multivariate_normal(np.zeros(len(d)), 1e12 * np.exp(NOISE.spread * z) * K)
-                .logpdf(1e6 * walk.field.T)
+                .logpdf(1e6 * (walk.field - mean).T)
                 .sum()
                 for z in deviates
             ]
             tried.append(logsumexp(found + log_prior) - logsumexp(log_prior))
     # In microtesla, and with the factor of 2 pi.
     constant = 3 * len(d) * (0.5 * np.log(2 * np.pi) + np.log(1e6))
-    assert null.log_likelihood(np.ones(len(d), dtype=bool)) == pytest.approx(max(tried) + constant, rel=1e-9)
+    best = max(tried) if around is None else logsumexp(tried) - np.log(len(tried))
+    assert null.log_likelihood(np.ones(len(d), dtype=bool)) == pytest.approx(best + constant, rel=1e-9)
 
 
 @pytest.mark.parametrize("times", [1.0, 2.0, 3.0])

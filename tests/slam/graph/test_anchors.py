@@ -15,6 +15,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points, of_logs, read_anchors
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.windows import cut
 
 LEVEL = SlamConfig(is_planar=True)
@@ -182,3 +183,29 @@ def test_points_of_logs_without_times_are_refused():
 def test_numbers_that_no_fixed_point_has_are_refused(wrong):
     with pytest.raises(ValueError, match="expected"):
         Anchor(**({"log": "walk", "t": 0.0, "position": [0, 0, 0], "sd": 0.1} | wrong))
+
+
+def test_fixed_points_stand_in_g2o_where_the_graph_has_them(tmp_path):
+    graph, _ = graph_of([10, 90, 150, 200], sd=0.3)
+    write_graph(graph, tmp_path / "graph.g2o")
+    rows = [line.split() for line in (tmp_path / "graph.g2o").read_text().splitlines() if line[0] != "#"]
+    T = {
+        int(r[1]): RigidTransform.from_components(
+            np.array(r[2:5], float), Rotation.from_quat(np.array(r[5:9], float))
+        )
+        for r in rows
+        if r[0] == "VERTEX_SE3:QUAT"
+    }
+    n, edges = len(graph.p), [r for r in rows if r[0] == "EDGE_SE3:QUAT" and int(r[2]) >= len(graph.p)]
+    np.testing.assert_allclose([T[n + k].translation for k in range(4)], graph.fixed.position)
+    to_nodes = [r for r in edges if int(r[1]) < n]
+    assert (len(to_nodes), len(edges)) == (4, 7)
+    for k, r in enumerate(to_nodes):
+        Z = RigidTransform.from_components(np.array(r[3:6], float), Rotation.from_quat(np.array(r[6:10], float)))
+        e = (Z.inv() * T[int(r[1])].inv() * T[n + k]).translation
+        # The nearer node alone says nearly what both say.
+        assert np.linalg.norm(e) == pytest.approx(np.linalg.norm(graph.off_fixed()[k]), abs=0.05)
+        assert float(r[10]) == pytest.approx(0.3**-2)
+    for r in edges:
+        if int(r[1]) == n:
+            np.testing.assert_allclose(np.array(r[3:6], float), T[int(r[2])].translation - T[n].translation)

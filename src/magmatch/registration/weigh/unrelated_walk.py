@@ -24,11 +24,22 @@ class UnrelatedWalk:
 
     The walk's own errors, and how they differ from walk to walk, are those that a pose may plead too: else a rough
     walk would match whatever is calm.
+
+    Attributes
+    ----------
+    field : (n, 3) array, T
+        Less the mean that it has wherever it may be.
+    covariance : (n, n) array, T^2
+        Of each component.
+    noise : PathNoise
+    favour : float, nats
+        What it gains by its numbers being chosen by the walk that it is to explain.
     """
 
     field: Vectors
     covariance: Matrix
     noise: PathNoise
+    favour: float = 0.0
 
     @classmethod
     def most_likely(
@@ -49,18 +60,21 @@ class UnrelatedWalk:
         field = walk.field - mean
         errors = noise.isotropic(distance, np.zeros(n))
         errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
-        best, chosen = -np.inf, (length, spread2)
-        for factor, strength in product(LENGTHSCALES, STRENGTHS):
-            numbers = factor * length, strength**2 * spread2
-            K = _covariance(d2, *numbers, constant) + errors[np.ix_(some, some)]
-            found = _log_likelihood(field[some], K, noise)
-            if found > best:
-                best, chosen = found, numbers
-        return cls(field, _covariance(distance**2, *chosen, constant) + errors, noise)
+        # Nobody knows its numbers: evidence is the average over them, those of calm places too. From nowhere the best
+        # ones are meant: the law of `decide.posterior` was fitted with them.
+        strengths = STRENGTHS if around is None else (0.0, *STRENGTHS)
+        tried = [(f * length, s**2 * spread2) for f, s in product(LENGTHSCALES, strengths)]
+        few, errors_of_few = field[some], errors[np.ix_(some, some)]
+        found = np.array([
+            _log_likelihood(few, _covariance(d2, *numbers, constant) + errors_of_few, noise) for numbers in tried
+        ])  # fmt: skip
+        chosen = tried[int(found.argmax())]
+        favour = 0.0 if around is None else float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
+        return cls(field, _covariance(distance**2, *chosen, constant) + errors, noise, favour)
 
     def log_likelihood(self, rows: Mask) -> float:
         """Log density of some bins' field (the factor of 2 pi left out)."""
-        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise)
+        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise) - self.favour
 
 
 def _covariance(d2: Matrix, length: float, variance: float, constant: float) -> Matrix:

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import SuperLU
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import skew
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
 from magmatch.typing import Covariance6, Indices, Matrix, Points, Scalars, Tensors
 
 N_LASTING = 2
@@ -30,8 +31,6 @@ UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
 # Gauss-Newton: most steps, those before closures are doubted, and the step that ends it.
 MOST_STEPS, TRUSTING_STEPS, SMALL = 40, 5, 1e-4
-# Nodes whose covariance is computed at once.
-COLUMNS = 32
 # Nobody is surer of a closure than this, nats: else none could be voted out.
 MOST_ODDS = 12.0
 # Columns, Jacobian, information and residual of many rows alike.
@@ -140,6 +139,7 @@ class PoseGraph:
     closures: list[Closure] = field(default_factory=list)
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
     fixed: FixedPoints | None = None
+    _H: csc_array | None = None
     _lu: SuperLU | None = None
     _own: np.ndarray | None = None
 
@@ -241,10 +241,8 @@ class PoseGraph:
         doubts_from = TRUSTING_STEPS
         for step in range(MOST_STEPS):
             H, v = self._normal_equations()
-            # Symmetric and positive definite: pivots stay on the diagonal.
-            symmetric = {"SymmetricMode": True}
-            self._lu = splu(csc_array(H), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-            self._own = None
+            self._H, self._own = csc_array(H), None
+            self._lu = factorised(self._H)
             xi = -self._lu.solve(v)
             n = len(self.p)
             turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
@@ -327,11 +325,9 @@ class PoseGraph:
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
         if self._own is None:
-            n, found = len(self.p), []
-            for some in np.array_split(np.arange(n), max(n // COLUMNS, 1)):
-                C = self._columns(some).reshape(n, 6, len(some), 6)
-                found.append(C[some, :, np.arange(len(some))])
-            self._own = np.concatenate(found)
+            assert self._lu is not None
+            assert self._H is not None
+            self._own = inverse_blocks(self._H, self._lu, len(self.p), 6)
         return self._own
 
     def _normal_equations(self) -> tuple[coo_array, np.ndarray]:

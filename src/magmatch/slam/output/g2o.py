@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The graph for other programs: g2o's vertices, and its edges with their information."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
 from magmatch.registration.to_other_programs import g2o_edge, g2o_vertex
-from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.pose_graph import FREE, SURE, FixedPoints, PoseGraph
 
 
 def write_graph(graph: PoseGraph, path: str | Path) -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
     Of a closure the information is what the graph left of it: its own times its weight. Two logs that nothing ties
-    share no frame; their vertices stand in one file all the same.
+    share no frame; their vertices stand in one file all the same. Fixed points are vertices after the nodes.
     """
     lines = ["# magmatch: information of (translation, quaternion's vector part) of Z^-1 T_true"]
     lines += [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]
@@ -26,5 +28,20 @@ def write_graph(graph: PoseGraph, path: str | Path) -> None:
         for c in graph.closures
         if c.weight > np.finfo(float).eps
     ]
+    if graph.fixed is not None:
+        lines += _fixed(graph, graph.fixed)
     with atomic_write(path) as stream:
         stream.write("\n".join([*lines, ""]).encode())
+
+
+def _fixed(graph: PoseGraph, fixed: FixedPoints) -> Iterator[str]:
+    """Fixed points as vertices, each with an edge from the nearer of its nodes, and one from the first of them."""
+    n, nodes = len(graph.p), np.where(fixed.share > 0.5, fixed.other, fixed.one)
+    for k, (node, a, x, sd) in enumerate(zip(nodes.tolist(), fixed.position, fixed.x, fixed.sd, strict=True)):
+        yield g2o_vertex(n + k, RigidTransform.from_translation(a))
+        Z = RigidTransform.from_components(x - graph.start[node], graph.pose(node).rotation.inv())
+        # Which way its axes point is not seen.
+        yield g2o_edge(node, n + k, Z, np.diag(np.repeat([FREE**2, sd**2], 3)))
+        if k:
+            T = RigidTransform.from_translation(a - fixed.position[0])
+            yield g2o_edge(n, n + k, T, SURE**2 * np.eye(6))

@@ -1,0 +1,110 @@
+"""Two walks through each floor of a building, their field real and their odometry made up, corrected together.
+
+    python benchmarks/experiments/slam_cea.py --data DIR --out DIR [--seeds 5] [--jobs 2] [--minutes N] [--save NAME]
+
+DIR holds ``cea/corridor_*.csv``, true places with the field there. Odometry drifts as in `slam_scenarios.py`, by 1
+and 3 %, and slam is told. Errors: rms of places after one rigid alignment in the plane, of odometry each walk by
+itself, of the result both walks at once. Ratio: of the two. A closure that the graph keeps is wrong if it is over 1 m
+off. NEES is of nodes in the frame of the first, per degree of freedom. Settings were chosen on floor 1, without
+odometry of this kind. Rows stay in the folder of ``--out``; a second run goes on where the first ended.
+"""
+
+import os
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from slam_scenarios import about_z, drifted
+from slam_walks import aligned_rms
+
+import magmatch as mm
+from magmatch.geometry import path_walked
+from magmatch.simulation.paths import heading_along
+from magmatch.slam.config import OdometryConfig
+from magmatch_evaluation.saved_table import saver, show
+from magmatch_evaluation.script import arguments, kept, timed
+
+COLUMNS = (
+    "floor", "drift, %", "n", "in one frame", "odometry, m", "corrected, m", "median ratio", "NEES", "closures",
+    "kept, over 1 m off", "s a metre",
+)  # fmt: skip
+FLOORS, DRIFTS, WALKS = (1, 2), (1.0, 3.0), ("training", "test")
+# Height between the floors, m, and distance beyond which a closure is wrong.
+BETWEEN, FAR = 4.5, 1.0
+
+
+def work(name: str, data: Path) -> dict[str, object]:
+    """Both walks of a floor with one drift and seed: ``FLOOR PERCENT SEED``."""
+    floor, percent, seed = map(float, name.split(" "))
+    rng, logs, paths, states = np.random.default_rng([int(floor), int(seed)]), [], [], {}
+    for walk in WALKS:
+        rows = np.loadtxt(data / "cea" / f"corridor_{walk}.csv", delimiter=",")
+        rows = rows[(rows[:, 2] < BETWEEN) == (floor == 1)]
+        # One height: what a walker on a floor knows.
+        paths.append(rows[:, :3] * [1, 1, 0])
+        logs.append(drifted(paths[-1], rows[:, 3:] * 1e-6, percent, rng))
+        # As its maker states it: of 10 m, per axis.
+        states[f"{walk}.csv"] = (percent / 100 * np.sqrt(path_walked(paths[-1])[-1] * 10 / 2), percent)
+        logs[-1] = mm.Survey(
+            logs[-1].positions, logs[-1].field, logs[-1].times, logs[-1].orientations, name=f"{walk}.csv"
+        )
+    config = mm.SlamConfig(odometry=OdometryConfig(sd=states["test.csv"]), sd_of_logs=states)
+    session, seconds, _ = timed(mm.slam, logs, config)
+    graph = session.graph
+    # Each node's true pose: its axes are the odometry's.
+    turned = [
+        (log.orientations * about_z(heading_along(path)).inv()).inv() for log, path in zip(logs, paths, strict=True)
+    ]
+    p = np.concatenate([path[one.middles] for path, one in zip(paths, session.paths, strict=True)])
+    R = np.concatenate([turn[one.middles].as_matrix() for turn, one in zip(turned, session.paths, strict=True)])
+    off = [
+        float(np.linalg.norm((R[c.first].T @ (p[c.second] - p[c.first]) - c.T_first_second.translation)[:2]))
+        for c in graph.closures
+    ]
+    survive = sum(o > FAR and c.is_kept for o, c in zip(off, graph.closures, strict=True))
+    group = session.components[0]
+    after = aligned_rms(
+        *(
+            np.concatenate([some[k][:, :2] for k in group])
+            for some in ([t.positions for t in session.trajectories], paths)
+        )
+    )
+    before = [aligned_rms(log.positions[:, :2], path[:, :2]) for log, path in zip(logs, paths, strict=True)]
+    mine = np.flatnonzero(graph.component() == graph.component()[0])[1:]
+    e = np.einsum("nji,nj->ni", graph.R, graph.p - graph.p[0] - (p - p[0]) @ R[0])[mine, :2]
+    C = graph.marginals()[mine, 3:5, 3:5]
+    nees = float(np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]).mean() / 2)
+    return {
+        "name": name, "together": len(group) == len(logs), "before": float(np.sqrt(np.mean(np.square(before)))),
+        "after": after, "nees": nees, "closures": len(off), "survive": int(survive), "seconds": seconds,
+        "length": float(sum(one.walked[-1] for one in session.paths)),
+    }  # fmt: skip
+
+
+def main() -> None:
+    asked = arguments(__doc__, data=Path, out=Path, seeds=5, jobs=os.cpu_count(), minutes=float, save=saver)
+    asked.out.mkdir(parents=True, exist_ok=True)
+    groups = [f"{floor} {percent}" for percent in DRIFTS for floor in FLOORS]
+    wanted = [f"{group} {seed}" for seed in range(asked.seeds) for group in groups]
+    make = partial(work, data=asked.data)
+    rows = kept(asked.out / "cea.jsonl", wanted, make, jobs=asked.jobs, minutes=asked.minutes or np.inf)
+    table = []
+    for group in groups:
+        some = [row for name, row in rows.items() if name.startswith(f"{group} ")]
+        if not some:
+            continue
+        before, after = (np.array([row[key] for row in some]) for key in ("before", "after"))
+        sums = {
+            key: sum(row[key] for row in some) for key in ("together", "closures", "survive", "seconds", "length")
+        }
+        table.append([
+            *group.split(" "), str(len(some)), str(sums["together"]), f"{np.median(before):.2f}",
+            f"{np.median(after):.2f}", f"{np.median(after / before):.2f}",
+            f"{np.median([row['nees'] for row in some]):.2f}", str(sums["closures"]), str(sums["survive"]),
+            f"{sums['seconds'] / sums['length']:.3f}",
+        ])  # fmt: skip
+    show(COLUMNS, table, asked.save)
+
+
+if __name__ == "__main__":
+    main()
