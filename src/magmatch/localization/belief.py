@@ -52,7 +52,7 @@ class Belief:
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = NullModel(known, self._model, config)
-        self._window, self._bank = Window(self._most, len(self._null)), hypotheses(0)
+        self._window, self._bank = Window.of(self._most, len(self._null)), hypotheses(0)
         self._weighed: list[Weighed] = []
         self._found = NOTHING
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
@@ -169,7 +169,10 @@ class Belief:
 
     def _is_known_well(self, one: Weighed) -> bool:
         most = self._config.decision.max_sd(self._known.length)
-        return all(sd <= limit for sd, limit in zip(worst_sd(one.covariance), most, strict=True))
+        return all(
+            sd <= limit
+            for sd, limit in zip(worst_sd(covariance_of(one.one, self._known, one.factor)), most, strict=True)
+        )
 
     def estimate(self, T: Matrix) -> Estimate:
         """What is known now, at a pose in the odometry's frame, (4, 4)."""
@@ -187,7 +190,7 @@ class Belief:
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             f"probability {in_words(self._found.best)}{'' if is_in else ', outside what the map knows'}",
             RigidTransform.from_matrix(self._known.T_map_model @ T_model_body),
-            covariance_of(one, self._known, self._found.poses[0].factor),
+            covariance_of(bank, self._known, self._found.poses[0].factor),
             self._found.best, one["b"], np.sqrt(np.diag(one["P"])[BIAS : BIAS + 3]), 1 + float(one["scale"]),
             self._known.name, 1 + float(one["gain"]),
         )  # fmt: skip

@@ -5,6 +5,7 @@ g^2 is the variance of what does not repeat from walk to walk, the map's own spr
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +27,7 @@ STEP = np.dtype(
 FIT = np.dtype([("chi2", "f8"), ("half_log_det", "f8"), ("is_known", "i8"), ("is_seen", "i8")])
 
 
+@dataclass(eq=False, slots=True)
 class Window:
     """The last bins, and how hypotheses (k) and unrelated fields (c) fared in each.
 
@@ -35,11 +37,17 @@ class Window:
     fit, null : (n, k) and (n, c) arrays of FIT
     """
 
-    def __init__(self, most: int, n_null: int) -> None:
-        # Longer than it must be, so that bins are seldom moved.
-        self._first, self._end = 0, 0
-        self._steps = np.zeros(4 * most, STEP)
-        self._fit, self._null = (np.zeros((4 * most, n), FIT) for n in (0, n_null))
+    _steps: np.ndarray
+    _fit: np.ndarray
+    _null: np.ndarray
+    _first: int = 0
+    _end: int = 0
+
+    @classmethod
+    def of(cls, most: int, n_null: int) -> "Window":
+        """Room for so many bins, and more, so that they are seldom moved."""
+        n = 4 * most
+        return cls(np.zeros(n, STEP), np.zeros((n, 0), FIT), np.zeros((n, n_null), FIT))
 
     def __len__(self) -> int:
         return self._end - self._first

@@ -17,11 +17,10 @@ from magmatch.typing import Covariance6, Scalars, Vector3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Weighed:
-    """One hypothesis as a decision sees it; see `magmatch.registration.weigh.hypothesis`."""
+    """One hypothesis (1,) as a decision sees it; see `magmatch.registration.weigh.hypothesis`."""
 
     row: int
     one: np.ndarray
-    known: KnownMap
     log_evidence: float
     misfit: float
     factor: float
@@ -30,7 +29,7 @@ class Weighed:
     @property
     def T_base_target(self) -> RigidTransform:
         """Model frame from the body's."""
-        return RigidTransform.from_components(self.one["p"], Rotation.from_matrix(self.one["R"]))
+        return RigidTransform.from_components(self.one["p"][0], Rotation.from_matrix(self.one["R"][0]))
 
     @property
     def center(self) -> Vector3:
@@ -38,9 +37,9 @@ class Weighed:
         return np.zeros(3)
 
     @property
-    def covariance(self) -> Covariance6:
-        """Of its pose."""
-        return covariance_of(self.one, self.known, self.factor)
+    def covariance(self) -> None:
+        """Not asked for: see `covariance_of`."""
+        return
 
     @property
     def attainable(self) -> float:
@@ -147,7 +146,7 @@ def weigh(
     gained, misfit, factor = evidence(steps, fit, null, known, toll)
     gained += bank["earlier"]
     return [
-        Weighed(k, bank[k], known, float(gained[k]), float(misfit[k]), float(factor[k]))
+        Weighed(k, bank[k : k + 1], float(gained[k]), float(misfit[k]), float(factor[k]))
         for k in _distinct(bank, gained, tolerance)
     ]
 
@@ -180,9 +179,9 @@ def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
 
 
 def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
-    """Of xi in ``T Exp(xi)``, body's axes; how the map's own poses may be off is part of it."""
+    """Of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes; how the map's own poses may be off is part of it."""
     least = 0.0 if known.noise.is_learned else 1.0
-    C = max(factor, least) * one["P"][: PLACE + 3, : PLACE + 3] + known.bent
+    C = max(factor, least) * one["P"][0, : PLACE + 3, : PLACE + 3] + known.bent
     turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = one["R"]
+    turn[:3, :3] = turn[3:, 3:] = one["R"][0]
     return np.asarray(turn.T @ C @ turn)
