@@ -42,6 +42,15 @@ def test_the_sensors_bias_and_the_odometrys_scale_are_found(followed):
     assert result.odometry["scale"] == pytest.approx(1 / 1.01, abs=0.01)
 
 
+def test_the_gain_of_the_sensor_is_found_too(place, followed):
+    louder = mm.Survey(
+        followed.log.positions, 1.015 * followed.log.field, followed.log.times, followed.log.orientations
+    )
+    gains = [mm.localize(place, log).result().sensor["scale"] for log in (followed.log, louder)]
+    # Earth's field tells it from a bias only as far as the body turns and the field changes.
+    assert gains[1] / gains[0] == pytest.approx(1.015, abs=0.005)
+
+
 def test_the_stated_covariance_covers_the_error(followed):
     stated = [(e, p) for e, p in zip(followed.track.estimates, followed.truth, strict=True) if e.is_stated]
     local = [e.T_map_body.inv().apply(p) for e, p in stated]

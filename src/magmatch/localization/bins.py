@@ -38,23 +38,29 @@ class Binning:
     side: float
     n: int = 0
     _first: Vector3 = field(default_factory=lambda: np.zeros(3))
-    _sums: list[np.ndarray | float] = field(default_factory=list)
+    _t: float = 0.0
+    _T: Matrix = field(default_factory=lambda: np.zeros((4, 4)))
+    _b: Vector3 = field(default_factory=lambda: np.zeros(3))
 
     def add(self, t: float, T: Matrix, z: Vector3) -> Bin | None:
         """Take a sample, the body's pose as a (4, 4) matrix; gives the bin before it where that is complete."""
-        R, p = T[:3, :3], T[:3, 3]
-        done = None
-        if self.n and ((p - self._first) ** 2).sum() > self.side**2:
+        p, done = T[:3, 3], None
+        if self.n and (moved := p - self._first) @ moved > self.side**2:
             done = self._close()
             self.n = 0
         if self.n == 0:
-            self._first, self._sums = p, [0.0, 0.0, 0.0, 0.0]
+            self._first, self._t = p, 0.0
+            self._T[:], self._b[:] = 0.0, 0.0
         self.n += 1
-        self._sums = [a + b for a, b in zip(self._sums, (t, R, p, R @ z), strict=True)]
+        self._t += t
+        self._T += T
+        self._b += T[:3, :3] @ z
         return done
 
     def _close(self) -> Bin:
-        t, R_mean, p, b = (np.asarray(s) / self.n for s in self._sums)
+        R_mean, p = self._T[:3, :3] / self.n, self._T[:3, 3] / self.n
         U, _, Vt = np.linalg.svd(R_mean)
-        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-        return Bin(float(t), R, p, R.T @ b, R.T @ R_mean)
+        if np.linalg.det(U @ Vt) < 0:
+            U[:, 2] *= -1
+        R = U @ Vt
+        return Bin(self._t / self.n, R, p, R.T @ self._b / self.n, R.T @ R_mean)

@@ -21,6 +21,8 @@ class LocalizerConfig(Settings):
     calibrated_bias_sd: float = Field(default=1e-6, gt=0)
     bias_sd: float = Field(default=30e-6, gt=0)
     bias_drift: float = Field(default=2e-8, ge=0)
+    # Its gain against that of the map's sensor: two of one kind, each calibrated.
+    gain_sd: float = Field(default=0.007, gt=0)
     # Path whose evidence counts, path that it takes to begin a search, and path between two searches.
     window: float = Field(default=8.0, gt=0)
     min_window: float = Field(default=1.5, gt=0)
@@ -35,5 +37,5 @@ class LocalizerConfig(Settings):
     end_probability: float = Field(default=0.01, gt=0, lt=1)
     # What each field length of path outside the map costs a hypothesis that was never believed, nats.
     price_outside: float = Field(default=3.0, ge=0)
-    # When a pose is stated: the decision of a registration.
-    decision: DecisionConfig = Field(default_factory=DecisionConfig)
+    # When a pose is stated: the decision of a registration. A body that is asked for may well be elsewhere.
+    decision: DecisionConfig = Field(default_factory=lambda: DecisionConfig(prior_odds=0.25))

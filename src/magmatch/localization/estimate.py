@@ -39,6 +39,8 @@ class Estimate:
         True length of a step over that of the odometry.
     map : str or None
         Name of the map.
+    gain : float or None
+        What the sensor reads of a field over what the map's sensor does.
     """
 
     status: LocalizerStatus
@@ -50,6 +52,7 @@ class Estimate:
     bias_sd: Vector3 | None = None
     scale: float | None = None
     map: str | None = None
+    gain: float | None = None
 
     @property
     def is_stated(self) -> bool:

@@ -12,17 +12,22 @@ UNKNOWN = 1e30
 
 
 @compiled
-def score_all(anchors, q, f, R, values, origin, spacing, sd2, ridges, score):  # type: ignore[no-untyped-def]
-    """Squared residuals at each anchor and heading, the better of the sensors' biases solved for (nearest points)."""
-    n = q.shape[1]
-    for y in range(len(q)):
+def score_all(anchors, stretches, ground, sd2, ridges, score):  # type: ignore[no-untyped-def]
+    """Squared residuals at each anchor and heading, the better of the sensors' biases solved for (nearest points).
+
+    `stretches`: (headings, n) array of STRETCH.
+    """
+    values, origin, spacing = ground.values, ground.origin, ground.spacing
+    n = stretches.shape[1]
+    for y in range(len(stretches)):
         for a in range(len(anchors)):
             h0, h1, h2, total, n_known = 0.0, 0.0, 0.0, 0.0, 0
             n_out = 0
             for m in range(n):
-                i = int(np.floor((anchors[a, 0] + q[y, m, 0] - origin[0]) / spacing + 0.5))
-                j = int(np.floor((anchors[a, 1] + q[y, m, 1] - origin[1]) / spacing + 0.5))
-                k = int(np.floor((anchors[a, 2] + q[y, m, 2] - origin[2]) / spacing + 0.5))
+                q, f, R = stretches[y, m].q, stretches[y, m].f, stretches[y, m].R
+                i = int(np.floor((anchors[a, 0] + q[0] - origin[0]) / spacing + 0.5))
+                j = int(np.floor((anchors[a, 1] + q[1] - origin[1]) / spacing + 0.5))
+                k = int(np.floor((anchors[a, 2] + q[2] - origin[2]) / spacing + 0.5))
                 is_in = 0 <= i < values.shape[0] and 0 <= j < values.shape[1] and 0 <= k < values.shape[2]
                 if not is_in or values[i, j, k, 3] < 0:
                     n_out += 1
@@ -30,13 +35,13 @@ def score_all(anchors, q, f, R, values, origin, spacing, sd2, ridges, score):  #
                         break
                     continue
                 r0, r1, r2 = (
-                    f[y, m, 0] - values[i, j, k, 0],
-                    f[y, m, 1] - values[i, j, k, 1],
-                    f[y, m, 2] - values[i, j, k, 2],
+                    f[0] - values[i, j, k, 0],
+                    f[1] - values[i, j, k, 1],
+                    f[2] - values[i, j, k, 2],
                 )
-                h0 += R[y, m, 0, 0] * r0 + R[y, m, 1, 0] * r1 + R[y, m, 2, 0] * r2
-                h1 += R[y, m, 0, 1] * r0 + R[y, m, 1, 1] * r1 + R[y, m, 2, 1] * r2
-                h2 += R[y, m, 0, 2] * r0 + R[y, m, 1, 2] * r1 + R[y, m, 2, 2] * r2
+                h0 += R[0, 0] * r0 + R[1, 0] * r1 + R[2, 0] * r2
+                h1 += R[0, 1] * r0 + R[1, 1] * r1 + R[2, 1] * r2
+                h2 += R[0, 2] * r0 + R[1, 2] * r1 + R[2, 2] * r2
                 total += r0 * r0 + r1 * r1 + r2 * r2
                 n_known += 1
             score[a, y] = UNKNOWN

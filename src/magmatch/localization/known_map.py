@@ -2,6 +2,7 @@
 """What localisation needs of one map, made once; all in the map's model frame."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,12 +12,23 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.prepared.cubes import thin
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.raster import Raster, rasterize
-from magmatch.typing import Matrix, Points, Vector3
+from magmatch.registration.prepared.raster import rasterize
+from magmatch.typing import Covariance6, Matrix, Points, Scalars, Vector3
 
 # Of a field length: spacing of the raster, short against what a tracked position is known to, and of the starts.
 RASTER_SPACING, ANCHOR_SPACING = 0.125, 0.3
 MAX_ANCHORS = 20_000
+# Of a covariance's factors, every so many: a window's hundred readings tell no more apart.
+FACTORS_EVERY = 4
+
+
+class Ground(NamedTuple):
+    """A raster (`magmatch.registration.prepared.raster`) as compiled loops take it, and the map's vertical."""
+
+    values: np.ndarray
+    origin: np.ndarray
+    spacing: float
+    up: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,9 +41,7 @@ class KnownMap:
     name : str
     T_map_model : (4, 4) array
     R_model_map : (3, 3) array
-    up : (3,) array
-        The map's z.
-    raster : Raster
+    ground : Ground
     length : float, m
         Field length.
     noise : PathNoise
@@ -42,26 +52,36 @@ class KnownMap:
         Of all that is searched.
     field_sd, field_rms : float, T
         Of one component over the map's samples.
+    bent : (6, 6) array
+        Covariance of how its own poses are off, rotation first (rad, m).
+    log_factors : two (f,) arrays
+        `PathNoise.log_factors`, as many as a window's bins can tell apart.
     """
 
     index: MapIndex
     name: str
     T_map_model: Matrix
     R_model_map: Matrix
-    up: Vector3
-    raster: Raster
+    ground: Ground
     length: float
     noise: PathNoise
     anchors: Points
     volume: float
     field_sd: float
     field_rms: float
+    bent: Covariance6
+    log_factors: tuple[Scalars, Scalars]
+
+    @property
+    def up(self) -> Vector3:
+        """The map's z."""
+        return self.ground.up
 
     @classmethod
     def of(cls, place: FieldMap | MapIndex) -> "KnownMap":
         """Make a map, or one that is indexed, ready."""
         index = prepare_index(place, RegistrationConfig())
-        base = index.base
+        base, noise = index.base, index.walks.noise
         raster = rasterize(base.field_map, RASTER_SPACING * index.length, base.draws())
         anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]
         R = rotation_matrix(base.T_map_model).T
@@ -70,12 +90,18 @@ class KnownMap:
             base.field_map.survey.name,
             base.T_map_model.as_matrix(),
             np.ascontiguousarray(R),
-            np.ascontiguousarray(R[:, 2]),
-            raster,
+            Ground(raster.values, raster.origin, raster.spacing, np.ascontiguousarray(R[:, 2])),
             index.length,
-            index.walks.noise,
+            noise,
             np.ascontiguousarray(anchors),
             raster.volume,
             float(np.sqrt(base.sample_field.var(axis=0).mean())),
             float(np.sqrt((base.sample_field**2).mean())),
+            np.diag(np.repeat([noise.attitude_sd**2, noise.drift_sd**2], 3)),
+            _some_factors(noise),
         )
+
+
+def _some_factors(noise: PathNoise) -> tuple[Scalars, Scalars]:
+    log_factors, log_priors = (np.ascontiguousarray(each[::FACTORS_EVERY]) for each in noise.log_factors())
+    return log_factors, log_priors - np.logaddexp.reduce(log_priors)

@@ -5,58 +5,83 @@ Residuals in the model's axes, ``T f - T R b - B(x + (1 + s) T q)``, T the turn 
 six degrees of freedom.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.localization.grid_score import OUTSIDE, UNKNOWN
 from magmatch.registration.prepared.raster import find_cell, interpolate
 
+# A bin in axes with the map's up: shift from the last bin (m), field (T), attitude.
+STRETCH = np.dtype([("q", "f8", 3), ("f", "f8", 3), ("R", "f8", (3, 3))])
+
+
+class Priors(NamedTuple):
+    """Standard deviations: bias (T), scale, height (m); and the field length (m)."""
+
+    bias_sd: float
+    scale_sd: float
+    height_sd: float
+    length: float
+
+
+class Room(NamedTuple):
+    """Where the loops put what they work on: normal equations; of one bin what was looked up, slopes, vectors."""
+
+    A: np.ndarray
+    v: np.ndarray
+    T: np.ndarray
+    out: np.ndarray
+    J: np.ndarray
+    turned: np.ndarray
+    place: np.ndarray
+    reading: np.ndarray
+    e: np.ndarray
+
 
 @compiled
-def refine_all(  # type: ignore[no-untyped-def]
-    x, q, f, R, values, origin, spacing, up, schedule, bias_sd, scale_sd, height_sd, length, cost
-):
+def refine_all(x, stretch, ground, schedule, priors, cost):  # type: ignore[no-untyped-def]
     """Gauss-Newton on rows of x: place (3), heading, scale, bias (3); their costs, UNKNOWN outside the map."""
-    out, J, T, room = np.zeros(13), np.zeros((3, 8)), np.zeros((3, 3)), np.zeros((4, 3))
-    A, v = np.zeros((8, 8)), np.zeros(8)
+    room = Room(
+        np.zeros((8, 8)), np.zeros(8), np.zeros((3, 3)), np.zeros(13), np.zeros((3, 8)),
+        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3),
+    )  # fmt: skip
+    v = room.v
     for k in range(len(x)):
-        h0 = up[0] * x[k, 0] + up[1] * x[k, 1] + up[2] * x[k, 2]
+        h0 = ground.up[0] * x[k, 0] + ground.up[1] * x[k, 1] + ground.up[2] * x[k, 2]
         for step in range(len(schedule) + 1):
             sd2 = schedule[min(step, len(schedule) - 1)] ** 2
-            total, n_known = _linearise(
-                k, x, q, f, R, values, origin, spacing, up, h0, sd2, bias_sd, scale_sd, height_sd, length,
-                A, v, out, J, T, room,
-            )  # fmt: skip
+            total, n_known = _linearise(x[k], stretch, ground, h0, sd2, priors, room)
             cost[k] = total if n_known > 0 else UNKNOWN
             if step == len(schedule):
                 break
-            _solve(A, v)
-            longest = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2) / (0.3 * length)
+            _solve(room.A, v)
+            longest = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2) / (0.3 * priors.length)
             shorten = 1 / max(1.0, longest, abs(v[3]) / 0.15)
             for i in range(8):
                 x[k, i] -= shorten * v[i]
 
 
 @compiled
-def _linearise(  # type: ignore[no-untyped-def]
-    k, x, q, f, R, values, origin, spacing, up, h0, sd2, bias_sd, scale_sd, height_sd, length, A, v, out, J, T, room
-):
-    """Normal equations of one row of x; its cost, and the number of bins that the map knows."""
-    A[:], v[:] = 0.0, 0.0
-    _turn_about(up, np.cos(x[k, 3]), np.sin(x[k, 3]), T)
-    total = _add_priors(k, x, up, h0, bias_sd, scale_sd, height_sd, length, A, v)
+def _linearise(x, stretch, ground, h0, sd2, priors, room):  # type: ignore[no-untyped-def]
+    """Normal equations of one start; its cost, and the number of bins that the map knows."""
+    room.A[:], room.v[:] = 0.0, 0.0
+    _turn_about(ground.up, np.cos(x[3]), np.sin(x[3]), room.T)
+    total = _add_priors(x, ground.up, h0, priors, room.A, room.v)
     n_known = 0
-    for m in range(len(q)):
-        added = _add_bin(k, x, q[m], f[m], R[m], values, origin, spacing, up, sd2, A, v, out, J, T, room)
+    for m in range(len(stretch)):
+        added = _add_bin(x, stretch[m], ground, sd2, room)
         total += added
         n_known += added != OUTSIDE
     return total, n_known
 
 
 @compiled
-def _add_priors(k, x, up, h0, bias_sd, scale_sd, height_sd, length, A, v):  # type: ignore[no-untyped-def]
-    off = up[0] * x[k, 0] + up[1] * x[k, 1] + up[2] * x[k, 2] - h0
-    total = (off / height_sd) ** 2 + (x[k, 4] / scale_sd) ** 2
+def _add_priors(x, up, h0, priors, A, v):  # type: ignore[no-untyped-def]
+    bias_sd, scale_sd, height_sd, length = priors
+    off = up[0] * x[0] + up[1] * x[1] + up[2] * x[2] - h0
+    total = (off / height_sd) ** 2 + (x[4] / scale_sd) ** 2
     for a in range(3):
         # Loose, so that a direction without a slope stays where it is.
         A[a, a] += 1 / (1.5 * length) ** 2
@@ -64,26 +89,26 @@ def _add_priors(k, x, up, h0, bias_sd, scale_sd, height_sd, length, A, v):  # ty
         for b in range(3):
             A[a, b] += up[a] * up[b] / height_sd**2
         A[5 + a, 5 + a] += 1 / bias_sd**2
-        v[5 + a] += x[k, 5 + a] / bias_sd**2
-        total += (x[k, 5 + a] / bias_sd) ** 2
+        v[5 + a] += x[5 + a] / bias_sd**2
+        total += (x[5 + a] / bias_sd) ** 2
     A[3, 3] += 1 / 0.3**2
     A[4, 4] += 1 / scale_sd**2
-    v[4] += x[k, 4] / scale_sd**2
+    v[4] += x[4] / scale_sd**2
     return total
 
 
 @compiled
-def _add_bin(k, x, q, f, R, values, origin, spacing, up, sd2, A, v, out, J, T, room):  # type: ignore[no-untyped-def]
-    turned, place, reading, e = room[0], room[1], room[2], room[3]
-    stretch = 1 + x[k, 4]
+def _add_bin(x, one, ground, sd2, room):  # type: ignore[no-untyped-def]
+    A, v, T, out, J, turned, place, reading, e = room
+    q, f, R, up, stretch = one.q, one.f, one.R, ground.up, 1 + x[4]
     for a in range(3):
         turned[a] = T[a, 0] * q[0] + T[a, 1] * q[1] + T[a, 2] * q[2]
-        place[a] = x[k, a] + stretch * turned[a]
+        place[a] = x[a] + stretch * turned[a]
         reading[a] = T[a, 0] * f[0] + T[a, 1] * f[1] + T[a, 2] * f[2]
-    i, j, n, s, t, w = find_cell(values, origin, spacing, place[0], place[1], place[2])
+    i, j, n, s, t, w = find_cell(ground.values, ground.origin, ground.spacing, place[0], place[1], place[2])
     if i < 0:
         return OUTSIDE
-    interpolate(values, spacing, i, j, n, s, t, w, out)
+    interpolate(ground.values, ground.spacing, i, j, n, s, t, w, out)
     e2 = 0.0
     for a in range(3):
         # A turn about the vertical carries the place and turns the reading.
@@ -97,7 +122,7 @@ def _add_bin(k, x, q, f, R, values, origin, spacing, up, sd2, A, v, out, J, T, r
             J[a, 3] += slope * stretch * (up[g] * turned[h] - up[h] * turned[g])
             J[a, 4] += slope * turned[d]
             J[a, 5 + d] = -(T[a, 0] * R[0, d] + T[a, 1] * R[1, d] + T[a, 2] * R[2, d])
-            e[a] += J[a, 5 + d] * x[k, 5 + d]
+            e[a] += J[a, 5 + d] * x[5 + d]
         e2 += e[a] ** 2 / sd2
     weight = 1 / (1 + e2 / 6) / sd2
     for i in range(8):

@@ -2,141 +2,124 @@
 """How probable each hypothesis is after a stretch of path: the evidence and the decision of a registration."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.measurement import Fit
-from magmatch.localization.state import PLACE, Bank
+from magmatch.localization.state import PLACE
 from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.typing import Covariance6, Indices, Scalars, Vector3
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Crowd:
-    """Hypotheses with how they fared in the last bins (k, n), which bins they have seen, and what they bring along.
-
-    Attributes
-    ----------
-    earlier : (k,) array, nats
-        What the search for each cost, and what older bins gained since.
-    """
-
-    bank: Bank
-    fit: Fit
-    is_seen: np.ndarray
-    earlier: Scalars
-
-    def __len__(self) -> int:
-        return len(self.earlier)
-
-    @classmethod
-    def none(cls, n_bins: int = 0) -> "Crowd":
-        """No hypothesis."""
-        return cls(Bank.empty(0), Fit.empty(0, n_bins), np.zeros((0, n_bins), dtype=np.bool_), np.zeros(0))
-
-    def rows(self, chosen: Indices) -> "Crowd":
-        """Copies of some."""
-        return Crowd(
-            self.bank.rows(chosen), self.fit.rows(chosen), self.is_seen[chosen].copy(), self.earlier[chosen].copy()
-        )
-
-    def joined(self, other: "Crowd") -> "Crowd":
-        """These, then others."""
-        seen, earlier = (np.concatenate([getattr(c, name) for c in (self, other)]) for name in ("is_seen", "earlier"))
-        return Crowd(self.bank.joined(other.bank), self.fit.joined(other.fit), seen, earlier)
-
-    def after(self, new: Fit) -> "Crowd":
-        """With one more bin."""
-        seen = np.ones((len(self), 1), dtype=np.bool_)
-        return Crowd(self.bank, self.fit.then(new), np.concatenate([self.is_seen, seen], axis=1), self.earlier)
-
-    def without_first(self, gained: Scalars, most: Scalars) -> "Crowd":
-        """The first bin forgotten, but for what each gained by it, up to a sum."""
-        earlier = np.minimum(self.earlier + gained, np.maximum(most, self.earlier))
-        return Crowd(self.bank, self.fit.columns(slice(1, None)), self.is_seen[:, 1:], earlier)
+from magmatch.typing import Covariance6, Scalars, Vector3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Weighed:
-    """One hypothesis as a decision sees it; see `magmatch.registration.weigh.hypothesis`."""
+    """One hypothesis (1,) as a decision sees it; see `magmatch.registration.weigh.hypothesis`."""
 
     row: int
-    bank: Bank
-    covariance: Covariance6
+    one: np.ndarray
     log_evidence: float
     misfit: float
     factor: float
-    overlap: float
-    center: Vector3
-    kind: Kind = "walk"
+    kind: Kind = "log"
 
     @property
     def T_base_target(self) -> RigidTransform:
         """Model frame from the body's."""
-        return pose_of(self.bank, self.row)
+        return RigidTransform.from_components(self.one["p"][0], Rotation.from_matrix(self.one["R"][0]))
+
+    @property
+    def center(self) -> Vector3:
+        """The body itself."""
+        return np.zeros(3)
+
+    @property
+    def covariance(self) -> None:
+        """Not asked for: see `covariance_of`."""
+        return
 
     @property
     def attainable(self) -> float:
         """Not asked for."""
         return self.log_evidence
 
+    @property
+    def overlap(self) -> float:
+        """Not asked for."""
+        return 1.0
+
+
+class Toll(NamedTuple):
+    """What a metre outside the map costs (nats), and how many of the first hypotheses may leave it freely."""
+
+    per_metre: float
+    n_free: int
+
 
 def evidence(
-    crowd: Crowd, null: Fit, known: KnownMap, price: Scalars, since: int
+    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll
 ) -> tuple[Scalars, Scalars, Scalars]:
     """Evidence of each hypothesis over an unrelated field (nats), normalised misfit, and factor on its covariance.
 
     Parameters
     ----------
-    crowd : Crowd
-    null : Fit
-        Of unrelated fields, over the same bins.
+    steps : (n,) array of STEP
+    fit, null : (n, k) and (n, c) arrays of FIT
+        Of hypotheses and unrelated fields.
     known : KnownMap
-    price : (k, n) array, nats
-        What each bin outside the map costs each hypothesis.
-    since : int
-        First bin that counts.
+    toll : Toll
     """
-    n = len(crowd)
+    n = fit.shape[1]
     gained, misfit, factor = np.zeros(n), np.zeros(n), np.ones(n)
-    _weigh_all(
-        crowd.fit.chi2, crowd.fit.half_log_det, crowd.fit.is_known, crowd.is_seen, price, since,
-        null.chi2, null.half_log_det, *known.noise.log_factors(), gained, misfit, factor,
-    )  # fmt: skip
+    _weigh_all(steps, fit, null, toll, *known.log_factors, gained, misfit, factor)
     return gained, misfit, factor
 
 
 @compiled
-def _weigh_all(  # type: ignore[no-untyped-def]
-    chi2, half_log_det, is_known, is_seen, price, since, null_chi2, null_half_log_det, log_factors, log_priors,
-    gained, misfit, factor,
-):  # fmt: skip
+def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, factor):  # type: ignore[no-untyped-def]
     inverse = np.exp(-log_factors)
-    for k in range(len(chi2)):
+    for k in range(fit.shape[1]):
         own, own_det, paid, n = 0.0, 0.0, 0.0, 0
-        for m in range(since, chi2.shape[1]):
-            if is_seen[k, m] and is_known[k, m]:
-                own += chi2[k, m]
-                own_det += half_log_det[k, m]
+        for m in range(len(fit)):
+            one, u = fit[m, k], steps[m].u
+            if one.is_seen and one.is_known:
+                own += one.chi2
+                own_det += one.half_log_det
                 n += 3
-            elif is_seen[k, m]:
-                paid += price[k, m]
+            elif one.is_seen and k >= toll.n_free:
+                paid += toll.per_metre * np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
         unrelated = -np.inf
-        for c in range(len(null_chi2)):
+        for c in range(null.shape[1]):
             total, det = 0.0, 0.0
-            for m in range(since, chi2.shape[1]):
-                if is_seen[k, m] and is_known[k, m]:
-                    total += null_chi2[c, m]
-                    det += null_half_log_det[c, m]
+            for m in range(len(fit)):
+                if fit[m, k].is_seen and fit[m, k].is_known:
+                    total += null[m, c].chi2
+                    det += null[m, c].half_log_det
             unrelated = max(unrelated, _average(total, n, log_factors, inverse, log_priors)[0] - det)
         likelihood, best = _average(own, n, log_factors, inverse, log_priors)
         gained[k] = likelihood - own_det - unrelated - paid
         misfit[k] = np.sqrt(own / max(n, 1))
         factor[k] = np.exp(log_factors[best])
+
+
+@compiled
+def forget(steps, fit, null, toll, most, bank):  # type: ignore[no-untyped-def]
+    """What the first bin gained each hypothesis over the likeliest unrelated field counts as earlier, up to a sum."""
+    best, u = np.inf, steps[0].u
+    for c in range(null.shape[1]):
+        best = min(best, 0.5 * null[0, c].chi2 + null[0, c].half_log_det)
+    for k in range(len(bank)):
+        one, gained = fit[0, k], 0.0
+        if one.is_seen and one.is_known:
+            gained = best - 0.5 * one.chi2 - one.half_log_det
+        elif one.is_seen and k >= toll.n_free:
+            gained = -toll.per_metre * np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+        # A body that may leave the map and is outside forgets nothing.
+        limit = np.inf if k < toll.n_free and not fit[len(fit) - 1, k].is_known else most
+        bank[k].earlier = min(bank[k].earlier + gained, max(limit, bank[k].earlier))
 
 
 @compiled
@@ -156,64 +139,49 @@ def _average(chi2, n, log_factors, inverse, log_priors):  # type: ignore[no-unty
 
 
 def weigh(
-    crowd: Crowd, null: Fit, known: KnownMap, price: Scalars, since: int, tolerance: tuple[float, float]
-) -> list[Weighed]:
+    bank: np.ndarray, steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll,
+    tolerance: tuple[float, float],
+) -> list[Weighed]:  # fmt: skip
     """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`."""
-    gained, misfit, factor = evidence(crowd, null, known, price, since)
-    gained = gained + crowd.earlier
-    overlap = (crowd.fit.is_known & crowd.is_seen).sum(axis=1) / np.maximum(crowd.is_seen.sum(axis=1), 1)
+    gained, misfit, factor = evidence(steps, fit, null, known, toll)
+    gained += bank["earlier"]
     return [
-        Weighed(
-            k, crowd.bank, covariance_of(crowd.bank, k, known, factor[k]), float(gained[k]), float(misfit[k]),
-            float(factor[k]), float(overlap[k]), np.zeros(3),
-        )
-        for k in _distinct(crowd.bank, gained, tolerance)
-    ]  # fmt: skip
+        Weighed(k, bank[k : k + 1], float(gained[k]), float(misfit[k]), float(factor[k]))
+        for k in _distinct(bank, gained, tolerance)
+    ]
 
 
-def _distinct(bank: Bank, gained: Scalars, tolerance: tuple[float, float]) -> list[int]:
+def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float]) -> list[int]:
     """Hypotheses no two of which are one answer, the best of each."""
+    if len(bank) == 1:
+        return [0]
     kept: list[int] = []
     most = 1 + 2 * np.cos(tolerance[1])
     for k in np.argsort(-gained, kind="stable"):
-        is_near = np.linalg.norm(bank.p[kept] - bank.p[k], axis=1) <= tolerance[0]
-        if not (is_near & ((bank.R[kept] * bank.R[k]).sum(axis=(1, 2)) >= most)).any():
+        is_near = np.linalg.norm(bank["p"][kept] - bank["p"][k], axis=1) <= tolerance[0]
+        if not (is_near & ((bank["R"][kept] * bank["R"][k]).sum(axis=(1, 2)) >= most)).any():
             kept.append(int(k))
     return kept
 
 
-def is_doubtful(crowd: Crowd, null: Fit, known: KnownMap, recent: int, prior_odds: float) -> bool:
-    """Whether the latest bins of the first hypothesis, of some odds before, look more like an unrelated field."""
-    one = crowd.rows(np.array([0]))
-    gained, misfit, _ = evidence(one, null, known, np.zeros_like(one.fit.chi2), max(null.chi2.shape[1] - recent, 0))
-    return bool(log_odds(float(gained[0]), float(misfit[0]), "walk") < -np.log(prior_odds))
+def is_doubtful(steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, prior_odds: float) -> bool:
+    """Whether bins of a hypothesis (n, 1), of some odds before, look more like an unrelated field."""
+    gained, misfit, _ = evidence(steps, fit, null, known, Toll(0.0, 1))
+    return bool(log_odds(float(gained[0]), float(misfit[0]), "log") < -np.log(prior_odds))
 
 
-def gains(crowd: Crowd, null: Fit, bins: slice) -> np.ndarray:
-    """What each hypothesis gained in some bins over the unrelated field that is the likeliest there, (k, bins)."""
-    unrelated = 0.5 * null.chi2[:, bins] + null.half_log_det[:, bins]
-    best = unrelated[np.argmin(unrelated.sum(axis=1))]
-    gained = best - 0.5 * crowd.fit.chi2[:, bins] - crowd.fit.half_log_det[:, bins]
-    return np.asarray(gained * (crowd.fit.is_known[:, bins] & crowd.is_seen[:, bins]))
+def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
+    """Bin from which on a hypothesis (n,) was worse than the best unrelated field, as the sums have it."""
+    unrelated = 0.5 * null["chi2"] + null["half_log_det"]
+    best = unrelated[:, np.argmin(unrelated.sum(axis=0))]
+    gained = (best - 0.5 * fit["chi2"] - fit["half_log_det"]) * (fit["is_known"] & fit["is_seen"])
+    return int(np.argmax(np.concatenate([[0.0], np.cumsum(gained)])))
 
 
-def end_of_agreement(crowd: Crowd, null: Fit, recent: int) -> int:
-    """Bin from which on the first hypothesis was worse than the best unrelated field, as the sums have it."""
-    first = max(null.chi2.shape[1] - recent, 0)
-    sums = np.concatenate([[0.0], np.cumsum(gains(crowd, null, slice(first, None))[0])])
-    return int(first + np.argmax(sums))
-
-
-def pose_of(bank: Bank, k: int) -> RigidTransform:
-    """Model frame from the body's."""
-    return RigidTransform.from_components(bank.p[k], Rotation.from_matrix(bank.R[k]))
-
-
-def covariance_of(bank: Bank, k: int, known: KnownMap, factor: float) -> Covariance6:
-    """Of xi in ``T Exp(xi)``, body's axes; how the map's own poses may be off is part of it."""
+def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
+    """Of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes; how the map's own poses may be off is part of it."""
     least = 0.0 if known.noise.is_learned else 1.0
-    C = max(factor, least) * bank.P[k, : PLACE + 3, : PLACE + 3]
-    C = C + np.diag(np.repeat([known.noise.attitude_sd**2, known.noise.drift_sd**2], 3))
+    C = max(factor, least) * one["P"][0, : PLACE + 3, : PLACE + 3] + known.bent
     turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = bank.R[k]
+    turn[:3, :3] = turn[3:, 3:] = one["R"][0]
     return np.asarray(turn.T @ C @ turn)

@@ -13,127 +13,114 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.measurement import Fit, Steps
-from magmatch.localization.state import Model
+from magmatch.localization.measurement import FIT
+from magmatch.localization.state import Model, settle
 
 # Lengthscales, in field lengths, and strengths, in the map's standard deviation.
 LENGTHSCALES, STRENGTHS = (0.6, 1.2, 2.4), (0.25, 0.5, 1.0, 2.0)
 FIELD, SLOPE, MISFIT, CONSTANT, BIAS, N = 0, 1, 2, 3, 12, 15
+# One unrelated field: its lengthscale's rate (1/m) and variance (T^2), its filter's state and covariance.
+UNRELATED = np.dtype([("rate", "f8"), ("variance", "f8"), ("x", "f8", N), ("P", "f8", (N, N))])
 
 
 class NullModel:
     """Unrelated fields, each filtered up to the last bin: those of the whole path, and the same begun anew."""
 
     def __init__(self, known: KnownMap, model: Model, config: LocalizerConfig) -> None:
-        noise = known.noise
-        numbers = list(product(LENGTHSCALES, STRENGTHS, (config.calibrated_bias_sd, config.bias_sd)))
-        self._kinds = np.array([(np.sqrt(3) / (a * known.length), (b * known.field_sd) ** 2) for a, b, _ in numbers])
-        turned = 2 * known.field_rms**2 * noise.attitude_sd**2
-        self._misfit = model.misfit_variance + turned, model.misfit_length
-        self._model = model
-        self._start = np.zeros((len(numbers), N, N))
-        for P, (_, variance), (*_, bias) in zip(self._start, self._kinds, numbers, strict=True):
-            alike = [variance, variance, self._misfit[0], known.field_rms**2]
-            np.fill_diagonal(P, [*alike, *alike, *alike, *[bias**2] * 3])
-        self._x, self._P = np.zeros((len(numbers), N)), self._start.copy()
+        # A field turned by the errors of orientations varies, too.
+        turned = 2 * known.field_rms**2 * known.noise.attitude_sd**2
+        self._model = model._replace(misfit_variance=model.misfit_variance + turned)
+        kinds = list(product(LENGTHSCALES, STRENGTHS, (config.calibrated_bias_sd, config.bias_sd)))
+        self._start = np.zeros(len(kinds), UNRELATED)
+        for one, (lengthscale, strength, bias) in zip(self._start, kinds, strict=True):
+            one["rate"], one["variance"] = np.sqrt(3) / (lengthscale * known.length), (strength * known.field_sd) ** 2
+            alike = [one["variance"], one["variance"], self._model.misfit_variance, known.field_rms**2]
+            np.fill_diagonal(one["P"], [*alike, *alike, *alike, *[bias**2] * 3])
+        self._now = self._start.copy()
 
-    def begin_anew(self, steps: Steps, fit: Fit) -> Fit:
+    def __len__(self) -> int:
+        return len(self._now)
+
+    def begin_anew(self, steps: np.ndarray, fit: np.ndarray) -> np.ndarray:
         """Let unrelated fields begin with the last of the bins of a fit, too: where a body is carried to."""
-        n, before = len(self._start), fit.chi2.shape[1] - len(steps)
-        kept, kinds = (self._x[:n], self._P[:n]), self._kinds[:n]
-        self._kinds, self._x, self._P = kinds, np.zeros_like(kept[0]), self._start.copy()
-        anew = fit.rows(np.arange(n)).columns(slice(before)).then(self.follow(steps))
-        self._kinds = np.concatenate([kinds, kinds])
-        self._x, self._P = (np.concatenate([old, new]) for old, new in zip(kept, (self._x, self._P), strict=True))
-        return fit.rows(np.arange(n)).joined(anew)
-
-    def follow(self, steps: Steps) -> Fit:
-        """Take all through some bins, as `measurement.follow` does hypotheses."""
-        fit = Fit.empty(len(self._x), len(steps))
-        fit.is_known[:] = True
-        step = np.sqrt((steps.u**2).sum(axis=1))
-        _follow(
-            step, steps.dt, np.einsum("nij,nj->ni", steps.R, steps.z), steps.R @ steps.M,
-            self._kinds, *self._misfit, self._model.nugget_variance, self._model.bias_drift, self._model.gate,
-            self._x, self._P, fit.chi2, fit.half_log_det,
-        )  # fmt: skip
+        n = len(self._start)
+        fit = np.concatenate([fit[:, :n], fit[:, :n]], axis=1)
+        kept, self._now = self._now[:n], self._start.copy()
+        anew = np.zeros((len(steps), n), FIT)
+        self.follow(steps, anew)
+        fit[len(fit) - len(steps) :, n:] = anew
+        self._now = np.concatenate([kept, self._now])
         return fit
 
-
-@compiled
-def _follow(  # type: ignore[no-untyped-def]
-    d, dt, b, RM, kinds, misfit, misfit_length, nugget, bias_drift, gate, x, P, chi2, half_log_det
-):
-    PH, S, C = np.zeros((N, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    r = np.zeros(3)
-    for k in range(len(x)):
-        for n in range(len(d)):
-            _predict(k, x, P, d[n], dt[n], kinds[k, 0], kinds[k, 1], misfit, misfit_length, bias_drift)
-            for i in range(N):
-                for a in range(3):
-                    at = 4 * a
-                    total = P[k, i, at] + P[k, i, at + MISFIT] + P[k, i, at + CONSTANT]
-                    for e in range(3):
-                        total += P[k, i, BIAS + e] * RM[n, a, e]
-                    PH[i, a] = total
-            for a in range(3):
-                at = 4 * a
-                r[a] = b[n, a] - x[k, at] - x[k, at + MISFIT] - x[k, at + CONSTANT]
-                for e in range(3):
-                    r[a] -= RM[n, a, e] * x[k, BIAS + e]
-                    S[a, e] = PH[at, e] + PH[at + MISFIT, e] + PH[at + CONSTANT, e]
-                    for f in range(3):
-                        S[a, e] += RM[n, a, f] * PH[BIAS + f, e]
-                S[a, a] += nugget
-            C[0, 0], C[0, 1] = S[1, 1] * S[2, 2] - S[1, 2] ** 2, S[0, 2] * S[1, 2] - S[0, 1] * S[2, 2]
-            C[0, 2], C[1, 1] = S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1], S[0, 0] * S[2, 2] - S[0, 2] ** 2
-            C[1, 2], C[2, 2] = S[0, 1] * S[0, 2] - S[0, 0] * S[1, 2], S[0, 0] * S[1, 1] - S[0, 1] ** 2
-            C[1, 0], C[2, 0], C[2, 1] = C[0, 1], C[0, 2], C[1, 2]
-            det = S[0, 0] * C[0, 0] + S[0, 1] * C[0, 1] + S[0, 2] * C[0, 2]
-            found = 0.0
-            for a in range(3):
-                for e in range(3):
-                    found += r[a] * C[a, e] * r[e] / det
-            factor = max(found / gate, 1.0)
-            chi2[k, n], half_log_det[k, n] = found / factor, 0.5 * np.log(det) + 1.5 * np.log(factor)
-            for i in range(N):
-                k0 = (PH[i, 0] * C[0, 0] + PH[i, 1] * C[1, 0] + PH[i, 2] * C[2, 0]) / (det * factor)
-                k1 = (PH[i, 0] * C[0, 1] + PH[i, 1] * C[1, 1] + PH[i, 2] * C[2, 1]) / (det * factor)
-                k2 = (PH[i, 0] * C[0, 2] + PH[i, 1] * C[1, 2] + PH[i, 2] * C[2, 2]) / (det * factor)
-                x[k, i] += k0 * r[0] + k1 * r[1] + k2 * r[2]
-                for j in range(i + 1):
-                    P[k, i, j] -= k0 * PH[j, 0] + k1 * PH[j, 1] + k2 * PH[j, 2]
-                    P[k, j, i] = P[k, i, j]
+    def follow(self, steps: np.ndarray, fit: np.ndarray) -> None:
+        """Take all through some bins, as `measurement.follow` does hypotheses."""
+        _follow(self._now, steps, self._model, fit)
 
 
 @compiled
-def _predict(k, x, P, d, dt, rate, variance, misfit, misfit_length, bias_drift):  # type: ignore[no-untyped-def]
+def _follow(nulls, steps, model, fit):  # type: ignore[no-untyped-def]
+    PH, S, RM = np.zeros((N, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    b, r, dx = np.zeros(3), np.zeros(3), np.zeros(N)
+    for n in range(len(steps)):
+        R, M, z, u = steps[n].R, steps[n].M, steps[n].z, steps[n].u
+        d = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+        for a in range(3):
+            b[a] = R[a, 0] * z[0] + R[a, 1] * z[1] + R[a, 2] * z[2]
+            for e in range(3):
+                RM[a, e] = R[a, 0] * M[0, e] + R[a, 1] * M[1, e] + R[a, 2] * M[2, e]
+        for k in range(len(nulls)):
+            one, found = nulls[k], fit[n, k]
+            _predict(one.x, one.P, d, steps[n].dt, one.rate, one.variance, model)
+            _compare(one.x, one.P, b, RM, model.nugget_variance, PH, S, r)
+            found.is_seen, found.is_known = 1, 1
+            found.chi2, found.half_log_det = settle(one.P, PH, S, r, model.gate, dx)
+            for i in range(N):
+                one.x[i] += dx[i]
+
+
+@compiled
+def _compare(x, P, b, RM, nugget, PH, S, r):  # type: ignore[no-untyped-def]
+    """Innovation by a field b in the odometry's axes, P H^T and the innovation's covariance (upper half)."""
+    for i in range(N):
+        for a in range(3):
+            at = 4 * a
+            total = P[i, at] + P[i, at + MISFIT] + P[i, at + CONSTANT]
+            for e in range(3):
+                total += P[i, BIAS + e] * RM[a, e]
+            PH[i, a] = total
+    for a in range(3):
+        at = 4 * a
+        r[a] = b[a] - x[at] - x[at + MISFIT] - x[at + CONSTANT]
+        for e in range(3):
+            r[a] -= RM[a, e] * x[BIAS + e]
+            S[a, e] = PH[at, e] + PH[at + MISFIT, e] + PH[at + CONSTANT, e]
+            for f in range(3):
+                S[a, e] += RM[a, f] * PH[BIAS + f, e]
+        S[a, a] += nugget
+
+
+@compiled
+def _predict(x, P, d, dt, rate, variance, model):  # type: ignore[no-untyped-def]
     """Along d metres of path; the slope is in units of the field, times the rate."""
     v = rate * d
-    e, fade = np.exp(-v), np.exp(-d / misfit_length)
+    e, fade = np.exp(-v), np.exp(-d / model.misfit_length)
     f00, f01, f10, f11 = e * (1 + v), e * v, -e * v, e * (1 - v)
     for a in range(3):
         i = 4 * a
-        x[k, i], x[k, i + SLOPE] = f00 * x[k, i] + f01 * x[k, i + 1], f10 * x[k, i] + f11 * x[k, i + 1]
-        x[k, i + MISFIT] *= fade
+        x[i], x[i + SLOPE] = f00 * x[i] + f01 * x[i + 1], f10 * x[i] + f11 * x[i + 1]
+        x[i + MISFIT] *= fade
         for j in range(N):
-            P[k, i, j], P[k, i + 1, j] = (
-                f00 * P[k, i, j] + f01 * P[k, i + 1, j],
-                f10 * P[k, i, j] + f11 * P[k, i + 1, j],
-            )
-            P[k, i + MISFIT, j] *= fade
+            P[i, j], P[i + 1, j] = f00 * P[i, j] + f01 * P[i + 1, j], f10 * P[i, j] + f11 * P[i + 1, j]
+            P[i + MISFIT, j] *= fade
     for a in range(3):
         j = 4 * a
         for i in range(N):
-            P[k, i, j], P[k, i, j + 1] = (
-                f00 * P[k, i, j] + f01 * P[k, i, j + 1],
-                f10 * P[k, i, j] + f11 * P[k, i, j + 1],
-            )
-            P[k, i, j + MISFIT] *= fade
+            P[i, j], P[i, j + 1] = f00 * P[i, j] + f01 * P[i, j + 1], f10 * P[i, j] + f11 * P[i, j + 1]
+            P[i, j + MISFIT] *= fade
         # Stationary: what the step forgets comes back as noise.
-        P[k, j, j] += variance * (1 - f00 * f00 - f01 * f01)
-        P[k, j + 1, j + 1] += variance * (1 - f10 * f10 - f11 * f11)
-        P[k, j, j + 1] -= variance * (f00 * f10 + f01 * f11)
-        P[k, j + 1, j] -= variance * (f00 * f10 + f01 * f11)
-        P[k, j + MISFIT, j + MISFIT] += misfit * (1 - fade * fade)
-        P[k, BIAS + a, BIAS + a] += bias_drift * dt
+        P[j, j] += variance * (1 - f00 * f00 - f01 * f01)
+        P[j + 1, j + 1] += variance * (1 - f10 * f10 - f11 * f11)
+        P[j, j + 1] -= variance * (f00 * f10 + f01 * f11)
+        P[j + 1, j] -= variance * (f00 * f10 + f01 * f11)
+        P[j + MISFIT, j + MISFIT] += model.misfit_variance * (1 - fade * fade)
+        P[BIAS + a, BIAS + a] += model.bias_drift * dt

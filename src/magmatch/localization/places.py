@@ -12,12 +12,11 @@ from magmatch.atlas.retrieval import count_votes
 from magmatch.data.checks import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.localization.belief import Belief
+from magmatch.localization.belief import BIN_LENGTH, Belief
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.prepared.walk import BIN_LENGTH
 
 Place = FieldMap | MapIndex | Atlas
 # Path between two votes of a folder's maps, in field lengths.

@@ -42,11 +42,11 @@ class Segment:
 
 
 class SensorResult(TypedDict):
-    """The magnetometer at the last stated pose; its scale is taken as it is."""
+    """The magnetometer at the last stated pose."""
 
     bias: Three[Number]  # T, body's axes
     bias_sd: Three[NumberOrNull]
-    scale: Number
+    scale: Number  # its reading of a field over that of the map's sensor
 
 
 class OdometryResult(TypedDict):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Samples as a caller hands them in: checked one by one before anything is changed."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,8 +36,8 @@ class Samples:
         ValueError, TypeError
             What was expected and what was found; an `OdometryJump` is one.
         """
-        time = numbers_of(t, "t", "(), in s")
-        if time.shape != () or not np.isfinite(time):
+        time = t if isinstance(t, float) else numbers_of(t, "t", "(), in s")
+        if np.ndim(time) or not math.isfinite(time):
             msg = f"t: expected a finite number of seconds, got {t!r:.40}"
             raise ValueError(msg)
         expect_transform(T_given_body, "T_odom_body")
@@ -48,8 +49,7 @@ class Samples:
         if z.shape != (3,) or not np.isfinite(z).all():
             msg = f"field: expected three finite numbers, in T, got {np.asarray(b)!r:.60}; leave such samples out"
             raise ValueError(msg)
-        if np.linalg.norm(z) > MAX_FIELD:
-            size = np.linalg.norm(z)
+        if (size := math.sqrt(z @ z)) > MAX_FIELD:
             msg = f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
             raise ValueError(msg)
         now = float(time)
@@ -59,7 +59,7 @@ class Samples:
         if now <= self.t:
             msg = f"t: expected a time after {self.t:.9g} s, got {now:.9g}"
             raise ValueError(msg)
-        moved = float(np.linalg.norm(T[:3, 3] - self._given[:3, 3]))
+        moved = math.dist(T[:3, 3].tolist(), self._given[:3, 3].tolist())
         if moved > MOST_STEP + MOST_SPEED * (now - self.t):
             # Whatever the odometry says from here on is relative to where it believes to be now.
             self._T_odom_given, self._given = self.T_odom_body @ np.linalg.inv(T), T

@@ -5,8 +5,6 @@ Where gravity is known four numbers are searched; the sensor's bias, linear in t
 Where it is not, pairs of points propose poses, as for a walk in a registration, of a sensor whose bias is small.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from magmatch.data.survey import Survey
@@ -14,17 +12,17 @@ from magmatch.geometry import rotation_matrix
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.grid_score import UNKNOWN, score_all
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.least_squares import refine_all
-from magmatch.localization.measurement import Fit, Steps, follow
-from magmatch.localization.state import BIAS, Bank, Model, start_covariance
+from magmatch.localization.least_squares import STRETCH, Priors, refine_all
+from magmatch.localization.measurement import FIT, follow
+from magmatch.localization.state import BIAS, Model, hypotheses, start_covariance
 from magmatch.registration.prepared.pose_prior import PosePriorConfig, pose_prior
 from magmatch.registration.prepared.walk import walk_of
 from magmatch.registration.search.pair_search import PairSearchConfig, pair_search
 from magmatch.slam.graph.pose_graph import LEVEL_SD
 from magmatch.typing import Points, Scalars, Vector3
 
-# Headings tried, and how many bins of path make one that is scored, and one that is refined.
-N_HEADINGS, SCORED_EVERY, MOST_REFINED = 60, 3, 60
+# Headings tried, and how many bins of path make one that is scored.
+N_HEADINGS, SCORED_EVERY = 60, 2
 # Residuals of a pose on the grid, and along the refinement, as a share of the field's spread.
 SCORE_SD, SCHEDULE = 0.45, (0.55, 0.42, 0.35, 0.28, 0.28, 0.28, 0.28, 0.28)
 # How well a refined start is known: field lengths, and rad. Starts nearer than that are one.
@@ -33,65 +31,53 @@ START_SD = (0.25, 0.09)
 PER_CELL, HEADINGS_PER_CELL = 2, 4
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Starts:
-    """Hypotheses replayed along a stretch of path, with how they fared and the log density that their search pays."""
-
-    bank: Bank
-    fit: Fit
-    log_prior: float
-
-
-def search(known: KnownMap, model: Model, steps: Steps, config: LocalizerConfig) -> Starts:
+def search(
+    known: KnownMap, model: Model, steps: np.ndarray, config: LocalizerConfig
+) -> tuple[np.ndarray, np.ndarray]:
     """Distinct hypotheses for the end of a stretch of path, each replayed along all of it.
 
     Parameters
     ----------
     known : KnownMap
     model : Model
-    steps : Steps
+    steps : (n,) array of STEP
         The stretch; nothing is known of where it begins.
     config : LocalizerConfig
 
     Returns
     -------
-    Starts
+    bank : (k,) array of HYPOTHESIS
         The last half of them with a sensor whose bias is unknown, the first with one that was calibrated.
+    fit : (n, k) array of FIT
+        How they fared.
     """
     if not config.is_gravity_aligned:
         return _replay(known, model, steps, *_by_pairs(known, steps), config)
     every = slice((len(steps) - 1) % SCORED_EVERY, None, SCORED_EVERY)
-    places, headings = _score(known, _Stretch.of(known, steps.rows(every)), config)
-    stretch = _Stretch.of(known, steps.rows(slice(-MOST_REFINED, None)))
-    places, headings, scales = _refine(known, stretch, places, headings, config)
+    places, headings = _score(known, _stretch_of(known, steps[every]), config)
+    places, headings, scales = _refine(known, _stretch_of(known, steps), places, headings, config)
     return _replay(known, model, steps, _about(known.up, headings) @ known.R_model_map, places, scales, config)
 
 
-def _by_pairs(known: KnownMap, steps: Steps) -> tuple[np.ndarray, Points, Scalars]:
+def _by_pairs(known: KnownMap, steps: np.ndarray) -> tuple[np.ndarray, Points, Scalars]:
     """Poses of the odometry's frame under which pairs of points agree: turns, places of the last bin, scales."""
-    path = Survey(steps.p, np.einsum("nij,nj->ni", steps.R, steps.z))
+    path = Survey(steps["p"], np.einsum("nij,nj->ni", steps["R"], steps["z"]))
     walk = walk_of(path, known.length)
     base, table = known.index.base, known.index.walks.table
     prior = pose_prior(PosePriorConfig(), base.T_map_model, walk.T_survey_walk, known.volume)
     found = pair_search(base, table, walk, prior, PairSearchConfig(), np.random.default_rng(0))
     poses = [c.T_base_target * walk.T_survey_walk.inv() for c in found.candidates]
     turns = np.array([rotation_matrix(T) for T in poses]).reshape(-1, 3, 3)
-    return turns, np.array([T.apply(steps.p[-1]) for T in poses]).reshape(-1, 3), np.zeros(len(poses))
+    return turns, np.array([T.apply(steps["p"][-1]) for T in poses]).reshape(-1, 3), np.zeros(len(poses))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Stretch:
-    """Bins in axes with the map's up and the odometry's heading: shifts from the last bin, attitudes, field."""
-
-    q: Points
-    R: np.ndarray
-    f: Points
-
-    @classmethod
-    def of(cls, known: KnownMap, steps: Steps) -> "_Stretch":
-        R = known.R_model_map @ steps.R
-        q = (steps.p - steps.p[-1]) @ known.R_model_map.T
-        return cls(np.ascontiguousarray(q), np.ascontiguousarray(R), np.einsum("nij,nj->ni", R, steps.z))
+def _stretch_of(known: KnownMap, steps: np.ndarray) -> np.ndarray:
+    """Bins in axes with the map's up and the odometry's heading."""
+    stretch = np.zeros(len(steps), STRETCH)
+    stretch["R"] = known.R_model_map @ steps["R"]
+    stretch["q"] = (steps["p"] - steps["p"][-1]) @ known.R_model_map.T
+    stretch["f"] = np.einsum("nij,nj->ni", stretch["R"], steps["z"])
+    return stretch
 
 
 def _about(up: Vector3, angles: Scalars) -> np.ndarray:
@@ -101,17 +87,17 @@ def _about(up: Vector3, angles: Scalars) -> np.ndarray:
     return np.asarray(np.eye(3) + s * K + (1 - c) * (K @ K))
 
 
-def _score(known: KnownMap, stretch: _Stretch, config: LocalizerConfig) -> tuple[Points, Scalars]:
+def _score(known: KnownMap, stretch: np.ndarray, config: LocalizerConfig) -> tuple[Points, Scalars]:
     """Best places and headings of the last bin."""
     headings = 2 * np.pi * np.arange(N_HEADINGS) / N_HEADINGS
     turns = _about(known.up, headings)
-    score = np.zeros((len(known.anchors), N_HEADINGS))
-    q = np.ascontiguousarray(stretch.q @ np.swapaxes(turns, 1, 2))
-    f = np.ascontiguousarray(stretch.f @ np.swapaxes(turns, 1, 2))
-    R = np.ascontiguousarray(turns[:, None] @ stretch.R)
-    raster, sd2 = known.raster, (SCORE_SD * known.field_sd) ** 2
+    turned = np.zeros((N_HEADINGS, len(stretch)), STRETCH)
+    for vectors in ("q", "f"):
+        turned[vectors] = stretch[vectors] @ np.swapaxes(turns, 1, 2)
+    turned["R"] = turns[:, None] @ stretch["R"]
+    score, sd2 = np.zeros((len(known.anchors), N_HEADINGS)), (SCORE_SD * known.field_sd) ** 2
     ridges = np.array([sd2 / config.calibrated_bias_sd**2, sd2 / config.bias_sd**2])
-    score_all(known.anchors, q, f, R, raster.values, raster.origin, raster.spacing, sd2, ridges, score)
+    score_all(known.anchors, turned, known.ground, sd2, ridges, score)
     order = np.argsort(score, axis=None, kind="stable")[: 20 * config.n_starts]
     anchor, heading = np.unravel_index(order[score.ravel()[order] < UNKNOWN], score.shape)
     cells = np.column_stack([np.floor(known.anchors[anchor] / known.length), heading // HEADINGS_PER_CELL])
@@ -126,16 +112,13 @@ def _score(known: KnownMap, stretch: _Stretch, config: LocalizerConfig) -> tuple
 
 
 def _refine(
-    known: KnownMap, stretch: _Stretch, places: Points, headings: Scalars, config: LocalizerConfig
+    known: KnownMap, stretch: np.ndarray, places: Points, headings: Scalars, config: LocalizerConfig
 ) -> tuple[Points, Scalars, Scalars]:
     """Settle place, heading and scale by robust least squares; distinct ones, best first."""
-    raster, cost = known.raster, np.zeros(len(places))
-    found = np.column_stack([places, headings, np.zeros((len(places), 4))])
+    cost, found = np.zeros(len(places)), np.column_stack([places, headings, np.zeros((len(places), 4))])
     height_sd = LEVEL_SD if config.is_planar else 0.5 * known.length
-    refine_all(
-        found, stretch.q, stretch.f, stretch.R, raster.values, raster.origin, raster.spacing, known.up,
-        np.array(SCHEDULE) * known.field_sd, config.bias_sd, config.odometry.scale_sd, height_sd, known.length, cost,
-    )  # fmt: skip
+    priors = Priors(config.bias_sd, config.odometry.scale_sd, height_sd, known.length)
+    refine_all(found, stretch, known.ground, np.array(SCHEDULE) * known.field_sd, priors, cost)
     kept: list[int] = []
     for row in np.argsort(cost, kind="stable"):
         apart = np.linalg.norm(found[kept, :3] - found[row, :3], axis=1)
@@ -147,21 +130,22 @@ def _refine(
 
 
 def _replay(
-    known: KnownMap, model: Model, steps: Steps, turns: np.ndarray, places: Points, scales: Scalars,
+    known: KnownMap, model: Model, steps: np.ndarray, turns: np.ndarray, places: Points, scales: Scalars,
     config: LocalizerConfig,
-) -> Starts:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Take hypotheses from the beginning to the end: the odometry's frame turned, the last bin put there."""
     n = len(places)
-    bank = Bank.empty(2 * n)
-    for rows in (slice(n), slice(n, None)):
-        bank.R[rows] = turns @ steps.R[0]
-        bank.p[rows] = places + (1 + scales[:, None]) * (turns @ (steps.p[0] - steps.p[-1]))
+    bank = hypotheses(2 * n)
     sd = START_SD[0] * known.length, START_SD[1]
-    bank.P[:] = start_covariance(known.up, sd, config)
+    bank["P"] = start_covariance(known.up, sd, config)
     for rows, bias in ((slice(n), config.calibrated_bias_sd), (slice(n, None), config.bias_sd)):
-        bank.P[rows, BIAS : BIAS + 3, BIAS : BIAS + 3] = bias**2 * np.eye(3)
-    fit = follow(bank, known, model, steps, moves_first=False)
+        bank["R"][rows] = turns @ steps["R"][0]
+        bank["p"][rows] = places + (1 + scales[:, None]) * (turns @ (steps["p"][0] - steps["p"][-1]))
+        bank["P"][rows, BIAS : BIAS + 3, BIAS : BIAS + 3] = bias**2 * np.eye(3)
     # One of two sensors, any place and turn: against what the start's own Gaussian spans.
     n_turns, turn_volume = (1, 2 * np.pi) if config.is_gravity_aligned else (3, 8 * np.pi**2)
     spanned = (3 + n_turns) / 2 * np.log(2 * np.pi) + 3 * np.log(sd[0]) + n_turns * np.log(sd[1])
-    return Starts(bank, fit, float(spanned - np.log(2 * turn_volume * known.volume)))
+    bank["earlier"] = spanned - np.log(2 * turn_volume * known.volume)
+    fit = np.zeros((len(steps), len(bank)), FIT)
+    follow(bank, known, model, steps, fit, moves_first=False)
+    return bank, fit

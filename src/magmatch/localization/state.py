@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hypotheses: each an error-state Kalman filter of the body's pose and of what else makes the readings differ.
 
-State: attitude R and position p of the body (model frame), bias b of the sensor (body axes, T), the map's misfit c
-along the path (model frame, of unit variance, an Ornstein-Uhlenbeck process as `PathNoise` has it) and the odometry's
-scale s. Error: ``R = Exp(theta) R_hat``, the others by their difference; in this order, N in all.
+State: attitude R and position p of the body (model frame), bias b of the sensor (body axes, T) and its gain, the
+map's misfit c along the path (model frame, of unit variance, an Ornstein-Uhlenbeck process as `PathNoise` has it) and
+the odometry's scale. Error: ``R = Exp(theta) R_hat``, the others by their difference; in this order, N in all.
 """
 
-from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,15 @@ from magmatch.localization.known_map import KnownMap
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import Matrix, Vector3
 
-THETA, PLACE, BIAS, MISFIT, SCALE, N = 0, 3, 6, 9, 12, 13
+THETA, PLACE, BIAS, MISFIT, GAIN, SCALE, N = 0, 3, 6, 9, 12, 13, 14
+# One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the
+# search for it cost, and that bins gained that are no longer kept.
+HYPOTHESIS = np.dtype(
+    [
+        ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("gain", "f8"), ("scale", "f8"),
+        ("P", "f8", (N, N)), ("earlier", "f8"),
+    ]
+)  # fmt: skip
 
 
 class Model(NamedTuple):
@@ -61,30 +68,11 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
     )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Bank:
-    """Hypotheses side by side: R (k, 3, 3), p, b, c (k, 3), s (k,), P (k, N, N)."""
-
-    R: np.ndarray
-    p: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    s: np.ndarray
-    P: np.ndarray
-
-    @classmethod
-    def empty(cls, n: int) -> "Bank":
-        """Room for n hypotheses."""
-        p, b, c = np.zeros((3, n, 3))
-        return cls(np.tile(np.eye(3), (n, 1, 1)), p, b, c, np.zeros(n), np.tile(np.eye(N), (n, 1, 1)))
-
-    def rows(self, chosen: np.ndarray) -> "Bank":
-        """Copies of some."""
-        return Bank(*(np.ascontiguousarray(getattr(self, f.name)[chosen]) for f in fields(self)))
-
-    def joined(self, other: "Bank") -> "Bank":
-        """These, then others."""
-        return Bank(*(np.concatenate([getattr(one, f.name) for one in (self, other)]) for f in fields(self)))
+def hypotheses(n: int) -> np.ndarray:
+    """A bank of n, all at the model's origin."""
+    bank = np.zeros(n, HYPOTHESIS)
+    bank["R"], bank["P"] = np.eye(3), np.eye(N)
+    return bank
 
 
 def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConfig) -> Matrix:
@@ -96,71 +84,111 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
     P = np.zeros((N, N))
     P[:3, :3] = sd[1] ** 2 * vertical + tilt**2 * level
     P[3:6, 3:6] = sd[0] ** 2 * level + height**2 * vertical
-    P[MISFIT:SCALE, MISFIT:SCALE] = np.eye(3)
+    P[MISFIT:GAIN, MISFIT:GAIN] = np.eye(3)
+    P[GAIN, GAIN] = config.gain_sd**2
     P[SCALE, SCALE] = config.odometry.scale_sd**2
     return P
 
 
 @compiled
-def predict(k, R, p, c, s, P, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
-    """Move hypothesis k on by odometry: turn dR and shift u in the axes of the body before it."""
+def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
+    """Move a hypothesis on by odometry: turn dR and shift u in the axes of the body before it."""
+    R, p, c, P = h.R, h.p, h.c, h.P
     d = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-    f = 1 + s[k]
-    wx = R[k, 0, 0] * u[0] + R[k, 0, 1] * u[1] + R[k, 0, 2] * u[2]
-    wy = R[k, 1, 0] * u[0] + R[k, 1, 1] * u[1] + R[k, 1, 2] * u[2]
-    wz = R[k, 2, 0] * u[0] + R[k, 2, 1] * u[1] + R[k, 2, 2] * u[2]
+    f = 1 + h.scale
+    wx = R[0, 0] * u[0] + R[0, 1] * u[1] + R[0, 2] * u[2]
+    wy = R[1, 0] * u[0] + R[1, 1] * u[1] + R[1, 2] * u[2]
+    wz = R[2, 0] * u[0] + R[2, 1] * u[1] + R[2, 2] * u[2]
     fade = np.exp(-d / model.misfit_length)
-    p[k, 0] += f * wx
-    p[k, 1] += f * wy
-    p[k, 2] += f * wz
+    p[0] += f * wx
+    p[1] += f * wy
+    p[2] += f * wz
     for a in range(3):
-        c[k, a] *= fade
+        c[a] *= fade
     # P = F P F^T, rows then columns: a turn theta carries the step with it, theta x (f w).
     for j in range(N):
-        tx, ty, tz, ds = P[k, 0, j], P[k, 1, j], P[k, 2, j], P[k, SCALE, j]
-        P[k, 3, j] += f * (ty * wz - tz * wy) + wx * ds
-        P[k, 4, j] += f * (tz * wx - tx * wz) + wy * ds
-        P[k, 5, j] += f * (tx * wy - ty * wx) + wz * ds
-        for a in range(MISFIT, SCALE):
-            P[k, a, j] *= fade
+        tx, ty, tz, ds = P[0, j], P[1, j], P[2, j], P[SCALE, j]
+        P[3, j] += f * (ty * wz - tz * wy) + wx * ds
+        P[4, j] += f * (tz * wx - tx * wz) + wy * ds
+        P[5, j] += f * (tx * wy - ty * wx) + wz * ds
+        for a in range(MISFIT, GAIN):
+            P[a, j] *= fade
     for i in range(N):
-        tx, ty, tz, ds = P[k, i, 0], P[k, i, 1], P[k, i, 2], P[k, i, SCALE]
-        P[k, i, 3] += f * (ty * wz - tz * wy) + wx * ds
-        P[k, i, 4] += f * (tz * wx - tx * wz) + wy * ds
-        P[k, i, 5] += f * (tx * wy - ty * wx) + wz * ds
-        for a in range(MISFIT, SCALE):
-            P[k, i, a] *= fade
+        tx, ty, tz, ds = P[i, 0], P[i, 1], P[i, 2], P[i, SCALE]
+        P[i, 3] += f * (ty * wz - tz * wy) + wx * ds
+        P[i, 4] += f * (tz * wx - tx * wz) + wy * ds
+        P[i, 5] += f * (tx * wy - ty * wx) + wz * ds
+        for a in range(MISFIT, GAIN):
+            P[i, a] *= fade
     for a in range(3):
-        P[k, a, a] += model.tilt_walk * d
-        P[k, 3 + a, 3 + a] += model.place_walk * d
-        P[k, BIAS + a, BIAS + a] += model.bias_drift * dt
-        P[k, MISFIT + a, MISFIT + a] += 1 - fade * fade
+        P[a, a] += model.tilt_walk * d
+        P[3 + a, 3 + a] += model.place_walk * d
+        P[BIAS + a, BIAS + a] += model.bias_drift * dt
+        P[MISFIT + a, MISFIT + a] += 1 - fade * fade
         for e in range(3):
             vertical = up[a] * up[e] * d
-            P[k, a, e] += (model.turn_walk - model.tilt_walk) * vertical
-            P[k, 3 + a, 3 + e] += (model.height_walk - model.place_walk) * vertical
+            P[a, e] += (model.turn_walk - model.tilt_walk) * vertical
+            P[3 + a, 3 + e] += (model.height_walk - model.place_walk) * vertical
     for a in range(3):
-        x, y, z = R[k, a, 0], R[k, a, 1], R[k, a, 2]
+        x, y, z = R[a, 0], R[a, 1], R[a, 2]
         for e in range(3):
-            R[k, a, e] = x * dR[0, e] + y * dR[1, e] + z * dR[2, e]
+            R[a, e] = x * dR[0, e] + y * dR[1, e] + z * dR[2, e]
 
 
 @compiled
-def correct(k, R, p, b, c, s, dx):  # type: ignore[no-untyped-def]
-    """Add an error to hypothesis k: ``R = Exp(theta) R``."""
+def move(bank, dR, u, up, model):  # type: ignore[no-untyped-def]
+    """Move hypotheses on by odometry, in no time."""
+    for k in range(len(bank)):
+        predict(bank[k], dR, u, 0.0, up, model)
+
+
+@compiled
+def correct(h, dx):  # type: ignore[no-untyped-def]
+    """Add an error to a hypothesis: ``R = Exp(theta) R``."""
+    R, p, b, c = h.R, h.p, h.b, h.c
     for a in range(3):
-        p[k, a] += dx[PLACE + a]
-        b[k, a] += dx[BIAS + a]
-        c[k, a] += dx[MISFIT + a]
-    s[k] += dx[SCALE]
+        p[a] += dx[PLACE + a]
+        b[a] += dx[BIAS + a]
+        c[a] += dx[MISFIT + a]
+    h.gain += dx[GAIN]
+    h.scale += dx[SCALE]
     angle = np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2)
     if angle > 0:
         x, y, z = dx[0] / angle, dx[1] / angle, dx[2] / angle
         sine, cosine = np.sin(angle), np.cos(angle)
         for e in range(3):
             # Rodrigues' formula on each column.
-            rx, ry, rz = R[k, 0, e], R[k, 1, e], R[k, 2, e]
+            rx, ry, rz = R[0, e], R[1, e], R[2, e]
             along = (1 - cosine) * (x * rx + y * ry + z * rz)
-            R[k, 0, e] = cosine * rx + sine * (y * rz - z * ry) + along * x
-            R[k, 1, e] = cosine * ry + sine * (z * rx - x * rz) + along * y
-            R[k, 2, e] = cosine * rz + sine * (x * ry - y * rx) + along * z
+            R[0, e] = cosine * rx + sine * (y * rz - z * ry) + along * x
+            R[1, e] = cosine * ry + sine * (z * rx - x * rz) + along * y
+            R[2, e] = cosine * rz + sine * (x * ry - y * rx) + along * z
+
+
+@compiled
+def settle(P, PH, S, r, gate, dx):  # type: ignore[no-untyped-def]
+    """Take any filter's covariance P on by a reading of innovation r; what the state changes by goes to dx.
+
+    `PH` is P H^T, and S (upper half) the innovation's covariance. An innovation whose chi^2 exceeds the gate counts
+    as if S were so much larger. Gives chi^2 and half the log-determinant.
+    """
+    # Inverse of a symmetric matrix of three by its cofactors.
+    c00, c01 = S[1, 1] * S[2, 2] - S[1, 2] * S[1, 2], S[0, 2] * S[1, 2] - S[0, 1] * S[2, 2]
+    c02, c11 = S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1], S[0, 0] * S[2, 2] - S[0, 2] * S[0, 2]
+    c12, c22 = S[0, 1] * S[0, 2] - S[0, 0] * S[1, 2], S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
+    det = S[0, 0] * c00 + S[0, 1] * c01 + S[0, 2] * c02
+    chi2 = (
+        r[0] * (c00 * r[0] + c01 * r[1] + c02 * r[2])
+        + r[1] * (c01 * r[0] + c11 * r[1] + c12 * r[2])
+        + r[2] * (c02 * r[0] + c12 * r[1] + c22 * r[2])
+    ) / det
+    factor = max(chi2 / gate, 1.0)
+    scale = 1 / (det * factor)
+    for i in range(len(dx)):
+        x, y, w = PH[i, 0] * scale, PH[i, 1] * scale, PH[i, 2] * scale
+        k0, k1, k2 = x * c00 + y * c01 + w * c02, x * c01 + y * c11 + w * c12, x * c02 + y * c12 + w * c22
+        dx[i] = k0 * r[0] + k1 * r[1] + k2 * r[2]
+        for j in range(i + 1):
+            P[i, j] -= k0 * PH[j, 0] + k1 * PH[j, 1] + k2 * PH[j, 2]
+            P[j, i] = P[i, j]
+    return chi2 / factor, 0.5 * np.log(det) + 1.5 * np.log(factor)

@@ -20,7 +20,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
 from magmatch.localization.samples import MOST_STEP
-from magmatch.typing import Indices, Mask, Scalars
+from magmatch.typing import Mask, Scalars
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,33 +64,28 @@ class Track:
         odometry : Trajectory, optional
             The log's poses at their own times, where those are not its samples': the stated ones are then of these.
         """
-        times, moves = self.log.times, None
+        times, is_stated = self.log.times, self.is_stated
         assert times is not None
-        last = np.flatnonzero(self.is_stated)
-        if odometry is not None and self.log.orientations is not None:
-            last, times, moves = self._carried(times, odometry)
-        else:
-            times = times[last]
-        if not len(last):
+        if not is_stated.any():
             write_tum(path, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
             return
-        known = [self.estimates[n].T_map_body for n in last.tolist()]
-        poses = RigidTransform.concatenate([T for T in known if T is not None])
-        poses = poses if moves is None else poses * moves
+        poses, times = self.poses, times[is_stated]
+        if odometry is not None and self.log.orientations is not None:
+            poses, times = self._carried(odometry)
         write_tum(path, times, poses.translation, poses.rotation.as_quat())
 
-    def _carried(self, times: Scalars, odometry: Trajectory) -> tuple[Indices, Scalars, RigidTransform]:
-        """Poses of a trajectory known at the last sample before each: that, its time, and the move since."""
+    def _carried(self, odometry: Trajectory) -> tuple[RigidTransform, Scalars]:
+        """Poses of a trajectory, each the last stated one before it and the odometry's move since; their times."""
+        assert self.log.times is not None
         assert self.log.orientations is not None
-        last = np.searchsorted(times, odometry.times, side="right") - 1
+        last = np.searchsorted(self.log.times, odometry.times, side="right") - 1
         rows = np.flatnonzero((last >= 0) & self.is_stated[last])
         samples = RigidTransform.from_components(self.log.positions, self.log.orientations)
-        moves = (
-            samples[last[rows]].inv()
-            * RigidTransform.from_components(odometry.positions, odometry.orientations)[rows]
-        )
+        there = RigidTransform.from_components(odometry.positions, odometry.orientations)
+        moves = samples[last[rows]].inv() * there[rows]
         is_step = np.linalg.norm(moves.translation, axis=1) < MOST_STEP
-        return last[rows][is_step], odometry.times[rows][is_step], moves[is_step]
+        nth_stated = np.cumsum(self.is_stated) - 1
+        return (self.poses[nth_stated[last[rows]]] * moves)[is_step], odometry.times[rows][is_step]
 
     def result(self) -> LocalizationResult:
         """What was found, as a document."""
@@ -113,7 +108,11 @@ class Track:
             map=final.map,
             first_fix=(float(times[first]), float(path_walked(self.log.positions)[first])),
             share=float(np.clip((steps * is_stated).sum() / max(steps.sum(), 1e-9), 0.0, 1.0)),
-            sensor={"bias": final.bias.tolist(), "bias_sd": final.bias_sd.tolist(), "scale": 1.0},
+            sensor={
+                "bias": final.bias.tolist(),
+                "bias_sd": final.bias_sd.tolist(),
+                "scale": float(final.gain or 1.0),
+            },
             odometry={"scale": float(final.scale or 1.0)},
         )
 

@@ -78,7 +78,7 @@ class Estimate:
 
 def worst_sd(covariance: Covariance6) -> tuple[float, float]:
     """Standard deviation in the worst direction, of the place (m) and of the turn (rad)."""
-    turn, shift = (float(np.linalg.eigvalsh(C)[-1]) for C in (covariance[:3, :3], covariance[3:, 3:]))
+    turn, shift = np.linalg.eigvalsh(np.stack([covariance[:3, :3], covariance[3:, 3:]]))[:, -1].tolist()
     return np.sqrt(max(shift, 0.0)), np.sqrt(max(turn, 0.0))
 
 

@@ -37,7 +37,7 @@ class Fitted(BaseModel):
     saturation : float, nats
         Evidence from which on it counts by its logarithm.
     offset : dict of float
-        For each kind of evidence, how readily unrelated surveys gain it.
+        For each kind of evidence, how readily unrelated surveys gain it; 0 where nothing was fitted.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -67,7 +67,7 @@ def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | N
     if not np.isfinite(log_evidence):
         return -np.inf
     effective = effective_evidence(log_evidence, misfit)
-    return float(numbers.scale * np.arcsinh(effective / numbers.saturation) - numbers.offset[kind])
+    return float(numbers.scale * np.arcsinh(effective / numbers.saturation) - numbers.offset.get(kind, 0.0))
 
 
 def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> float:

@@ -98,7 +98,10 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     survey = known_samples(field_map)
     posterior = field_map.posterior
     some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
-    correlation_length = correlation_length_of(posterior.evaluate(some, order=1))
+    # No map changes over less than its own functions do: of a constant field only rounding is left to divide.
+    correlation_length = max(
+        correlation_length_of(posterior.evaluate(some, order=1)), field_map.hyperparameters.spacing
+    )
     points = survey.positions[thin(survey.positions, correlation_length / 8, limit=4000)]
     mean = posterior.evaluate(points, order=1)
     weights = list(posterior.draw_weights(n_draws, rng))

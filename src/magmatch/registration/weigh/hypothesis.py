@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.typing import Covariance6, Vector3
 
-Kind = Literal["map", "walk"]
+Kind = Literal["map", "walk", "log"]
 
 
 class Hypothesis(Protocol):
@@ -15,7 +15,7 @@ class Hypothesis(Protocol):
 
     @property
     def kind(self) -> Kind:
-        """What gave the evidence: cells of a map, or bins along a walk."""
+        """What gave the evidence: cells of a map, bins along a walk, or bins of a log that is followed."""
 
     @property
     def T_base_target(self) -> RigidTransform:

@@ -1,0 +1,255 @@
+"""Whether what a localiser states is true: many starts in CEA, other places, walks off the map, stated probabilities.
+
+    python benchmarks/experiments/localize_evidence.py --data DIR --out DIR [--table starts] [--n 400] [--quick]
+        [--minutes M] [--save NAME]
+
+DIR, its maps and its walks are those of `localize_walks.py`. Rows are kept in OUT and not made again.
+starts: walks of 30 m in CEA's walk two, alternately on both floors, with odometry of 0.5, 1 and 3 % and steps in turn
+and a bias of up to 30 uT in any direction. off: walks of other places. others: Kok's square and library, mapped by
+their first 55 %, thirds of the rest walked; Aalto's run 4 of one sensor in a map of runs 1 and 2 of the other, with
+made-up odometry of 1 %. reliability: before a pose is stated, how probable the best one was said to be, every half
+metre of all rows, and how often it was right: within three of the largest standard deviations allowed. Walks off the
+map weigh as much as the prior odds say.
+"""
+
+import os
+from functools import cache, partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from localize_walks import cea, odometry_of, place_of, real_walk
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import magmatch as mm
+from magmatch.data.recordings import load_recordings
+from magmatch.registration.index.map_index import make_index, open_index
+from magmatch_evaluation.saved_table import saver, show
+from magmatch_evaluation.script import arguments, kept
+
+INFCENTER = "walk1 walk2 walk3 walk4"
+WALKS = [f"walk{k}" for k in range(5, 10)]
+ROUTES = [f"route{r}_{k}" for r in range(1, 6) for k in range(1, 5)]
+EVERY, RIGHT = 0.5, 1.0
+BINS = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
+LEVELS = ("0.5%", "1%", "3%", "steps")
+CONFIG = mm.LocalizerConfig()
+
+
+@cache
+def recording(name, data):
+    """Kok's places as they are, Aalto's runs at the robot's true places."""
+    return load_recordings(name.split("/")[0], data / name.split("/")[0])[name.split("/")[1]]
+
+
+def another_place(name, data, out):
+    """An indexed map of Kok's or Aalto's, kept."""
+    path = out / f"{name.replace('/', '-').replace(' ', '-')}.map"
+    if not path.exists():
+        surveys = [recording(one, data) for one in name.split()]
+        if name.startswith("kok"):
+            surveys = [surveys[0].subset(np.arange(int(0.55 * len(surveys[0]))))]
+        mm.build_map(surveys).save(path)
+    index = open_index(path, mm.RegistrationConfig())
+    return make_index(path, mm.RegistrationConfig()) if index is None else index.load(mm.FieldMap.load(path))
+
+
+def map_of(name, data, out):
+    return (another_place if "/" in name else place_of)(name, data, out)
+
+
+def start_in_cea(seed, data):
+    """A floor, a log of 30 m of its walk two, and its true places."""
+    rng = np.random.default_rng([21, seed])
+    floor = ("cea1", "cea2")[seed % 2]
+    rows = cea(data)["test"][floor]
+    walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))]
+    first = rng.uniform(0, walked[-1] - 30.0)
+    some = rows[(walked >= first) & (walked <= first + 30.0)]
+    direction = rng.standard_normal(3)
+    bias = rng.uniform(0, 30e-6) * direction / np.linalg.norm(direction)
+    log = odometry_of(some[:, :3], some[:, 3:], rng, LEVELS[seed // 2 % 4], bias)
+    return log, np.c_[log.times, some[:, :3]]
+
+
+def log_of(name, data):
+    """A log in an odometry's frame, and its true places."""
+    source, part = [*name.split("#"), "0"][:2]
+    if source == "cea":
+        return start_in_cea(int(part), data)
+    if "/" not in source:
+        return real_walk(source, data)
+    survey, rng = recording(source, data), np.random.default_rng(int(part))
+    if source.startswith("aalto"):
+        log = odometry_of(survey.positions, survey.field, rng, "1%", 0.0)
+        return log, np.c_[log.times, survey.positions]
+    rest = np.arange(int(0.55 * len(survey)), len(survey)) if part != "9" else np.arange(len(survey))
+    third = survey.subset(np.array_split(rest, 3)[int(part)] if part != "9" else rest)
+    turn = RigidTransform.from_rotation(Rotation.from_euler("z", rng.uniform(-3, 3)))
+    return third.transformed(turn), np.c_[third.times, third.positions]
+
+
+def work(name, data, out):
+    """Follow one log sample by sample: what is stated and whether that is true."""
+    _, place_name, log_name = name.split(": ")
+    (log, truth), is_there = log_of(log_name, data), not name.startswith("off")
+    # What one height means is decided for whole logs: `follow_log`.
+    is_planar = np.ptp(log.positions[:, 2]) < 1e-6
+    localizer = mm.Localizer(map_of(place_name, data, out), CONFIG.model_copy(update={"is_planar": is_planar}))
+    poses, z = (
+        RigidTransform.from_components(log.positions, log.orientations),
+        log.orientations.inv().apply(log.field),
+    )
+    walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(log.positions, axis=0), axis=1))]
+    d, first, said, errors, nees, asked = truth.shape[1] - 1, None, [], [], [], -np.inf
+    true = np.stack([np.interp(log.times, truth[:, 0], c) for c in truth.T[1:]], axis=1)
+    n_stated = 0
+    for n, t in enumerate(log.times):
+        localizer.update(float(t), poses[n], z[n])
+        belief = localizer._places.best
+        n_stated += belief.is_sure
+        if walked[n] < asked + EVERY:
+            continue
+        asked = walked[n]
+        now = localizer.estimate()
+        if now.is_stated:
+            off = now.T_map_body.translation[:d] - true[n]
+            R = now.T_map_body.rotation.as_matrix()
+            C = (R @ now.covariance[3:, 3:] @ R.T)[:d, :d]
+            errors.append(float(np.linalg.norm(off)))
+            nees.append(float(off @ np.linalg.solve(C, off)) / d)
+            first = float(walked[n]) if first is None and errors[-1] < RIGHT else first
+        if belief._weighed and first is None:
+            T = belief._known.T_map_model @ np.r_[belief._weighed[0].one["p"][0], 1.0]
+            limit = CONFIG.decision.tolerance(belief._known.length)[0]
+            is_right = is_there and np.linalg.norm(T[:d] - true[n]) < max(limit, RIGHT)
+            said.append([belief._found.best, bool(is_right)])
+    return {
+        "name": name, "walked": float(walked[-1]), "stated": n_stated / len(log), "first": first, "errors": errors,
+        "nees": nees, "said": said,
+    }  # fmt: skip
+
+
+def names(table, n):
+    """Rows: ``TABLE: PLACE: LOG``."""
+    if table == "starts":
+        return [f"starts: {('cea1', 'cea2')[k % 2]}: cea#{k}" for k in range(n)]
+    if table == "others":
+        kok = [f"others: kok/{place}: kok/{place}#{k}" for place in ("square", "library") for k in range(3)]
+        sensors = ("invensense", "trivisio")
+        runs = [
+            (f"aalto/{one}-1 aalto/{one}-2", f"aalto/{two}-4") for one in sensors for two in sensors if one != two
+        ]
+        return kok + [f"others: {place}: {log}#{k}" for place, log in runs for k in range(3)]
+    if table == "off":
+        kok = [f"kok/{place}#9" for place in ("mall", "square", "library", "eight")]
+        pairs = [("cea1", log) for log in (*WALKS, *ROUTES, *kok)] + [(INFCENTER, log) for log in (*ROUTES, *kok)]
+        pairs += [("route3_1 route3_2", log) for log in WALKS] + [("route1_1 route1_2", log) for log in WALKS]
+        pairs += [(INFCENTER, f"cea#{k}") for k in range(20)]
+        # In an order of no meaning: a part of them is a sample of all.
+        pairs = [pairs[k] for k in np.random.default_rng(0).permutation(len(pairs))]
+        return [f"off: {place}: {log}" for place, log in pairs][: None if n >= 100 else n]
+    return [row for one in ("starts", "others", "off") for row in names(one, n)]
+
+
+def quantiles(values, shares):
+    values = [np.inf if v is None else v for v in values]
+    return " / ".join(f"{np.quantile(values, q, method='nearest'):.2f}" for q in shares) if values else ""
+
+
+def of_places(rows):
+    """One line: where a pose is stated, and whether it is right."""
+    errors, nees = (np.concatenate([row[key] for row in rows]) for key in ("errors", "nees"))
+    is_wrong = [bool((np.array(row["errors"]) > RIGHT).any()) for row in rows]
+    never = sum(row["first"] is None for row in rows)
+    return [
+        len(rows), quantiles([row["first"] for row in rows], (0.5, 0.9)), never, sum(is_wrong),
+        quantiles(list(errors), (0.5, 0.95)), f"{np.mean([row['stated'] for row in rows]):.2f}",
+        f"{np.mean(nees):.2f}" if len(nees) else "",
+    ]  # fmt: skip
+
+
+def off_the_map(rows):
+    """One line: path, and how much of it had a pose stated."""
+    path = sum(row["walked"] for row in rows)
+    stated = sum(row["stated"] * row["walked"] for row in rows)
+    return [len(rows), f"{path / 1000:.2f}", sum(row["stated"] > 0 for row in rows), f"{stated / path:.4f}"]
+
+
+def wilson(k, n):
+    """Interval of 95 % of a share."""
+    z2 = 1.96**2
+    middle, half = (k + z2 / 2) / (n + z2), 1.96 * np.sqrt(k * (n - k) / n + z2 / 4) / (n + z2)
+    return f"{max(middle - half, 0):.2f} to {min(middle + half, 1):.2f}"
+
+
+def reliability(rows):
+    """Share of right poses by stated probability; intervals by as many walks as there are, not samples."""
+    total = {is_off: sum(row["name"].startswith("off") == is_off for row in rows) for is_off in (False, True)}
+    weight_off = total[False] / max(total[True], 1) / CONFIG.decision.prior_odds
+    table = []
+    for low, high in pairwise(BINS):
+        right = walks = weights = stated = 0.0
+        for row in rows:
+            mine = [(p, r) for p, r in row["said"] if low <= p < high or p == high == 1.0]
+            if mine:
+                w = weight_off if row["name"].startswith("off") else 1.0
+                walks, weights = walks + 1, weights + w
+                right += w * np.mean([r for _, r in mine])
+                stated += w * np.mean([p for p, _ in mine])
+        if walks:
+            share = right / weights
+            table.append(
+                [
+                    f"{low:g} to {high:g}",
+                    int(walks),
+                    f"{stated / weights:.3f}",
+                    f"{share:.3f}",
+                    wilson(share * walks, walks),
+                ]
+            )
+    return table
+
+
+def main() -> None:
+    asked = arguments(
+        __doc__,
+        data=Path,
+        out=Path,
+        table="starts",
+        n=400,
+        quick=False,
+        minutes=np.inf,
+        jobs=os.cpu_count(),
+        save=saver,
+    )
+    asked.out.mkdir(parents=True, exist_ok=True)
+    n = 8 if asked.quick else asked.n
+    wanted = names(asked.table, n)
+    run = partial(work, data=asked.data, out=asked.out)
+    rows = kept(asked.out / "evidence.jsonl", wanted, run, jobs=asked.jobs, minutes=asked.minutes)
+    print(f"{len(rows)} of {len(wanted)} rows")
+    found = list(rows.values())
+    if asked.table == "reliability":
+        columns = ("stated probability", "walks", "stated", "right", "95 % interval")
+        show(columns, reliability(found), asked.save)
+        return
+    groups = {}
+    for row in found:
+        _, place, log = row["name"].split(": ")
+        label = (place, LEVELS[int(log.split("#")[1]) // 2 % 4]) if asked.table == "starts" else (place, "")
+        groups.setdefault(label, []).append(row)
+    if asked.table == "off":
+        columns = ("map", "walks", "path, km", "walks with a stated pose", "share of the path stated")
+        parts = [*((place, some) for (place, _), some in groups.items()), ("all", found)]
+        show(columns, [[place, *off_the_map(some)] for place, some in parts], asked.save)
+        return
+    columns = (
+        "map", "odometry", "n", "first right, m", "never", "wrong (1 m)", "error, m", "share stated", "NEES",
+    )  # fmt: skip
+    lines = [[*label, *of_places(some)] for label, some in groups.items()]
+    show(columns, [*lines, ["all", "", *of_places(found)]], asked.save)
+
+
+if __name__ == "__main__":
+    main()
