@@ -79,8 +79,8 @@ class Belief:
         forget(window.steps, window.fit, window.null, self._toll, -np.log(config.end_probability), self._bank)
         window.forget_first()
         if self._since == 0 and not self.is_sure:
-            # A whole window did not find it in the map: it is, if it came there since.
-            self._prior_odds = config.decision.prior_odds * config.end_probability * config.window / config.recent
+            # A whole window did not find it in the map: now it must have come there since, at the same odds.
+            self._prior_odds = config.decision.prior_odds**2
         self._since = max(self._since - 1, 0)
 
     @property
