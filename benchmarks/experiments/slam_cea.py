@@ -103,7 +103,7 @@ def main() -> None:
             f"{np.median([row['nees'] for row in some]):.2f}", str(sums["closures"]), str(sums["survive"]),
             f"{sums['seconds'] / sums['length']:.3f}",
         ])  # fmt: skip
-    show(COLUMNS, table, asked.save)
+    show(COLUMNS, table, asked.save, rows.values())
 
 
 if __name__ == "__main__":

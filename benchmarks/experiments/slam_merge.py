@@ -118,7 +118,7 @@ def main() -> None:
             f"{np.mean(nees):.2f}" if nees else "", str(wrong), f"{low:.3f} to {high:.3f}",
             f"{np.mean([row['seconds'] for row in some]):.1f}",
         ])  # fmt: skip
-    show(COLUMNS, table, asked.save)
+    show(COLUMNS, table, asked.save, rows.values())
 
 
 if __name__ == "__main__":
