@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, Window, follow
 from magmatch.localization.monitor import (
@@ -194,6 +194,12 @@ class Belief:
             self._found.best, one["b"], np.sqrt(np.diag(one["P"])[BIAS : BIAS + 3]), 1 + float(one["scale"]),
             self._known.name, 1 + float(one["gain"]),
         )  # fmt: skip
+
+    def hypotheses(self) -> list[Hypothesis]:
+        """What is weighed, likeliest first, at the last bin."""
+        T_map_model = RigidTransform.from_matrix(self._known.T_map_model)
+        found = zip(self._found.poses, self._found.probabilities, strict=True)
+        return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 
     def _why(self) -> str:
         found = self._found

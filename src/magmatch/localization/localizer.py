@@ -8,8 +8,9 @@ from magmatch.atlas.atlas import Atlas
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
-from magmatch.localization.places import Place, Places
+from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
+from magmatch.localization.known_places import KnownPlaces, Place
+from magmatch.localization.places import Places
 from magmatch.localization.samples import Samples
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
@@ -23,17 +24,18 @@ class Localizer:
 
     Parameters
     ----------
-    place : FieldMap, MapIndex or Atlas
-        The map, or a folder of maps, one of which holds the body.
+    place : FieldMap, MapIndex, Atlas or KnownPlaces
+        The map, or a folder of maps, one of which holds the body. Many bodies share one `KnownPlaces`.
     config : LocalizerConfig, optional
     """
 
-    def __init__(self, place: Place, config: LocalizerConfig | None = None) -> None:
+    def __init__(self, place: Place | KnownPlaces, config: LocalizerConfig | None = None) -> None:
         config = config or LocalizerConfig()
-        expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
+        expect_kind(place, "place", (FieldMap, MapIndex, Atlas, KnownPlaces), ADVICE)
         expect_kind(config, "config", (LocalizerConfig,))
         with one_blas_thread():
-            self._places = Places(place, config)
+            known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
+            self._places = Places(known, config)
         self._samples = Samples()
         self._binning = Binning(self._places.bin_length)
 
@@ -76,3 +78,8 @@ class Localizer:
         if best is None:
             return Estimate(LocalizerStatus.SEARCHING, self._places.why_none)
         return best.estimate(self._samples.T_odom_body)
+
+    def hypotheses(self) -> list[Hypothesis]:
+        """List the poses that are weighed against each other, likeliest first, up to the last bin of the path."""
+        found = [one for belief in self._places.likely.values() for one in belief.hypotheses()]
+        return sorted(found, key=lambda one: -one.probability)
