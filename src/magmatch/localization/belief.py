@@ -4,6 +4,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.geometry import transform_from_product
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
@@ -189,7 +190,7 @@ class Belief:
         return Estimate(
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             f"probability {in_words(self._found.best)}{'' if is_in else ', outside what the map knows'}",
-            RigidTransform.from_matrix(self._known.T_map_model @ T_model_body),
+            transform_from_product(self._known.T_map_model @ T_model_body),
             covariance_of(bank, self._known, self._found.poses[0].factor),
             self._found.best, one["b"], np.sqrt(np.diag(one["P"])[BIAS : BIAS + 3]), 1 + float(one["scale"]),
             self._known.name, 1 + float(one["gain"]),

@@ -14,7 +14,7 @@ from magmatch.localization.places import Places
 from magmatch.localization.samples import Samples
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Vector3
+from magmatch.typing import Matrix, Vector3
 
 ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
 
@@ -39,15 +39,15 @@ class Localizer:
         self._samples = Samples()
         self._binning = Binning(self._places.bin_length)
 
-    def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
+    def update(self, t: float, T_odom_body: RigidTransform | Matrix, field: Vector3) -> None:
         """Take a sample.
 
         Parameters
         ----------
         t : float, s
             Later than the sample before it.
-        T_odom_body : RigidTransform
-            The body's pose in the odometry's frame, which may drift.
+        T_odom_body : RigidTransform or array
+            The body's pose in the odometry's frame, which may drift; or its (4, 4) matrix, taken as it is.
         field : (3,) array, T
             In the body's axes.
 

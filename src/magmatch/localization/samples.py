@@ -28,7 +28,7 @@ class Samples:
     _given: Matrix = field(default_factory=lambda: np.eye(4))
     _T_odom_given: Matrix = field(default_factory=lambda: np.eye(4))
 
-    def take(self, t: float, T_given_body: RigidTransform, b: Vector3) -> tuple[float, Matrix, Vector3]:
+    def take(self, t: float, T_given_body: RigidTransform | Matrix, b: Vector3) -> tuple[float, Matrix, Vector3]:
         """Check a sample and remember it.
 
         Raises
@@ -40,8 +40,11 @@ class Samples:
         if np.ndim(time) or not math.isfinite(time):
             msg = f"t: expected a finite number of seconds, got {t!r:.40}"
             raise ValueError(msg)
-        expect_transform(T_given_body, "T_odom_body")
-        T = T_given_body.as_matrix()
+        if isinstance(T_given_body, np.ndarray):
+            T = T_given_body
+        else:
+            expect_transform(T_given_body, "T_odom_body")
+            T = T_given_body.as_matrix()
         if not np.isfinite(T).all():
             msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
             raise ValueError(msg)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.errors import DataFormatError
+from magmatch.geometry import pose_matrices
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.localization.kept_state import restored, state_of
@@ -19,7 +19,7 @@ from magmatch.serve.messages import read_samples, write_pose
 from magmatch.serve.refusals import RefusedError
 
 # Places of its past that a picture shows, and path between two, m.
-MAX_TRAIL, TRAIL_STEP = 500, 0.1
+MAX_TRAIL, TRAIL_STEP = 200, 0.1
 MAX_HYPOTHESES = 8
 NOTHING = Estimate(LocalizerStatus.SEARCHING, "no sample has come yet")
 
@@ -38,9 +38,11 @@ class Body:
         When its client left.
     """
 
-    name: str
     known: KnownPlaces
-    localizer: Localizer
+    config: LocalizerConfig
+    # Made for the first sample: who only connects costs nothing.
+    localizer: Localizer | None = None
+    name: str = ""
     is_binary: bool = False
     n: int = 0
     t: float | None = None
@@ -48,11 +50,6 @@ class Body:
     is_kept: bool = True
     left_at: float | None = None
     trail: deque[tuple[float, float, str]] = field(default_factory=lambda: deque(maxlen=MAX_TRAIL))
-
-    @classmethod
-    def anew(cls, known: KnownPlaces, config: LocalizerConfig) -> "Body":
-        """Of which nothing is known."""
-        return cls("", known, Localizer(known, config))
 
     @classmethod
     def resumed(cls, known: KnownPlaces, config: LocalizerConfig, state: bytes) -> "Body | None":
@@ -63,31 +60,33 @@ class Body:
             localizer = restored(known, config, rest)
         except (DataFormatError, ValueError):
             return None
-        return cls(about["name"], known, localizer, n=about["n"], t=about["t"], now=localizer.estimate())
+        return cls(known, config, localizer, about["name"], n=about["n"], t=about["t"], now=localizer.estimate())
 
     def state(self) -> bytes:
         """All of it that a restart shall not lose."""
+        assert self.localizer is not None
         return json.dumps({"name": self.name, "n": self.n, "t": self.t}).encode() + b"\n" + state_of(self.localizer)
 
     def take(self, message: str | bytes, most: int) -> str | bytes:
         """Take the samples of a message; gives the answer."""
         rows = read_samples(message, most)
-        q, p = rows[:, 4:8], rows[:, 1:4]
-        poses = RigidTransform.from_components(p, Rotation.from_quat(q))
+        poses = pose_matrices(rows[:, 1:4], rows[:, 4:8])
+        localizer = self.localizer = self.localizer or Localizer(self.known, self.config)
         for k, row in enumerate(rows):
             try:
-                self.localizer.update(float(row[0]), poses[k], row[8:])
+                localizer.update(float(row[0]), poses[k], row[8:])
             except ValueError as error:
                 place = f"sample {k}: " if len(rows) > 1 else ""
                 raise RefusedError(422, place + str(error)) from None
             self.n, self.t, self.is_kept = self.n + 1, float(row[0]), False
-        self.now = self.localizer.estimate()
+        self.now = localizer.estimate()
         self._remember()
         return write_pose(self.n, self.t or 0.0, self.now, binary=self.is_binary)
 
-    def is_outdated(self, known: KnownPlaces) -> bool:
-        """Whether newer maps are there, and what it knows of the old ones is not worth to be kept."""
-        return self.known is not known and not self.now.is_stated
+    def move_on(self, known: KnownPlaces) -> None:
+        """Begin anew in newer maps, unless what is known in the older ones is worth to be kept."""
+        if self.known is not known and not self.now.is_stated:
+            self.known, self.localizer = known, None
 
     def _remember(self) -> None:
         if self.now.T_map_body is None:
@@ -107,7 +106,7 @@ class Body:
             T = now.T_map_body.as_matrix()
             R, C = T[:3, :3], now.covariance[3:, 3:]
             said |= {"T_map_body": T.tolist(), "covariance_xy": (R @ C @ R.T)[:2, :2].tolist()}
-        else:
+        elif self.localizer is not None:
             said["hypotheses"] = [
                 [h.map, *h.T_map_body.translation[:2].tolist(), h.probability]
                 for h in self.localizer.hypotheses()[:MAX_HYPOTHESES]

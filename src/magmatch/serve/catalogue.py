@@ -51,8 +51,13 @@ class Catalogue:
         """A listing that differs from the one that is served, once two looks agree: nobody is writing it."""
         try:
             now = look_at(self.place)
-        except (DataFormatError, OSError):
+        except DataFormatError as error:
+            self.fault = str(error)
+            return None
+        except OSError:
             return None  # a file that goes while it is looked at
+        if now == self.served:
+            self.fault = None
         before, self._seen = self._seen, now
         is_new = now != self.served and now.maps and now.version not in self._refused
         return now if is_new and now == before else None

@@ -74,7 +74,8 @@ class Gate:
         if self._hosts is not None and _name(host) not in self._hosts:
             raise RefusedError(421, f"Host: expected the name of this machine's loopback, found '{host[:60]}'")
         for origin in origins:
-            if origin not in self._config.origins and urlsplit(origin).netloc != host:
+            # Pages that this service sent, at whichever of its names, are its own.
+            if origin not in {*self._config.origins, f"http://{host}", f"https://{host}"}:
                 raise RefusedError(403, f"Origin: pages of '{origin[:60]}' may not ask this service")
         address = (scope.get("client") or ("", 0))[0]
         wait = (self._requests if is_http else self._connects).take(address)

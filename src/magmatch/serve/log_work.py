@@ -2,6 +2,7 @@
 """What a worker process does with a whole log: read it, localize or register it, say the result."""
 
 import logging
+import multiprocessing
 import os
 import signal
 import threading
@@ -11,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -43,10 +44,10 @@ class LogQuestion(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    smooth: bool = False
-    planar: bool = False
-    no_gravity: bool = False
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    smooth: bool = Field(default=False, description="With hindsight, instead of as it was known live.")
+    planar: bool = Field(default=False, description="All poses lie on one floor.")
+    no_gravity: bool = Field(default=False, description="z of the log is not up.")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="Of a registration.")
     format: SurveyFormat = Field(default_factory=SurveyFormat)
 
 
@@ -76,6 +77,15 @@ def begin_worker() -> None:
     """Let those that answer live go first; the service says when to stop."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(10)
+    threading.Thread(target=_end_with_service, daemon=True).start()
+
+
+def _end_with_service() -> None:
+    """Outlive the service by nothing, however it ended."""
+    service = multiprocessing.parent_process()
+    if service is not None:
+        service.join()
+        os._exit(1)
 
 
 def work_on_log(

@@ -12,6 +12,7 @@ from magmatch.errors import import_extra
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.log_work import begin_worker
 from magmatch.serve.refusals import RefusedError
+from magmatch.serve.trackers import TRACKER
 
 
 class LogWorkers:
@@ -52,7 +53,11 @@ class LogWorkers:
         return found
 
     def close(self) -> None:
-        """Let no more work begin."""
+        """End all work."""
         self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            if process.name != TRACKER:
+                process.kill()
+        self._executor.shutdown()
         if self._client is not None:
             self._client.close()

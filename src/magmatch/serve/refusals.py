@@ -9,9 +9,13 @@ CLOSE_WITH = 4000
 class RefusedError(Exception):
     """Told to whoever asked; nothing of this machine is in its words."""
 
-    def __init__(self, status: int, message: str, *, retry_after: float | None = None) -> None:
-        super().__init__(message)
+    def __init__(self, status: int, message: str, retry_after: float | None = None) -> None:
+        # All of it, so that it comes whole out of another process.
+        super().__init__(status, message, retry_after)
         self.status, self.message, self.retry_after = status, " ".join(message.split()), retry_after
+
+    def __str__(self) -> str:
+        return self.message
 
     @property
     def document(self) -> dict[str, Any]:

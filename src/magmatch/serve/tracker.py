@@ -2,7 +2,6 @@
 """A process that follows some of the clients: messages in by a pipe, answers out, states to the disk now and then."""
 
 import logging
-import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -104,22 +103,23 @@ class Tracker:
             state = checkpoints.load(self._config.states, client)
             body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
             is_resumed = body is not None
-            body = self._bodies[client] = body or Body.anew(self._known, self._config.localizer)
+            body = self._bodies[client] = body or Body(self._known, self._config.localizer)
         body.name, body.is_binary, body.left_at = name or body.name, is_binary, None
         return Opened(is_resumed, body.n, body.t)
 
     def take(self, client: str, message: str | bytes) -> str | bytes:
         """Give the answer to a message."""
         body = self._bodies[client]
-        answer = body.take(message, self._config.max_samples)
-        if body.is_outdated(self._known):
-            body.known, body.localizer = self._known, type(body.localizer)(self._known, self._config.localizer)
-        return answer
+        body.move_on(self._known)
+        return body.take(message, self._config.max_samples)
 
     def leave(self, client: str) -> None:
         """Hear that a client is gone; it may come back."""
-        if client in self._bodies:
-            self._bodies[client].left_at = monotonic()
+        body = self._bodies.get(client)
+        if body is not None and body.n == 0:
+            del self._bodies[client]
+        elif body is not None:
+            body.left_at = monotonic()
 
     def watch(self, with_trail: bool) -> list[dict[str, Any]]:
         """Tell what is drawn of each body."""
@@ -181,8 +181,3 @@ def _save(folder: Path, client: str, state: bytes) -> None:
         checkpoints.save(folder, client, state)
     except (OSError, MagmatchError) as error:
         log.warning("the state of a client was not kept: %s", error)
-
-
-def nice() -> None:
-    """Let those that answer live go first."""
-    os.nice(10)

@@ -22,6 +22,7 @@ MAX_BATCH = 64
 # Deaths within so many seconds after which a tracker is not started again.
 MOST_DEATHS, DEATHS_WITHIN = 10, 60.0
 STOP_WITHIN = 20.0
+TRACKER = "magmatch tracker"
 PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 Answer = Callable[[Any], None]
 
@@ -47,7 +48,7 @@ class TrackerHandle:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         arguments = (theirs, self._place, self._config)
-        self._process = context.Process(target=run_tracker, args=arguments, name="magmatch tracker", daemon=True)
+        self._process = context.Process(target=run_tracker, args=arguments, name=TRACKER, daemon=True)
         self._process.start()
         theirs.close()
         try:

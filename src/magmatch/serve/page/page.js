@@ -2,7 +2,8 @@
 // The live map: asks the service for its maps and follows what it tells of the bodies. Nothing comes from elsewhere.
 "use strict";
 const $ = id => document.getElementById(id);
-const MAX_TRAIL = 2000, TRAIL_STEP = 0.1, SIGMAS = 2.45;
+// Places of a body's past that are drawn, and path between two, m: the last 20 m.
+const MAX_TRAIL = 200, TRAIL_STEP = 0.1, SIGMAS = 2.45;
 const VIRIDIS = ["#440154", "#482878", "#3e4a89", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b", "#fde725"];
 const WORDS = { localized: "localized", dead_reckoning: "dead reckoning", searching: "searching", lost: "lost" };
 let token = "", version = "", names = [], picture = null, image = null, bodies = [], chosen = null, pause = 500;
@@ -142,7 +143,7 @@ const draw = () => {
   pen.drawImage(image, left, top, scale * (x1 - x0), scale * (y1 - y0));
   drawRuler(pen, box, scale, of("ink"));
   for (const body of bodies) {
-    pen.globalAlpha = chosen && chosen !== body.client ? 0.35 : 1;
+    pen.globalAlpha = !body.is_here || (chosen && chosen !== body.client) ? 0.35 : 1;
     drawTrail(pen, at, trails.get(body.client) ?? []);
     for (const [map, x, y, odds] of body.hypotheses ?? [])
       if (isOnMap(map)) ring(pen, ...at(x, y), 4 + 12 * Math.sqrt(odds));
