@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from urllib.parse import urlsplit
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Slerp
 
 import magmatch as mm
 from drifting import Place, drifting_walk
@@ -97,12 +97,14 @@ class Walker(asyncio.Protocol):
         self.welcomed = asyncio.get_running_loop().create_future()
 
     def connection_made(self, transport) -> None:
+        """Ask for a WebSocket."""
         self.transport = transport
         words = f"GET /live HTTP/1.1\r\nHost: {self.host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         words += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
         transport.write(words.encode())
 
     def data_received(self, data: bytes) -> None:
+        """Cut what comes into frames."""
         self.buffer += data
         if not self.is_open:
             head, mark, rest = self.buffer.partition(b"\r\n\r\n")
@@ -121,6 +123,7 @@ class Walker(asyncio.Protocol):
             self.take(kind, content)
 
     def take(self, kind: int, content: bytes) -> None:
+        """Note an answer."""
         if kind == 9:
             self.transport.write(frame(content, 10))
         elif kind == 2:

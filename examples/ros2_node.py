@@ -29,10 +29,10 @@ class Follower:
             field = self.fields.popleft()
             if t0 <= (t := seconds(field)) and t0 < now[0]:
                 step = (T0.inv() * now[1]).as_exp_coords() * (t - t0) / (now[0] - t0)
-                made = self.follow(field, t, T0 * RigidTransform.from_exp_coords(step), message.header.frame_id)
+                made = self._follow(field, t, T0 * RigidTransform.from_exp_coords(step), message.header.frame_id)
         return made
 
-    def follow(self, field, t, T_odom_body, odom_frame):
+    def _follow(self, field, t, T_odom_body, odom_frame):
         b = field.magnetic_field
         with suppress(ValueError):  # NaN, a clock that runs backward, a jump: the next one may be good
             self.localizer.update(t, T_odom_body, np.array([b.x, b.y, b.z]))
@@ -41,15 +41,15 @@ class Follower:
             return None
         new, header = self.kinds, self.kinds["Header"](stamp=field.header.stamp, frame_id="map")
         A = np.kron([[0, 1], [1, 0]], now.T_map_body.rotation.as_matrix())  # ROS: translation first, map's axes
-        p, q = self.parts("Point", now.T_map_body)
+        p, q = self._parts("Point", now.T_map_body)
         pose, C = new["Pose"](position=p, orientation=q), (A @ now.covariance @ A.T).ravel()
-        p, q = self.parts("Vector3", now.T_map_body * T_odom_body.inv())
+        p, q = self._parts("Vector3", now.T_map_body * T_odom_body.inv())
         T = new["Transform"](translation=p, rotation=q)
         frame = new["TransformStamped"](header=header, child_frame_id=odom_frame, transform=T)
         pose = new["PoseWithCovariance"](pose=pose, covariance=C)
         return new["PoseWithCovarianceStamped"](header=header, pose=pose), frame
 
-    def parts(self, kind, T):
+    def _parts(self, kind, T):
         p, q = T.translation.tolist(), T.rotation.as_quat().tolist()
         return self.kinds[kind](x=p[0], y=p[1], z=p[2]), self.kinds["Quaternion"](x=q[0], y=q[1], z=q[2], w=q[3])
 

@@ -20,7 +20,8 @@ from websockets.sync.client import connect
 from magmatch.serve.messages import write_sample
 
 READY = re.compile(rb"Serving .* at (http://\S+)")
-PATIENCE = 60.0
+# Other work may keep this machine busy.
+PATIENCE = 180.0
 
 
 class Service:
@@ -95,7 +96,8 @@ def samples(log):
     q, b = log.orientations.as_quat(), log.orientations.inv().apply(log.field)
     for n, t in enumerate(log.times):
         yield {
-            "t": float(t), "position": log.positions[n].tolist(), "orientation": q[n].tolist(), "field": b[n].tolist(),
+            "t": float(t), "position": log.positions[n].tolist(), "orientation": q[n].tolist(),
+            "field": b[n].tolist(),
         }  # fmt: skip
 
 

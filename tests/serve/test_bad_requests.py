@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
+# ruff: noqa: PT012  # a WebSocket is closed at whichever of the steps
 """What cannot be done has its status and one sentence, and nothing of the machine is in it."""
 
 import gzip

@@ -2,7 +2,9 @@
 """Samples in, poses out: of whom, in which order, and across reconnects and restarts."""
 
 import json
+import os
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,7 +165,7 @@ def test_states_outlive_kills_of_trackers_and_of_the_service(hall, limits, tmp_p
             kept = wait_until(lambda: list((tmp_path / "states").glob("*.state")))
             wait_until(lambda: b'"n": 50' in kept[0].read_bytes()[:200])
             for tracker in trackers_of(service):
-                signal_to(tracker, signal.SIGKILL)
+                os.kill(tracker, signal.SIGKILL)
             with pytest.raises(ConnectionClosed) as closed:
                 one.socket.recv(timeout=30)
             assert closed.value.rcvd.code == 4503
@@ -184,24 +186,12 @@ def test_states_outlive_kills_of_trackers_and_of_the_service(hall, limits, tmp_p
 def trackers_of(service):
     """Processes that a service started."""
     pid = service.process.pid
-    with open(f"/proc/{pid}/task/{pid}/children") as listed:
-        children = [int(word) for word in listed.read().split()]
-    return [c for c in children if "spawn_main" in command_of(c)]
-
-
-def command_of(pid):
-    try:
-        with open(f"/proc/{pid}/cmdline") as line:
-            return line.read()
-    except OSError:
-        return ""
-
-
-def signal_to(pid, number):
-    import os
-
-    os.kill(pid, number)
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in children if is_alive(child)]
 
 
 def is_alive(pid):
-    return "spawn_main" in command_of(pid)
+    try:
+        return "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()
+    except OSError:
+        return False

@@ -36,14 +36,20 @@ SAMPLES = st.fixed_dictionaries(
 )  # fmt: skip
 
 
+def or_refusal(function, *arguments):
+    try:
+        return function(*arguments)
+    except RefusedError as refused:
+        return refused
+
+
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=300) | st.text(max_size=99) | (ANYTHING | SAMPLES | st.lists(SAMPLES)).map(json.dumps))
 def test_any_message_is_finite_samples_or_a_refusal(message):
-    try:
-        rows = read_samples(message, 5)
-    except RefusedError as refused:
-        assert refused.status in {400, 413, 422}
-        assert "\n" not in refused.message
+    rows = or_refusal(read_samples, message, 5)
+    if isinstance(rows, RefusedError):
+        assert rows.status in {400, 413, 422}
+        assert "\n" not in rows.message
         return
     assert np.isfinite(rows).all()
     assert rows.shape[1] == 11
@@ -53,10 +59,8 @@ def test_any_message_is_finite_samples_or_a_refusal(message):
 @settings(max_examples=100, deadline=None)
 @given(ANYTHING.map(json.dumps) | st.text(max_size=99))
 def test_any_hello_is_one_or_a_refusal(message):
-    try:
-        read_hello(message)
-    except RefusedError as refused:
-        assert refused.status in {400, 422}
+    found = or_refusal(read_hello, message)
+    assert not isinstance(found, RefusedError) or found.status in {400, 422}
 
 
 def stated(rng):

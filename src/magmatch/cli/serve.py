@@ -66,9 +66,10 @@ def serve(
         raise DataFormatError(place, "no such file or folder, expected a saved map or a folder of them")
     resolved = place.resolve()
     beside = resolved / ".clients" if is_folder(place) else resolved.with_name(f"{resolved.name}.clients")
+    token = None if token_file is None else read_token(token_file)
     given = {
         "host": host, "port": port, "states": states or beside, "origins": tuple(origin or ()),
-        "foxglove_port": foxglove, "token": None if token_file is None else read_token(token_file), **_workers(workers),
+        "foxglove_port": foxglove, "token": token, **_workers(workers),
     }  # fmt: skip
     settings = ServeConfig(**given)
     if config is not None:

@@ -116,10 +116,9 @@ def _frozen(value: Any, arrays: dict[int, tuple[int, np.ndarray]]) -> Any:
         return {"number": repr(value)}
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    if isinstance(value, list):
-        return [_frozen(v, arrays) for v in value]
-    if isinstance(value, tuple):
-        return {"tuple": [_frozen(v, arrays) for v in value]}
+    if isinstance(value, list | tuple):
+        parts = [_frozen(v, arrays) for v in value]
+        return parts if isinstance(value, list) else {"tuple": parts}
     if isinstance(value, dict):
         return {"dict": {key: _frozen(v, arrays) for key, v in value.items()}}
     if is_dataclass(value) and KINDS.get(type(value).__name__) is type(value):
@@ -134,10 +133,8 @@ def _thawed(value: Any, arrays: list[np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     ((kind, inner),) = value.items()
-    if kind == "array":
-        return arrays[inner]
-    if kind == "number":
-        return float(inner)
+    if kind in {"array", "number"}:
+        return arrays[inner] if kind == "array" else float(inner)
     if kind == "tuple":
         return tuple(_thawed(v, arrays) for v in inner)
     if kind == "dict":

@@ -3,6 +3,7 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -88,24 +89,6 @@ def build_app(service: Service) -> Starlette:
     async def metrics(_: Request) -> Response:
         return Response(service.metrics.text(), headers={"Content-Type": CONTENT_TYPE})
 
-    async def refused(_: Request, error: Exception) -> Response:
-        assert isinstance(error, RefusedError)
-        return _refusal(service, error)
-
-    async def not_there(_: Request, error: Exception) -> Response:
-        assert isinstance(error, HTTPException)
-        words = {
-            404: "nothing is at this path; /docs lists what is",
-            405: "this path takes another method; see /docs",
-        }
-        found = RefusedError(error.status_code, words.get(error.status_code, error.detail))
-        answer = _refusal(service, found)
-        answer.headers.update(error.headers or {})
-        return answer
-
-    async def mistake(_: Request, error: Exception) -> Response:  # noqa: ARG001  # the server logs it
-        return _refusal(service, RefusedError(500, "the service made a mistake; please report it"))
-
     return Starlette(
         routes=[
             Route("/", _file("page.html", "text/html"), methods=["GET"]),
@@ -123,9 +106,21 @@ def build_app(service: Service) -> Starlette:
             WebSocketRoute("/watch", watch),
         ],
         middleware=[Middleware(Gate, config=service.config, metrics=service.metrics)],
-        exception_handlers={RefusedError: refused, HTTPException: not_there, 500: mistake},
+        exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
         lifespan=running,
     )
+
+
+async def _explain(service: Service, _: Request, error: Exception) -> Response:
+    """A refusal for whatever went wrong; the server logs what is its own fault."""
+    if isinstance(error, RefusedError):
+        return _refusal(service, error)
+    if not isinstance(error, HTTPException):
+        return _refusal(service, RefusedError(500, "the service made a mistake; please report it"))
+    words = {404: "nothing is at this path; /docs lists what is", 405: "this path takes another method; see /docs"}
+    answer = _refusal(service, RefusedError(error.status_code, words.get(error.status_code, error.detail)))
+    answer.headers.update(error.headers or {})
+    return answer
 
 
 async def _live(service: Service, socket: WebSocket) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which maps are served: looked at now and then, so that a map that is added or replaced is served once it is whole."""
+"""Which maps are served: looked at now and then; one that is added or replaced is served once it is whole."""
 
 import hashlib
 from dataclasses import dataclass, field

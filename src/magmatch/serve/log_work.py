@@ -94,28 +94,32 @@ def work_on_log(
     """Answer a question of a log; what cannot be done is an answer, too."""
     try:
         with _ended_after(config.max_work_time):
-            _refuse_bombs(upload, config.max_unpacked)
-            survey = read_survey(upload, question.format)
-            if len(survey) > config.max_log:
-                return RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
-            survey = replace(survey, name="log")
-            known = _place(place, version)
-            if verb == "register":
-                return register(known, survey, seed=question.seed).to_dict()
-            return _localized(known, survey, question, config.localizer)
+            return _answer(verb, place, version, upload, question, config)
     except RefusedError as refused:
         return refused
-    except MissingExtraError as error:
-        return RefusedError(501, f"this service cannot read such logs: {error}")
-    except MagmatchError as error:
-        return RefusedError(422, _without_paths(error, upload, place))
     except TimeoutError:
         return RefusedError(503, f"the log took longer than {config.max_work_time:g} s; send a shorter one")
     except MemoryError:
         return RefusedError(413, "the log needs more memory than there is; send a shorter one")
+    except MagmatchError as error:
+        status = 501 if isinstance(error, MissingExtraError) else 422
+        return RefusedError(status, _without_paths(error, upload, place))
     except Exception:
         log.exception("a log was not worked on")
         return RefusedError(500, "the service made a mistake with this log; please report it")
+
+
+def _answer(
+    verb: Verb, place: Path, version: str, upload: Path, question: LogQuestion, config: ServeConfig
+) -> dict[str, Any]:
+    _refuse_bombs(upload, config.max_unpacked)
+    survey = read_survey(upload, question.format)
+    if len(survey) > config.max_log:
+        raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
+    survey, known = replace(survey, name="log"), _place(place, version)
+    if verb == "register":
+        return register(known, survey, seed=question.seed).to_dict()
+    return _localized(known, survey, question, config.localizer)
 
 
 def _localized(known: Place, survey: Survey, question: LogQuestion, config: LocalizerConfig) -> dict[str, Any]:
@@ -183,7 +187,7 @@ def _ended_after(seconds: float) -> Iterator[None]:
 
 
 def picture_of(place: Path, version: str, name: str) -> dict[str, Any]:
-    """A map from above: magnitude of the field (uT) at the median height of its samples, None where it is not known."""
+    """A map from above: magnitude of the field (uT) at the median height of its samples, None where not known."""
     known = _place(place, version)
     if isinstance(known, Atlas):
         entry = next(entry for entry in known.entries if entry.name == name)
@@ -194,9 +198,9 @@ def picture_of(place: Path, version: str, name: str) -> dict[str, Any]:
     field, is_known = field_on(cut, field_map)
     values = np.round(magnitude_ut(field), 2).tolist()
     shown = [v if k else None for v, k in zip(values, is_known.tolist(), strict=True)]
-    n = len(cut.first)
+    n, (x, y) = len(cut.first), ([float(side[0]), float(side[-1])] for side in (cut.first, cut.second))
     return {
-        "name": name, "x": [float(cut.first[0]), float(cut.first[-1])], "y": [float(cut.second[0]), float(cut.second[-1])],
+        "name": name, "x": x, "y": y,
         "height": cut.height, "shape": [len(cut.second), n],
         "field_ut": [shown[k : k + n] for k in range(0, len(shown), n)],
     }  # fmt: skip

@@ -60,7 +60,8 @@ class Hello(_Message):
 
 def read_hello(text: str) -> Hello:
     """Read a client's first message."""
-    return _valid(_hello(), text)
+    found: Hello = _valid(_hello(), text)
+    return found
 
 
 def read_samples(message: str | bytes, most: int) -> np.ndarray:
@@ -147,9 +148,8 @@ def write_pose(n: int, t: float, now: Estimate, *, binary: bool) -> str | bytes:
     """An estimate after n samples as an answer."""
     if not binary:
         return json.dumps(pose_document(n, t, now), allow_nan=False)
-    if now.T_map_body is None or now.covariance is None:
-        T, C = (0.0,) * 12, (0.0,) * 21
-    else:
+    T, C = np.zeros(12), np.zeros(21)
+    if now.T_map_body is not None and now.covariance is not None:
         T, C = now.T_map_body.as_matrix()[:3].ravel(), now.covariance[_UPPER]
     return POSE.pack(n & 0xFFFFFFFF, STATUSES.index(now.status), t, now.probability, *T, *C)
 

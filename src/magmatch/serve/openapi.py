@@ -29,8 +29,8 @@ REFUSALS = {
     503: "There is no room now; try again later",
 }
 LIVE = (
-    "A WebSocket. The client says hello (schema Hello) and is told its key; each message of samples (schema Sample or "
-    "Samples, or binary rows) is answered by one pose or one error. A refusal closes it with 4000 and the status."
+    "A WebSocket. The client says hello (schema Hello) and is told its key; each message of samples (schema Sample "
+    "or Samples, or binary rows) is answered by one pose or one error. A refusal closes it with 4000 and the status."
 )
 
 
@@ -119,7 +119,8 @@ def openapi_page() -> str:
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>magmatch: paths</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<link rel="stylesheet" href="/page.css"></head><body class="words"><main><h1>What is asked at which path</h1>'
+        '<link rel="stylesheet" href="/page.css"></head>'
+        '<body class="words"><main><h1>What is asked at which path</h1>'
         '<p>The same as <a href="/openapi.json">an OpenAPI document</a>.</p>'
         f"{''.join(parts)}<h2>Refusals</h2><table>{refusals}</table></main></body></html>"
     )

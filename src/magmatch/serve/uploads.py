@@ -3,6 +3,7 @@
 
 import asyncio
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 from starlette.requests import ClientDisconnect, Request
@@ -44,20 +45,25 @@ async def _receive(request: Request, path: Path, config: ServeConfig, unpacking:
             if unpacking is None:
                 stream.write(piece)
                 continue
-            while piece:
-                try:
-                    plain = unpacking.decompress(piece, PIECE)
-                except zlib.error:
-                    raise RefusedError(400, "Content-Encoding: the body is not gzip") from None
+            for plain in _unpacked(unpacking, piece):
                 n_unpacked += len(plain)
                 if n_unpacked > config.max_unpacked:
                     raise RefusedError(413, f"unpacks to more than {config.max_unpacked} bytes")
                 stream.write(plain)
-                piece = unpacking.unconsumed_tail
         if unpacking is not None and not unpacking.eof:
             raise RefusedError(400, "Content-Encoding: the gzip body is cut off")
     if n_sent == 0:
         raise RefusedError(400, "expected a log as the body, found nothing")
+
+
+def _unpacked(unpacking: "zlib._Decompress", packed: bytes) -> Iterator[bytes]:
+    """What a piece unpacks to, in pieces."""
+    while packed:
+        try:
+            yield unpacking.decompress(packed, PIECE)
+        except zlib.error:
+            raise RefusedError(400, "Content-Encoding: the body is not gzip") from None
+        packed = unpacking.unconsumed_tail
 
 
 def _too_long(most: int) -> RefusedError:
