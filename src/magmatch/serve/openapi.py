@@ -119,7 +119,7 @@ def openapi_page() -> str:
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>magmatch: paths</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<link rel="stylesheet" href="/page.css"></head>'
+        '<link rel="icon" href="data:,"><link rel="stylesheet" href="/page.css"></head>'
         '<body class="words"><main><h1>What is asked at which path</h1>'
         '<p>The same as <a href="/openapi.json">an OpenAPI document</a>.</p>'
         f"{''.join(parts)}<h2>Refusals</h2><table>{refusals}</table></main></body></html>"
