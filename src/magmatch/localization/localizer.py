@@ -3,7 +3,7 @@
 
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.arguments import expect_kind
+from magmatch.arguments import expect_kind, expect_transform
 from magmatch.atlas.atlas import Atlas
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
@@ -39,15 +39,15 @@ class Localizer:
         self._samples = Samples()
         self._binning = Binning(self._places.bin_length)
 
-    def update(self, t: float, T_odom_body: RigidTransform | Matrix, field: Vector3) -> None:
+    def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
         """Take a sample.
 
         Parameters
         ----------
         t : float, s
             Later than the sample before it.
-        T_odom_body : RigidTransform or array
-            The body's pose in the odometry's frame, which may drift; or its (4, 4) matrix, taken as it is.
+        T_odom_body : RigidTransform
+            The body's pose in the odometry's frame, which may drift.
         field : (3,) array, T
             In the body's axes.
 
@@ -56,6 +56,11 @@ class Localizer:
         ValueError, TypeError
             Not a sample: NaN, a clock that runs backward, another unit, a jump. What is known stays as it was.
         """
+        expect_transform(T_odom_body, "T_odom_body")
+        self.update_by_matrix(t, T_odom_body.as_matrix(), field)
+
+    def update_by_matrix(self, t: float, T_odom_body: Matrix, field: Vector3) -> None:
+        """Take a sample whose pose is known to be a rigid (4, 4) matrix, which spares making one of SciPy's."""
         new = self._binning.add(*self._samples.take(t, T_odom_body, field))
         if new is None:
             return

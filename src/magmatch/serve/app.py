@@ -89,7 +89,7 @@ def build_app(service: Service) -> Starlette:
     async def metrics(_: Request) -> Response:
         return Response(service.metrics.text(), headers={"Content-Type": CONTENT_TYPE})
 
-    return Starlette(
+    app = Starlette(
         routes=[
             Route("/", _file("page.html", "text/html"), methods=["GET"]),
             Route("/page.js", _file("page.js", "text/javascript"), methods=["GET"]),
@@ -109,6 +109,9 @@ def build_app(service: Service) -> Starlette:
         exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
         lifespan=running,
     )
+    # A path with a slash too many is another path.
+    app.router.redirect_slashes = False
+    return app
 
 
 async def _explain(service: Service, _: Request, error: Exception) -> Response:

@@ -74,7 +74,7 @@ class Body:
         localizer = self.localizer = self.localizer or Localizer(self.known, self.config)
         for k, row in enumerate(rows):
             try:
-                localizer.update(float(row[0]), poses[k], row[8:])
+                localizer.update_by_matrix(float(row[0]), poses[k], row[8:])
             except ValueError as error:
                 place = f"sample {k}: " if len(rows) > 1 else ""
                 raise RefusedError(422, place + str(error)) from None
