@@ -21,17 +21,14 @@ from magmatch.localization.bins import Bin, Binning
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
-from magmatch.localization.measurement import Fit, Steps
-from magmatch.localization.monitor import Crowd, Weighed
+from magmatch.localization.measurement import Window
+from magmatch.localization.monitor import Weighed
 from magmatch.localization.samples import Samples
-from magmatch.localization.state import Bank
 from magmatch.registration.decide.posterior import Posterior
 
 SCHEMA = "magmatch.localizer/1"
 # What a state may consist of.
-KINDS: dict[str, type] = {
-    kind.__name__: kind for kind in (Bank, Bin, Binning, Crowd, Fit, Posterior, Samples, Steps, Weighed)
-}
+KINDS: dict[str, type] = {kind.__name__: kind for kind in (Bin, Binning, Posterior, Samples, Weighed, Window)}
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model"}
 
@@ -52,7 +49,7 @@ def state_of(localizer: Localizer) -> bytes:
     }
     head: dict[str, Any] = {"schema": SCHEMA, "version": __version__, "config": _config_of(localizer)}
     head["state"] = _frozen(tree, arrays)
-    head["arrays"] = [[a.dtype.str, list(a.shape)] for _, a in arrays.values()]
+    head["arrays"] = [[a.dtype.descr if a.dtype.names else a.dtype.str, a.shape] for _, a in arrays.values()]
     content = b"".join(np.ascontiguousarray(a).tobytes() for _, a in arrays.values())
     words = json.dumps(head, allow_nan=False).encode()
     digest = hashlib.sha256(words + content).hexdigest().encode()
@@ -79,9 +76,9 @@ def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: st
         raise DataFormatError(path, "is of other settings")
     arrays, at = [], 0
     for kind, shape in head["arrays"]:
-        n = math.prod(shape)
+        row = kind if isinstance(kind, str) else [(name, of, *map(tuple, rest)) for name, of, *rest in kind]
         # Loops write into them.
-        arrays.append(np.frombuffer(content, kind, n, at).reshape(shape).copy())
+        arrays.append(np.frombuffer(content, row, math.prod(shape), at).reshape(shape).copy())
         at += arrays[-1].nbytes
     tree = _thawed(head["state"], arrays)
     localizer._samples, localizer._binning, places = tree["samples"], tree["binning"], localizer._places
