@@ -66,7 +66,8 @@ def _listen(config: ServeConfig) -> socket.socket:
     """Take the address before any work is done."""
     try:
         kind, *_, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(kind)
+        # Without the protocol's number asyncio leaves small answers to wait for each other (Nagle).
+        listening = socket.socket(kind, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(address)
     except (OSError, UnicodeError) as error:
