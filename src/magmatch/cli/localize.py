@@ -13,7 +13,7 @@ from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
-from magmatch.cli.places import read_place, read_walk
+from magmatch.cli.places import read_walk
 from magmatch.cli.settings import merged, read_settings
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ def localize(
     Exit code 0: at least one pose is stated; 3: never localized, with the reason.
     """
     from magmatch.localization.config import LocalizerConfig
+    from magmatch.localization.known_places import open_place
     from magmatch.localization.localize import localize as run
     from magmatch.localization.smooth import smooth as with_hindsight
 
@@ -87,7 +88,7 @@ def localize(
             refuse("--odometry-sd", "metres,degrees, both above 0, such as 0.3,4", odometry_sd)
         switches["odometry"] = settings.odometry.model_copy(update={"sd": sd})
     settings = settings.model_copy(update=switches)
-    walk, known = read_walk(log, layouts), read_place(place)
+    walk, known = read_walk(log, layouts), open_place(place)
     track = with_hindsight(known, walk, settings) if smooth else run(known, walk, settings)
     result = track.result()
     track.save(out, read_poses_of(log, layouts))

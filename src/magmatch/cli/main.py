@@ -25,6 +25,8 @@ from magmatch.cli.odometry import odometry
 from magmatch.cli.prepare import prepare
 from magmatch.cli.query import query
 from magmatch.cli.register import register
+from magmatch.cli.replay import replay
+from magmatch.cli.serve import serve
 from magmatch.cli.simulate import simulate
 from magmatch.cli.slam import slam
 from magmatch.cli.transform import transform
@@ -51,6 +53,8 @@ COMMANDS = (
     slam,
     merge,
     localize,
+    serve,
+    replay,
     odometry,
     prepare,
     build,

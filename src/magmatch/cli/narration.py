@@ -16,8 +16,8 @@ from magmatch.progress import followed
 if TYPE_CHECKING:
     from rich.status import Status
 
-# Loggers of what reads files.
-READING = "magmatch.data"
+# Loggers of what reads files, and of what goes on until it is stopped.
+READING, SERVING = "magmatch.data", "magmatch.serve"
 FIGURES = re.compile(r"[-+.,\d]*\d")
 
 
@@ -51,7 +51,8 @@ class Narrator(logging.Handler):
         """Take one message of the library."""
         message = record.getMessage()
         is_warning = record.levelno >= logging.WARNING
-        if self.is_verbose:
+        if self.is_verbose or record.name.startswith(SERVING):
+            self.rest()
             say(f"warning: {message}" if is_warning else message)
             return
         if is_warning:

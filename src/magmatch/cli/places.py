@@ -1,36 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `localize` is given: a map, its index or a folder of maps; and a log, a phone's without poses among them."""
+"""The log that `localize` is given, a phone's without poses among them."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from magmatch.cli.command import Layouts
-from magmatch.cli.inputs import read_map, read_samples
+from magmatch.cli.inputs import read_samples
 from magmatch.cli.narration import say
-from magmatch.errors import DataFormatError
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
-    from magmatch.localization.places import Place
-
-
-def read_place(path: Path) -> "Place":
-    """Read a map, with its index where there is one beside it, or open a folder of maps."""
-    from magmatch.atlas.atlas import open_atlas
-    from magmatch.data.tables.text import is_folder
-    from magmatch.registration.config import RegistrationConfig
-    from magmatch.registration.index.map_index import SUFFIX, open_index
-
-    if is_folder(path):
-        return open_atlas(path)
-    path = path.with_suffix("") if path.suffix == SUFFIX else path
-    known = read_map(path)
-    index = open_index(path, RegistrationConfig())
-    try:
-        return known if index is None else index.load(known)
-    except DataFormatError:  # an index is a cache
-        return known
 
 
 def read_walk(path: Path, layouts: Layouts) -> "Survey":

@@ -4,9 +4,10 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.geometry import transform_from_product
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, Window, follow
 from magmatch.localization.monitor import (
@@ -189,11 +190,17 @@ class Belief:
         return Estimate(
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             f"probability {in_words(self._found.best)}{'' if is_in else ', outside what the map knows'}",
-            RigidTransform.from_matrix(self._known.T_map_model @ T_model_body),
+            transform_from_product(self._known.T_map_model @ T_model_body),
             covariance_of(bank, self._known, self._found.poses[0].factor),
             self._found.best, one["b"], np.sqrt(np.diag(one["P"])[BIAS : BIAS + 3]), 1 + float(one["scale"]),
             self._known.name, 1 + float(one["gain"]),
         )  # fmt: skip
+
+    def hypotheses(self) -> list[Hypothesis]:
+        """What is weighed, likeliest first, at the last bin."""
+        T_map_model = RigidTransform.from_matrix(self._known.T_map_model)
+        found = zip(self._found.poses, self._found.probabilities, strict=True)
+        return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 
     def _why(self) -> str:
         found = self._found

@@ -19,6 +19,15 @@ class LocalizerStatus(StrEnum):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Hypothesis:
+    """Where the body may be: name of the map, ``T_map_body`` and how probable that is."""
+
+    map: str
+    T_map_body: RigidTransform
+    probability: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Estimate:
     """Where the body is.
 

@@ -16,8 +16,8 @@ from magmatch.errors import SurveyError
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate
+from magmatch.localization.known_places import Place
 from magmatch.localization.localizer import ADVICE, Localizer
-from magmatch.localization.places import Place
 from magmatch.localization.samples import OdometryJump
 from magmatch.localization.track import Track
 from magmatch.progress import Progress, followed, tell

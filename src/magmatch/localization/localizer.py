@@ -3,17 +3,18 @@
 
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.arguments import expect_kind
+from magmatch.arguments import expect_kind, expect_transform
 from magmatch.atlas.atlas import Atlas
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
-from magmatch.localization.places import Place, Places
+from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
+from magmatch.localization.known_places import KnownPlaces, Place
+from magmatch.localization.places import Places
 from magmatch.localization.samples import Samples
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Vector3
+from magmatch.typing import Matrix, Vector3
 
 ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
 
@@ -23,17 +24,18 @@ class Localizer:
 
     Parameters
     ----------
-    place : FieldMap, MapIndex or Atlas
-        The map, or a folder of maps, one of which holds the body.
+    place : FieldMap, MapIndex, Atlas or KnownPlaces
+        The map, or a folder of maps, one of which holds the body. Many bodies share one `KnownPlaces`.
     config : LocalizerConfig, optional
     """
 
-    def __init__(self, place: Place, config: LocalizerConfig | None = None) -> None:
+    def __init__(self, place: Place | KnownPlaces, config: LocalizerConfig | None = None) -> None:
         config = config or LocalizerConfig()
-        expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
+        expect_kind(place, "place", (FieldMap, MapIndex, Atlas, KnownPlaces), ADVICE)
         expect_kind(config, "config", (LocalizerConfig,))
         with one_blas_thread():
-            self._places = Places(place, config)
+            known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
+            self._places = Places(known, config)
         self._samples = Samples()
         self._binning = Binning(self._places.bin_length)
 
@@ -54,6 +56,11 @@ class Localizer:
         ValueError, TypeError
             Not a sample: NaN, a clock that runs backward, another unit, a jump. What is known stays as it was.
         """
+        expect_transform(T_odom_body, "T_odom_body")
+        self.update_by_matrix(t, T_odom_body.as_matrix(), field)
+
+    def update_by_matrix(self, t: float, T_odom_body: Matrix, field: Vector3) -> None:
+        """Take a sample whose pose is known to be a rigid (4, 4) matrix, which spares making one of SciPy's."""
         new = self._binning.add(*self._samples.take(t, T_odom_body, field))
         if new is None:
             return
@@ -76,3 +83,8 @@ class Localizer:
         if best is None:
             return Estimate(LocalizerStatus.SEARCHING, self._places.why_none)
         return best.estimate(self._samples.T_odom_body)
+
+    def hypotheses(self) -> list[Hypothesis]:
+        """List the poses that are weighed against each other, likeliest first, up to the last bin of the path."""
+        found = [one for belief in self._places.likely.values() for one in belief.hypotheses()]
+        return sorted(found, key=lambda one: -one.probability)

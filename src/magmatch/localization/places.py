@@ -2,7 +2,6 @@
 """The maps that a body may be in: one, or those of a folder that its path votes for."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,10 +14,9 @@ from magmatch.field.map import FieldMap
 from magmatch.localization.belief import BIN_LENGTH, Belief
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.known_map import KnownMap
+from magmatch.localization.known_places import KnownPlaces
 from magmatch.registration.index.map_index import MapIndex
 
-Place = FieldMap | MapIndex | Atlas
 # Path between two votes of a folder's maps, in field lengths.
 VOTE_EVERY = 2.0
 
@@ -26,9 +24,9 @@ VOTE_EVERY = 2.0
 class Places:
     """What is believed in each map that is likely."""
 
-    def __init__(self, place: Place, config: LocalizerConfig) -> None:
-        self._config, self._atlas = config, place if isinstance(place, Atlas) else None
-        self._maps: dict[AtlasEntry, KnownMap] = {}
+    def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
+        place = known.place
+        self._config, self._atlas, self.known = config, place if isinstance(place, Atlas) else None, known
         self._bins: list[Bin] = []
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
@@ -39,9 +37,8 @@ class Places:
             # It has no field length either.
             self.why_none = "the map's field is constant: nothing tells places apart"
         else:
-            known = KnownMap.of(place)
-            self.likely = {None: Belief(known, config)}
-            self.bin_length = BIN_LENGTH * known.length
+            self.likely = {None: Belief(known.of(None), config)}
+            self.bin_length = BIN_LENGTH * known.of(None).length
 
     @property
     def best(self) -> Belief | None:
@@ -76,13 +73,10 @@ class Places:
         self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
         for entry in voted:
             if entry not in self.likely:
-                self.likely[entry] = self._begin(atlas, entry)
+                self.likely[entry] = self._begin(entry)
 
-    def _begin(self, atlas: Atlas, entry: AtlasEntry) -> Belief:
-        if entry not in self._maps:
-            # Wherever it is found, it was looked for in all maps.
-            self._maps[entry] = replace(KnownMap.of(atlas.load(entry)), name=entry.name, volume=atlas.volume)
-        belief = Belief(self._maps[entry], self._config)
+    def _begin(self, entry: AtlasEntry) -> Belief:
+        belief = Belief(self.known.of(entry), self._config)
         for one in self._bins:
             belief.follow(one)
         return belief

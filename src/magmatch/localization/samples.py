@@ -5,9 +5,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from magmatch.arguments import expect_transform, numbers_of
+from magmatch.arguments import numbers_of
 from magmatch.data.checks import MAX_FIELD
 from magmatch.typing import Matrix, Vector3
 
@@ -28,8 +27,8 @@ class Samples:
     _given: Matrix = field(default_factory=lambda: np.eye(4))
     _T_odom_given: Matrix = field(default_factory=lambda: np.eye(4))
 
-    def take(self, t: float, T_given_body: RigidTransform, b: Vector3) -> tuple[float, Matrix, Vector3]:
-        """Check a sample and remember it.
+    def take(self, t: float, T: Matrix, b: Vector3) -> tuple[float, Matrix, Vector3]:
+        """Check a sample, T its body's pose, a rigid (4, 4) matrix, and remember it.
 
         Raises
         ------
@@ -40,8 +39,6 @@ class Samples:
         if np.ndim(time) or not math.isfinite(time):
             msg = f"t: expected a finite number of seconds, got {t!r:.40}"
             raise ValueError(msg)
-        expect_transform(T_given_body, "T_odom_body")
-        T = T_given_body.as_matrix()
         if not np.isfinite(T).all():
             msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
             raise ValueError(msg)

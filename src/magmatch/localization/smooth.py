@@ -14,8 +14,8 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.known_places import Place
 from magmatch.localization.localize import localize
-from magmatch.localization.places import Place
 from magmatch.localization.track import Track
 from magmatch.progress import Progress
 

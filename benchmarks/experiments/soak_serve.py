@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hours of samples through a service that is killed again and again: what is lost, and whether memory grows.
+
+Clients walk through one hall as fast as the service answers, each a walk of its own. Now and then one of the
+processes is killed (-9), the service itself among them. Counted are answers, states that resumed, samples that had
+to be sent again (those since the last checkpoint), poses farther from the truth than five standard deviations, which
+another's pose would be, and resident memory along the way. Ends by itself.
+
+Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from bench_serve import children_of, make_map, memory_of
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from drifting import Place, drifting_walk
+from magmatch.serve.messages import read_pose
+from serving import packed, samples, serving, wait_until
+
+TRIES = 2000
+
+
+class Walker(threading.Thread):
+    """A client that sends one walk, and goes on after whatever happens."""
+
+    def __init__(self, seed: int, hours: float, where: dict) -> None:
+        super().__init__(daemon=True)
+        laps = hours * 3600 / 21
+        bias, start = (2e-6, -1e-6, 1e-6), float(seed)
+        self.log, self.truth = drifting_walk(Place(1), seed, laps=laps, start=start, bias=bias, turn=0.5)
+        self.where, self.key, self.is_done = where, None, False
+        self.n_answers = self.n_resumed = self.n_anew = self.n_again = self.n_wrong = self.n_stated = 0
+
+    def run(self) -> None:
+        """Until all is answered, or too many tries failed."""
+        rows, done = list(samples(self.log)), -1
+        for _ in range(TRIES):
+            with suppress(WebSocketException, OSError, TimeoutError), connect(self.where["live"], proxy=None) as wire:
+                wire.send(
+                    json.dumps({"type": "hello", "answers": "binary"} | ({"key": self.key} if self.key else {}))
+                )
+                welcome = json.loads(wire.recv(timeout=60))
+                if self.key is not None:
+                    self.n_resumed += welcome["resumed"]
+                    self.n_anew += not welcome["resumed"]
+                self.key = welcome["key"]
+                next_row = 0 if welcome["t"] is None else int(np.searchsorted(self.log.times, welcome["t"], "right"))
+                self.n_again += max(done + 1 - next_row, 0)
+                for n in range(next_row, len(rows)):
+                    wire.send(packed(rows[n]))
+                    self.note(n, read_pose(wire.recv(timeout=60)))
+                    done = max(done, n)
+                self.is_done = True
+                return
+            time.sleep(1.0)
+
+    def note(self, n: int, said: dict) -> None:
+        """Count an answer, and whether its pose is this walk's."""
+        self.n_answers += 1
+        if "T_map_body" in said:
+            T, C = np.array(said["T_map_body"]), np.array(said["covariance"])
+            off = np.linalg.norm(T[:3, 3] - self.truth[n])
+            self.n_stated += 1
+            self.n_wrong += bool(off > max(5 * np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1]), 0.5))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=24.0, help="of samples, all clients together")
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--clients", type=int, default=4)
+    parser.add_argument("--minutes", type=float, default=60.0, help="after which it ends in any case")
+    asked = parser.parse_args()
+    rng, where = random.Random(0), {}
+    until = time.monotonic() + 60 * asked.minutes
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        make_map(folder / "hall.map")
+        walkers = [Walker(seed, asked.hours / asked.clients, where) for seed in range(1, asked.clients + 1)]
+        total, n_kills, memory = sum(len(w.log) for w in walkers), 0, []
+        while any(not w.is_done for w in walkers) and time.monotonic() < until:
+            with serving(folder / "hall.map", "--states", folder / "states") as service:
+                where["live"] = service.live
+                for walker in walkers:
+                    if not walker.is_alive() and not walker.is_done:
+                        walker.start()
+                n_kills += watch(service, walkers, total, asked.kills, n_kills, rng, memory, until)
+    print(f"{sum(w.n_answers for w in walkers)} answers to {total} samples, {n_kills} kills, "
+          f"{sum(w.is_done for w in walkers)} of {len(walkers)} walks to their end")  # fmt: skip
+    print(f"{sum(w.n_resumed for w in walkers)} resumed, {sum(w.n_anew for w in walkers)} began anew, "
+          f"{sum(w.n_again for w in walkers)} samples sent again")  # fmt: skip
+    print(f"{sum(w.n_stated for w in walkers)} poses stated, {sum(w.n_wrong for w in walkers)} not this walk's")
+    print("resident MB along the way: " + " ".join(f"{m:.0f}" for m in memory[:: max(len(memory) // 12, 1)]))
+
+
+def watch(service, walkers, total, most, n_before, rng, memory, until) -> int:
+    """Kill a process each time that a share of all is answered; gives the kills. The service's own ends the watch."""
+    n = 0
+    while any(not w.is_done for w in walkers) and time.monotonic() < until:
+        time.sleep(0.5)
+        memory.append(memory_of(service))
+        share = sum(w.n_answers for w in walkers) / total
+        if share * (most + 1) < n_before + n + 1 or n_before + n >= most:
+            continue
+        n += 1
+        if rng.random() < 0.3:
+            service.process.kill()
+            return n
+        victims = [pid for pid in children_of(service.process.pid) if b"spawn_main" in command_of(pid)]
+        os.kill(rng.choice(victims), signal.SIGKILL)
+        wait_until(lambda: service.ask("/health")[0] == 200)
+    return n
+
+
+def command_of(pid: int) -> bytes:
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b""
+
+
+if __name__ == "__main__":
+    main()

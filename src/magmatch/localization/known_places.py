@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A map, or a folder of maps, each made ready once for however many bodies walk in it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from magmatch.atlas.atlas import MAX_LOADED, Atlas, AtlasEntry, open_atlas
+from magmatch.data.fingerprint import hash_survey
+from magmatch.data.formats.sniff import sniff
+from magmatch.data.tables.text import is_folder
+from magmatch.errors import DataFormatError
+from magmatch.field.map import FieldMap
+from magmatch.localization.known_map import KnownMap
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import SUFFIX, MapIndex, open_index
+
+Place = FieldMap | MapIndex | Atlas
+
+
+class KnownPlaces:
+    """Maps that many localizers share.
+
+    Parameters
+    ----------
+    place : FieldMap, MapIndex or Atlas
+    """
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self._ready: dict[AtlasEntry | None, KnownMap] = {}
+        self._fingerprints: dict[AtlasEntry | None, str] = {}
+
+    @property
+    def entries(self) -> Sequence[AtlasEntry | None]:
+        """Of an atlas; None for a single map."""
+        return self.place.entries if isinstance(self.place, Atlas) else (None,)
+
+    def fingerprint(self, entry: AtlasEntry | None) -> str:
+        """Tell a version of a map from others: by its samples and its field length."""
+        if entry not in self._fingerprints:
+            field_map = self.of(entry).index.field_map
+            self._fingerprints[entry] = f"{hash_survey(field_map.survey)} {self.of(entry).length!r}"
+        return self._fingerprints[entry]
+
+    def of(self, entry: AtlasEntry | None) -> KnownMap:
+        """Give the map of an atlas's entry, or the only one, ready; those that were needed last stay so."""
+        known = self._ready.pop(entry, None)
+        if known is None:
+            known = self._make(entry)
+        self._ready[entry] = known
+        while len(self._ready) > MAX_LOADED:
+            self._ready.pop(next(iter(self._ready)))
+        return known
+
+    def _make(self, entry: AtlasEntry | None) -> KnownMap:
+        if entry is None or not isinstance(self.place, Atlas):
+            assert not isinstance(self.place, Atlas)
+            return KnownMap.of(self.place)
+        # Wherever it is found, it was looked for in all maps.
+        return replace(KnownMap.of(self.place.load(entry)), name=entry.name, volume=self.place.volume)
+
+
+def open_place(path: Path) -> Place:
+    """Open a map, with its index where there is one beside it, or a folder of maps."""
+    if is_folder(path):
+        return open_atlas(path)
+    path = path.with_suffix("") if path.suffix == SUFFIX else path
+    if (found := sniff(path)) != "map":
+        advice = "make a map with 'magmatch map SURVEY --out MAP'"
+        raise DataFormatError(path, f"expected a saved map, found a {found} file; {advice}")
+    field_map = FieldMap.load(path)
+    index = open_index(path, RegistrationConfig())
+    try:
+        return field_map if index is None else index.load(field_map)
+    except DataFormatError:  # an index is a cache
+        return field_map

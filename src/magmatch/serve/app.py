@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is asked for at which path, and what is answered."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from magmatch.serve.gate import Gate
+from magmatch.serve.live import PROTOCOL, Live, close
+from magmatch.serve.log_work import Verb, read_question, work_on_log
+from magmatch.serve.metrics import CONTENT_TYPE
+from magmatch.serve.openapi import openapi, openapi_page
+from magmatch.serve.refusals import RefusedError
+from magmatch.serve.service import Service
+from magmatch.serve.uploads import receive_log
+
+PAGE = files("magmatch.serve") / "page"
+
+
+def build_app(service: Service) -> Starlette:
+    """Put paths and answers together."""
+
+    @asynccontextmanager
+    async def running(_: Starlette) -> AsyncIterator[None]:
+        async with service.running():
+            yield
+
+    async def live(socket: WebSocket) -> None:
+        try:
+            service.enter()
+        except RefusedError as refused:
+            await socket.send_denial_response(_refusal(service, refused))
+            return
+        try:
+            await socket.accept(_subprotocol(socket))
+            await _live(service, socket)
+        finally:
+            service.leave()
+
+    async def watch(socket: WebSocket) -> None:
+        try:
+            service.enter()
+        except RefusedError as refused:
+            await socket.send_denial_response(_refusal(service, refused))
+            return
+        try:
+            await socket.accept(_subprotocol(socket))
+            async with service.watched() as pictures:
+                while True:
+                    await socket.send_text(await pictures.get())
+        except (WebSocketDisconnect, RuntimeError, RefusedError):
+            pass
+        finally:
+            service.leave()
+
+    async def log(request: Request) -> Response:
+        verb: Verb = "register" if request.url.path == "/register" else "localize"
+        question = read_question(request.query_params.multi_items())
+        version = service.catalogue.served.version
+        with TemporaryDirectory(prefix="magmatch-") as folder:
+            upload = Path(folder) / "log"
+            await receive_log(request, upload, service.config)
+            arguments = (verb, service.place, version, upload, question, service.config)
+            document = await service.workers.run(work_on_log, *arguments)
+        service.metrics.logs.labels(verb).inc()
+        return JSONResponse(document)
+
+    async def maps(_: Request) -> Response:
+        return JSONResponse(service.catalogue.document())
+
+    async def picture(request: Request) -> Response:
+        return JSONResponse(await service.picture(request.path_params["name"]))
+
+    async def health(_: Request) -> Response:
+        said = service.health()
+        return JSONResponse(said, 200 if said["status"] == "well" else 503)
+
+    async def metrics(_: Request) -> Response:
+        return Response(service.metrics.text(), headers={"Content-Type": CONTENT_TYPE})
+
+    app = Starlette(
+        routes=[
+            Route("/", _file("page.html", "text/html"), methods=["GET"]),
+            Route("/page.js", _file("page.js", "text/javascript"), methods=["GET"]),
+            Route("/page.css", _file("page.css", "text/css"), methods=["GET"]),
+            Route("/docs", lambda _: HTMLResponse(openapi_page()), methods=["GET"]),
+            Route("/openapi.json", lambda _: JSONResponse(openapi()), methods=["GET"]),
+            Route("/health", health, methods=["GET"]),
+            Route("/metrics", metrics, methods=["GET"]),
+            Route("/maps", maps, methods=["GET"]),
+            Route("/maps/{name}", picture, methods=["GET"]),
+            Route("/localize", log, methods=["POST"]),
+            Route("/register", log, methods=["POST"]),
+            WebSocketRoute("/live", live),
+            WebSocketRoute("/watch", watch),
+        ],
+        middleware=[Middleware(Gate, config=service.config, metrics=service.metrics)],
+        exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
+        lifespan=running,
+    )
+    # A path with a slash too many is another path.
+    app.router.redirect_slashes = False
+    return app
+
+
+async def _explain(service: Service, _: Request, error: Exception) -> Response:
+    """A refusal for whatever went wrong; the server logs what is its own fault."""
+    if isinstance(error, RefusedError):
+        return _refusal(service, error)
+    if not isinstance(error, HTTPException):
+        return _refusal(service, RefusedError(500, "the service made a mistake; please report it"))
+    words = {404: "nothing is at this path; /docs lists what is", 405: "this path takes another method; see /docs"}
+    answer = _refusal(service, RefusedError(error.status_code, words.get(error.status_code, error.detail)))
+    answer.headers.update(error.headers or {})
+    return answer
+
+
+async def _live(service: Service, socket: WebSocket) -> None:
+    """Follow one client."""
+    one = Live(socket, service.config, service.metrics)
+    try:
+        said = await one.hello()
+        if one.client in service.connected:
+            service.connected[one.client].replace()
+        service.connected[one.client] = one
+        await one.follow(service.trackers.of(one.client), said)
+    except RefusedError as refused:
+        service.metrics.refused.labels(refused.status).inc()
+        await close(socket, refused)
+    except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
+        pass
+    finally:
+        if service.connected.get(one.client) is one:
+            del service.connected[one.client]
+
+
+def _subprotocol(socket: WebSocket) -> str | None:
+    """Ours, where it is offered: the token beside it is not said back."""
+    return PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", []) else None
+
+
+def _refusal(service: Service, refused: RefusedError) -> Response:
+    service.metrics.refused.labels(refused.status).inc()
+    return JSONResponse(refused.document, refused.status, refused.headers)
+
+
+def _file(name: str, kind: str):  # type: ignore[no-untyped-def]
+    content = (PAGE / name).read_bytes()
+
+    async def answer(_: Request) -> Response:
+        return Response(content, media_type=kind)
+
+    return answer

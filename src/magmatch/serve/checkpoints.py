@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""States of clients in a folder: one file each, named by the client's id, written whole or not at all."""
+
+import fcntl
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import time
+
+from magmatch.atomic import atomic_write
+from magmatch.errors import ConfigurationError
+
+NAME = re.compile(r"[0-9a-f]{24}\.state")
+
+
+def path_of(folder: Path, client: str) -> Path:
+    """Where the state of a client lies; its id is the digest of a key, never a client's own words."""
+    return folder / f"{client}.state"
+
+
+def save(folder: Path, client: str, state: bytes) -> None:
+    """Put a state in the place of the one before."""
+    with atomic_write(path_of(folder, client)) as stream:
+        stream.write(state)
+
+
+def load(folder: Path, client: str) -> bytes | None:
+    """Give the last state of a client, if there is one."""
+    with suppress(FileNotFoundError):
+        return path_of(folder, client).read_bytes()
+    return None
+
+
+def remove(folder: Path, client: str) -> None:
+    """Forget a client."""
+    path_of(folder, client).unlink(missing_ok=True)
+
+
+def sweep(folder: Path, keep: float) -> int:
+    """Remove the states that are older than so many seconds, and what interrupted writers left; says how many."""
+    removed = 0
+    for path in list(folder.iterdir()):
+        is_ours = NAME.fullmatch(path.name) or (path.name.startswith(".") and ".state.tmp-" in path.name)
+        with suppress(FileNotFoundError):
+            if is_ours and path.stat().st_mtime < time() - keep:
+                path.unlink()
+                removed += 1
+    return removed
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep other services out of the folder; made where it is missing, for its owner alone."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    with (folder / "lock").open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            msg = f"{folder}: another service keeps its states there; stop it, or say --states OTHER-FOLDER"
+            raise ConfigurationError(msg) from None
+        yield

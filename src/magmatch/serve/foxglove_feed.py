@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The same picture by Foxglove's protocol, on this machine only: transforms, and an ellipse each, of all bodies."""
+
+import time
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magmatch.errors import import_extra
+
+# Standard deviations that an ellipse spans: 95 % of a plane's Gaussian.
+SIGMAS = 2.45
+
+
+class FoxgloveFeed:
+    """A server beside ours."""
+
+    def __init__(self, port: int) -> None:
+        self._foxglove = import_extra("foxglove", "Foxglove's protocol", "foxglove")
+        channels, self._messages = (
+            import_extra("foxglove.channels", "", "foxglove"),
+            import_extra("foxglove.messages", "", "foxglove"),
+        )
+        context = self._context = self._foxglove.Context()
+        self._server = self._foxglove.start_server(name="magmatch", host="127.0.0.1", port=port, context=context)
+        self._frames = channels.FrameTransformsChannel("/tf", context=context)
+        self._scene = channels.SceneUpdateChannel("/bodies", context=context)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._server.port)
+
+    def show(self, bodies: list[dict[str, Any]]) -> None:
+        """Send the bodies whose pose is stated."""
+        m, now = self._messages, time.time()
+        stamp = m.Timestamp.from_epoch_secs(now)
+        frames, entities = [], []
+        for body in bodies:
+            if "T_map_body" not in body:
+                continue
+            T = np.array(body["T_map_body"])
+            q = Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
+            p = m.Vector3(x=T[0, 3], y=T[1, 3], z=T[2, 3])
+            parent, child = body["map"] or "map", body["name"] or body["client"]
+            turn = m.Quaternion(x=q[0], y=q[1], z=q[2], w=q[3])
+            frames.append(
+                m.FrameTransform(
+                    timestamp=stamp, parent_frame_id=parent, child_frame_id=child, translation=p, rotation=turn
+                )
+            )
+            entities.append(self._ellipse(stamp, parent, body, T))
+        if frames:
+            self._frames.log(m.FrameTransforms(transforms=frames))
+            self._scene.log(m.SceneUpdate(entities=entities))
+
+    def _ellipse(self, stamp: Any, frame: str, body: dict[str, Any], T: np.ndarray) -> Any:
+        m = self._messages
+        variances, axes = np.linalg.eigh(np.array(body["covariance_xy"]))
+        x, y = (2 * SIGMAS * np.sqrt(np.maximum(variances, 1e-12))).tolist()
+        q = Rotation.from_euler("z", np.arctan2(axes[1, 0], axes[0, 0])).as_quat().tolist()
+        pose = m.Pose(
+            position=m.Vector3(x=T[0, 3], y=T[1, 3], z=T[2, 3]),
+            orientation=m.Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
+        )
+        is_in = body["status"] == "localized"
+        color = m.Color(r=0.0, g=0.48, b=0.35, a=0.6) if is_in else m.Color(r=0.83, g=0.37, b=0.0, a=0.6)
+        disc = m.CylinderPrimitive(
+            pose=pose, size=m.Vector3(x=x, y=y, z=0.02), bottom_scale=1.0, top_scale=1.0, color=color
+        )
+        life = m.Duration(sec=2)
+        return m.SceneEntity(timestamp=stamp, frame_id=frame, id=body["client"], lifetime=life, cylinders=[disc])
+
+    def stop(self) -> None:
+        """End."""
+        self._server.stop()

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a worker process does with a whole log: read it, localize or register it, say the result."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from magmatch.atlas.atlas import Atlas
+from magmatch.atlas.register import register
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.survey import Survey
+from magmatch.errors import DataFormatError, MagmatchError, MissingExtraError, first_fault
+from magmatch.field.map import FieldMap
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.known_places import Place, open_place
+from magmatch.localization.localize import localize
+from magmatch.localization.smooth import smooth as with_hindsight
+from magmatch.serve.config import ServeConfig
+from magmatch.serve.refusals import RefusedError
+from magmatch.viz.figures.plotting import magnitude_ut
+from magmatch.viz.figures.slices import cut_normal_to, field_on
+
+log = logging.getLogger(__name__)
+Verb = Literal["localize", "register"]
+# Settings of a format that name files, which no client may.
+FILES = {"trajectory", "extrinsic"}
+
+
+class LogQuestion(BaseModel):
+    """What is asked of a log, and how it is to be read: the words of a query."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    smooth: bool = Field(default=False, description="With hindsight, instead of as it was known live.")
+    planar: bool = Field(default=False, description="All poses lie on one floor.")
+    no_gravity: bool = Field(default=False, description="z of the log is not up.")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="Of a registration.")
+    format: SurveyFormat = Field(default_factory=SurveyFormat)
+
+
+def read_question(words: list[tuple[str, str]]) -> LogQuestion:
+    """Read the query of a request."""
+    given: dict[str, Any] = {}
+    layout: dict[str, str] = {}
+    own = set(LogQuestion.model_fields) - {"format"}
+    formats = set(SurveyFormat.model_fields) - FILES
+    for name, value in words:
+        if name not in own | formats or name in given | layout:
+            expected = ", ".join(sorted(own | formats))
+            fault = "twice" if name in given | layout else "among the words of the query"
+            raise RefusedError(422, f"found '{name[:40]}' {fault}; expected each at most once of {expected}")
+        (given if name in own else layout)[name] = value
+    try:
+        found = LogQuestion.model_validate(given | {"format": SurveyFormat.model_validate(layout)})
+    except ValidationError as error:
+        place, fault = first_fault(error)
+        raise RefusedError(422, f"{place}: {fault}") from None
+    if found.planar and found.no_gravity:
+        raise RefusedError(422, "planar: expected z up, as one floor needs, found no_gravity")
+    return found
+
+
+def begin_worker() -> None:
+    """Let those that answer live go first; the service says when to stop."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(10)
+    threading.Thread(target=_end_with_service, daemon=True).start()
+
+
+def _end_with_service() -> None:
+    """Outlive the service by nothing, however it ended."""
+    service = multiprocessing.parent_process()
+    if service is not None:
+        service.join()
+        os._exit(1)
+
+
+def work_on_log(
+    verb: Verb, place: Path, version: str, upload: Path, question: LogQuestion, config: ServeConfig
+) -> dict[str, Any] | RefusedError:
+    """Answer a question of a log; what cannot be done is an answer, too."""
+    try:
+        with _ended_after(config.max_work_time):
+            return _answer(verb, place, version, upload, question, config)
+    except RefusedError as refused:
+        return refused
+    except TimeoutError:
+        return RefusedError(503, f"the log took longer than {config.max_work_time:g} s; send a shorter one")
+    except MemoryError:
+        return RefusedError(413, "the log needs more memory than there is; send a shorter one")
+    except MagmatchError as error:
+        status = 501 if isinstance(error, MissingExtraError) else 422
+        return RefusedError(status, _without_paths(error, upload, place))
+    except Exception:
+        log.exception("a log was not worked on")
+        return RefusedError(500, "the service made a mistake with this log; please report it")
+
+
+def _answer(
+    verb: Verb, place: Path, version: str, upload: Path, question: LogQuestion, config: ServeConfig
+) -> dict[str, Any]:
+    _refuse_bombs(upload, config.max_unpacked)
+    survey = read_survey(upload, question.format)
+    if len(survey) > config.max_log:
+        raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
+    survey, known = replace(survey, name="log"), _place(place, version)
+    if verb == "register":
+        return register(known, survey, seed=question.seed).to_dict()
+    return _localized(known, survey, question, config.localizer)
+
+
+def _localized(known: Place, survey: Survey, question: LogQuestion, config: LocalizerConfig) -> dict[str, Any]:
+    switches = {"is_planar": True} if question.planar else {}
+    switches |= {"is_gravity_aligned": False} if question.no_gravity else {}
+    settings = config.model_copy(update=switches)
+    track = with_hindsight(known, survey, settings) if question.smooth else localize(known, survey, settings)
+    document = track.result().to_dict()
+    times, rows = survey.times, np.flatnonzero(track.is_stated)
+    assert times is not None
+    document["trajectory"] = []
+    if len(rows):
+        T = track.poses
+        document["trajectory"] = np.column_stack([times[rows], T.translation, T.rotation.as_quat()]).tolist()
+    return document
+
+
+@lru_cache(maxsize=2)
+def _place(path: Path, version: str) -> Place:  # noqa: ARG001  # of which there are several
+    """Maps, held in memory by this process."""
+    return open_place(path)
+
+
+def _refuse_bombs(upload: Path, most: int) -> None:
+    """Refuse an archive that says itself that it is too large; readers hold those that lie to what they said."""
+    if not zipfile.is_zipfile(upload):
+        return
+    try:
+        with zipfile.ZipFile(upload) as archive:
+            size = sum(info.file_size for info in archive.infolist())
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError):
+        raise RefusedError(422, "log: is a zip archive that is damaged") from None
+    if size > most:
+        raise RefusedError(413, f"unpacks to more than {most} bytes")
+
+
+def _without_paths(error: MagmatchError, upload: Path, place: Path) -> str:
+    """What an error says, of a log and maps instead of our files."""
+    words = " ".join(str(error).split())
+    for path, name in ((upload, "log"), (upload.parent, "log"), (place, "maps"), (place.parent, "maps")):
+        for form in {str(path), str(path.resolve())} - {".", "/"}:
+            words = words.replace(form, name)
+    if isinstance(error, DataFormatError) and str(Path.home()) in words:
+        return "log: cannot be read"
+    return words
+
+
+@contextmanager
+def _ended_after(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError in work that takes too long; where it runs in a thread, nothing can."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def picture_of(place: Path, version: str, name: str) -> dict[str, Any]:
+    """A map from above: magnitude of the field (uT) at the median height of its samples, None where not known."""
+    known = _place(place, version)
+    if isinstance(known, Atlas):
+        entry = next(entry for entry in known.entries if entry.name == name)
+        field_map = known.load(entry).field_map
+    else:
+        field_map = known if isinstance(known, FieldMap) else known.field_map
+    cut = cut_normal_to(field_map.survey.positions, 2)
+    field, is_known = field_on(cut, field_map)
+    values = np.round(magnitude_ut(field), 2).tolist()
+    shown = [v if k else None for v, k in zip(values, is_known.tolist(), strict=True)]
+    n, (x, y) = len(cut.first), ([float(side[0]), float(side[-1])] for side in (cut.first, cut.second))
+    return {
+        "name": name, "x": x, "y": y,
+        "height": cut.height, "shape": [len(cut.second), n],
+        "field_ut": [shown[k : k + n] for k in range(0, len(shown), n)],
+    }  # fmt: skip

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What goes over the wire: samples and poses, as JSON or as a compact binary form; docs/serve.md has the tables."""
+
+import json
+import struct
+from functools import cache
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from magmatch.data.tables.quaternions import MAX_NORM_ERROR
+from magmatch.errors import first_fault
+from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.serve.refusals import RefusedError
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Four = Annotated[list[Number], Field(min_length=4, max_length=4)]
+
+# Binary samples: t (s), position (m), quaternion xyzw, field (T). Little-endian.
+SAMPLE = np.dtype([("t", "<f8"), ("p", "<f4", 3), ("q", "<f4", 4), ("b", "<f4", 3)])
+# Binary poses: samples taken, status, t, probability, rows of T_map_body, upper triangle of the covariance by rows.
+POSE = struct.Struct("<IB3xdd12d21f")
+STATUSES = tuple(LocalizerStatus)
+_UPPER = np.triu_indices(6)
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Sample(_Message):
+    """One sample: time (s), pose of the body in the odometry's frame (m; xyzw), field in the body's axes (T)."""
+
+    t: Number
+    position: Three
+    orientation: Four
+    field: Three
+
+
+class Samples(_Message):
+    """Several, oldest first; one answer."""
+
+    samples: Annotated[list[Sample], Field(min_length=1)]
+
+
+class Hello(_Message):
+    """What a client says first."""
+
+    type: Literal["hello"]
+    # From an earlier welcome: resume that state. Without one, a new key is given.
+    key: str | None = None
+    # Forget the state, keep the key: the odometry begins anew.
+    anew: bool = False
+    # What the page calls it.
+    name: Annotated[str, Field(max_length=40)] = ""
+    answers: Literal["json", "binary"] = "json"
+
+
+def read_hello(text: str) -> Hello:
+    """Read a client's first message."""
+    found: Hello = _valid(_hello(), text)
+    return found
+
+
+def read_samples(message: str | bytes, most: int) -> np.ndarray:
+    """Read samples from a message of either form.
+
+    Returns
+    -------
+    (n,) array of `SAMPLE` fields, float64
+    """
+    rows = _binary(message) if isinstance(message, bytes) else _json(message)
+    if len(rows) > most:
+        raise RefusedError(413, f"expected at most {most} samples in a message, found {len(rows)}")
+    q = rows[:, 4:8]
+    norm = np.sqrt((q * q).sum(axis=1))
+    if not (np.abs(norm - 1) <= MAX_NORM_ERROR).all():
+        found = float(norm[np.argmax(np.abs(norm - 1))])
+        raise RefusedError(422, f"orientation: expected a unit quaternion x, y, z, w, found one of norm {found:.3g}")
+    rows[:, 4:8] = q / norm[:, None]
+    return rows
+
+
+def _binary(message: bytes) -> np.ndarray:
+    if not message or len(message) % SAMPLE.itemsize:
+        words = f"expected a whole number of samples of {SAMPLE.itemsize} bytes each, found {len(message)} bytes"
+        raise RefusedError(400, words)
+    found = np.frombuffer(message, SAMPLE)
+    rows = np.column_stack([found["t"], found["p"], found["q"], found["b"]]).astype(np.float64)
+    if not np.isfinite(rows).all():
+        column = int(np.flatnonzero(~np.isfinite(rows).all(axis=0))[0])
+        name = ("t", *("position",) * 3, *("orientation",) * 4, *("field",) * 3)[column]
+        raise RefusedError(422, f"{name}: expected finite numbers, found NaN or infinity; leave such samples out")
+    return rows
+
+
+def _json(message: str) -> np.ndarray:
+    # What pydantic says of a union names all of its members.
+    found = _valid(_many() if '"samples"' in message[:20] else _one(), message)
+    samples = found.samples if isinstance(found, Samples) else [found]
+    return np.array([[s.t, *s.position, *s.orientation, *s.field] for s in samples])
+
+
+def _valid(adapter: TypeAdapter[Any], text: str) -> Any:
+    try:
+        return adapter.validate_json(text)
+    except ValidationError as error:
+        if error.errors()[0]["type"] == "json_invalid":
+            raise RefusedError(400, "expected a JSON object, found a message that is not JSON") from None
+        place, words = first_fault(error)
+        raise RefusedError(422, f"{place}: {words}" if place else words) from None
+
+
+@cache
+def _hello() -> TypeAdapter[Hello]:
+    return TypeAdapter(Hello)
+
+
+@cache
+def _one() -> TypeAdapter[Sample]:
+    return TypeAdapter(Sample)
+
+
+@cache
+def _many() -> TypeAdapter[Samples]:
+    return TypeAdapter(Samples)
+
+
+def write_sample(t: float, p: np.ndarray, q: np.ndarray, b: np.ndarray) -> bytes:
+    """One sample in the binary form."""
+    return np.array([(t, p, q, b)], SAMPLE).tobytes()
+
+
+def pose_document(n: int, t: float, now: Estimate) -> dict[str, Any]:
+    """An estimate after n samples as a JSON answer; without a pose where none is stated."""
+    said: dict[str, Any] = {
+        "type": "pose", "n": n, "t": t, "status": now.status.value, "reason": now.reason,
+        "probability": now.probability, "map": now.map,
+    }  # fmt: skip
+    if now.T_map_body is not None and now.covariance is not None:
+        said |= {"T_map_body": now.T_map_body.as_matrix().tolist(), "covariance": now.covariance.tolist()}
+    return said
+
+
+def write_pose(n: int, t: float, now: Estimate, *, binary: bool) -> str | bytes:
+    """An estimate after n samples as an answer."""
+    if not binary:
+        return json.dumps(pose_document(n, t, now), allow_nan=False)
+    T, C = np.zeros(12), np.zeros(21)
+    if now.T_map_body is not None and now.covariance is not None:
+        T, C = now.T_map_body.as_matrix()[:3].ravel(), now.covariance[_UPPER]
+    return POSE.pack(n & 0xFFFFFFFF, STATUSES.index(now.status), t, now.probability, *T, *C)
+
+
+def read_pose(answer: str | bytes) -> dict[str, Any]:
+    """An answer of either form as the JSON one's keys, as far as it has them."""
+    if isinstance(answer, str):
+        return dict(json.loads(answer))
+    n, status, t, probability, *numbers = POSE.unpack(answer)
+    said = {"type": "pose", "n": n, "t": t, "status": STATUSES[status].value, "probability": probability}
+    if STATUSES[status] in {LocalizerStatus.LOCALIZED, LocalizerStatus.DEAD_RECKONING}:
+        C = np.zeros((6, 6))
+        C[_UPPER] = numbers[12:]
+        T = np.vstack([np.reshape(numbers[:12], (3, 4)), [0, 0, 0, 1]])
+        said |= {"T_map_body": T.tolist(), "covariance": (C + np.triu(C, 1).T).tolist()}
+    return said

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the service answers, as an OpenAPI document and as a page that needs nothing from elsewhere."""
+
+from functools import cache
+from html import escape
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from magmatch._version import __version__
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.localization.result import LocalizationResult
+from magmatch.registration.result import RegistrationResult
+from magmatch.serve.log_work import FILES, LogQuestion
+from magmatch.serve.messages import Hello, Sample, Samples
+
+REFUSALS = {
+    400: "The request cannot be read",
+    401: "The token is missing or wrong",
+    403: "Pages of this origin may not ask",
+    408: "The body came too slowly",
+    413: "The body, what it unpacks to or the log is too long",
+    415: "A body of this coding is not read",
+    421: "The Host is not this machine's",
+    422: "The log or a word of the query cannot be",
+    429: "More requests than an address may make",
+    500: "The service made a mistake",
+    501: "Such logs are not read here",
+    503: "There is no room now; try again later",
+}
+LIVE = (
+    "A WebSocket. The client says hello (schema Hello) and is told its key; each message of samples (schema Sample "
+    "or Samples, or binary rows) is answered by one pose or one error. A refusal closes it with 4000 and the status."
+)
+
+
+@cache
+def openapi() -> dict[str, Any]:
+    """The document."""
+    log = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+    where = [_parameter(name, LogQuestion) for name in LogQuestion.model_fields if name != "format"]
+    where += [_parameter(name, SurveyFormat) for name in SurveyFormat.model_fields if name not in FILES]
+    body = {"requestBody": {"required": True, **log}, "parameters": where}
+    document: dict[str, Any] = {
+        "openapi": "3.1.0",
+        "info": {"title": "magmatch", "version": __version__, "description": "Where bodies are in a magnetic map."},
+        "paths": {
+            "/localize": {
+                "post": {"summary": "Where a log's body was in the map", **body} | _answers("Localization")
+            },
+            "/register": {"post": {"summary": "A survey's pose in the map", **body} | _answers("Registration")},
+            "/maps": {"get": {"summary": "The maps that are served, and their version"} | _answers()},
+            "/maps/{name}": {
+                "get": {
+                    "summary": "A map from above: magnitude of the field, uT",
+                    "parameters": [{"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}],
+                }
+                | _answers()
+            },
+            "/health": {"get": {"summary": "Whether every process answers", "security": []} | _answers()},
+            "/metrics": {"get": {"summary": "Counts in Prometheus' text form"} | _answers()},
+            "/live": {"get": {"summary": "Samples in, poses out", "description": LIVE} | _answers()},
+            "/watch": {"get": {"summary": "A WebSocket of what the page draws"} | _answers()},
+        },
+        "components": {
+            "schemas": {},
+            "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
+        },
+        "security": [{"token": []}, {}],
+    }
+    schemas = document["components"]["schemas"]
+    answers = (("Localization", LocalizationResult), ("Registration", RegistrationResult))
+    for name, kind in (("Hello", Hello), ("Sample", Sample), ("Samples", Samples), *answers):
+        schema = TypeAdapter(kind).json_schema(ref_template="#/components/schemas/{model}")
+        schemas.update(schema.pop("$defs", {}))
+        schemas[name] = schema
+    schemas["Refusal"] = {
+        "type": "object",
+        "properties": {"type": {"const": "error"}, "status": {"type": "integer"}, "message": {"type": "string"}},
+    }
+    return document
+
+
+def _parameter(name: str, model: Any) -> dict[str, Any]:
+    schema = model.model_json_schema()["properties"][name]
+    described = {"description": schema.pop("description")} if "description" in schema else {}
+    return {"name": name, "in": "query", "required": False, "schema": schema} | described
+
+
+def _answers(schema: str | None = None) -> dict[str, Any]:
+    said = {} if schema is None else {"content": _json(schema)}
+    refusal = {"content": _json("Refusal")}
+    return {
+        "responses": {"200": {"description": "The answer", **said}}
+        | {str(status): {"description": words, **refusal} for status, words in REFUSALS.items()}
+    }
+
+
+def _json(schema: str) -> dict[str, Any]:
+    return {"application/json": {"schema": {"$ref": f"#/components/schemas/{schema}"}}}
+
+
+@cache
+def openapi_page() -> str:
+    """The document for people."""
+    document = openapi()
+    parts = []
+    for path, methods in document["paths"].items():
+        for method, about in methods.items():
+            words = escape(about.get("description", ""))
+            rows = "".join(
+                f"<tr><th scope=row>{escape(p['name'])}</th><td>{escape(p.get('description', ''))}</td></tr>"
+                for p in about.get("parameters", [])
+            )
+            table = f"<table>{rows}</table>" if rows else ""
+            title = f"<code>{method.upper()} {escape(path)}</code>"
+            parts.append(f"<h2>{title}</h2><p>{escape(about['summary'])}. {words}</p>{table}")
+    refusals = "".join(f"<tr><th scope=row>{code}</th><td>{escape(w)}</td></tr>" for code, w in REFUSALS.items())
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>magmatch: paths</title>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<link rel="icon" href="data:,"><link rel="stylesheet" href="/page.css"></head>'
+        '<body class="words"><main><h1>What is asked at which path</h1>'
+        '<p>The same as <a href="/openapi.json">an OpenAPI document</a>.</p>'
+        f"{''.join(parts)}<h2>Refusals</h2><table>{refusals}</table></main></body></html>"
+    )

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb of this room: a map, or a folder of maps, is served until it is told to stop."""
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+
+from magmatch.errors import ConfigurationError
+from magmatch.serve.app import build_app
+from magmatch.serve.config import ServeConfig
+from magmatch.serve.service import Service
+
+# Bytes of a request's head.
+MAX_HEAD = 16_384
+BACKLOG = 512
+
+
+def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None] = lambda _: None) -> None:
+    """Serve a map or a folder of maps.
+
+    Parameters
+    ----------
+    place : path
+        A saved map, or a folder of them.
+    config : ServeConfig
+    on_start : callable
+        Told the address once every process is ready.
+
+    Raises
+    ------
+    DataFormatError
+        No map, or a damaged one.
+    ConfigurationError
+        The address cannot be had.
+    """
+    listening = _listen(config)
+    service = Service(Path(place).resolve(), config)
+    settings = uvicorn.Config(
+        build_app(service), http="h11", ws="websockets-sansio", ws_max_size=config.max_message,
+        ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="on", log_config=None,
+        access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5, backlog=BACKLOG,
+    )  # fmt: skip
+    server = _Server(settings, lambda: on_start(address_of(listening)))
+    with listening:
+        server.run(sockets=[listening])
+    if service.fault is not None:
+        raise service.fault
+
+
+class _Server(uvicorn.Server):
+    """Says when it is ready."""
+
+    def __init__(self, config: uvicorn.Config, on_start: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._on_start = on_start
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_start()
+
+
+def _listen(config: ServeConfig) -> socket.socket:
+    """Take the address before any work is done."""
+    try:
+        kind, *_, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
+        # Without the protocol's number asyncio leaves small answers to wait for each other (Nagle).
+        listening = socket.socket(kind, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+    except (OSError, UnicodeError) as error:
+        words = getattr(error, "strerror", None) or str(error)
+        msg = f"{config.host}, port {config.port}: {words}; say --host or --port"
+        raise ConfigurationError(msg) from None
+    return listening
+
+
+def address_of(listening: socket.socket) -> str:
+    """Where it is to be found."""
+    host, port = listening.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""All that runs between the first and the last request: trackers, workers, the look at the maps, the pictures."""
+
+import asyncio
+import json
+import logging
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from magmatch.serve import checkpoints
+from magmatch.serve.catalogue import Catalogue, look_at
+from magmatch.serve.config import ServeConfig
+from magmatch.serve.foxglove_feed import FoxgloveFeed
+from magmatch.serve.live import Live
+from magmatch.serve.log_work import picture_of
+from magmatch.serve.log_workers import LogWorkers
+from magmatch.serve.metrics import Metrics
+from magmatch.serve.refusals import RefusedError
+from magmatch.serve.trackers import Trackers
+
+log = logging.getLogger(__name__)
+SWEEP_EVERY = 60.0
+MAX_PICTURES = 50
+
+
+class Service:
+    """The state of a service: nothing of it outlives the process but what trackers write."""
+
+    def __init__(self, place: Path, config: ServeConfig) -> None:
+        self.place, self.config, self.metrics = place, config, Metrics()
+        self.catalogue = Catalogue(place, look_at(place))
+        self.connected: dict[str, Live] = {}
+        self.n_clients = 0
+        # Why it could not start.
+        self.fault: Exception | None = None
+        self._watchers: set[asyncio.Queue[str]] = set()
+        self._pictures: dict[tuple[str, str], dict[str, Any]] = {}
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Everything is up for the block."""
+        with self._noting_fault(), checkpoints.held(self.config.states):
+            self.trackers = Trackers(self.place, self.config)
+            await self.trackers.start()
+            self.workers = LogWorkers(self.config)
+            self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
+            jobs = (self._sweep, self._look, self._draw)
+            tasks = [asyncio.create_task(_again(job, every)) for job, every in zip(jobs, self._pace(), strict=True)]
+            try:
+                yield
+            finally:
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+                self.workers.close()
+                await self.trackers.stop()
+                if self.foxglove is not None:
+                    self.foxglove.stop()
+
+    @contextmanager
+    def _noting_fault(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            self.fault = error
+            raise
+
+    def _pace(self) -> tuple[float, float, float]:
+        return SWEEP_EVERY, self.config.look_every, self.config.draw_every
+
+    def enter(self) -> None:
+        """Take one of the places for clients."""
+        if self.n_clients >= self.config.max_clients:
+            raise RefusedError(503, f"{self.n_clients} clients are connected, no more can be", retry_after=30)
+        self.n_clients += 1
+        self.metrics.clients.set(self.n_clients)
+
+    def leave(self) -> None:
+        """Give the place back."""
+        self.n_clients -= 1
+        self.metrics.clients.set(self.n_clients)
+
+    async def picture(self, name: str) -> dict[str, Any]:
+        """A map from above."""
+        if name not in self.catalogue.names:
+            raise RefusedError(404, f"no map is called '{name[:60]}'")
+        key = (self.catalogue.served.version, name)
+        if key not in self._pictures:
+            made = await self.workers.run(picture_of, self.place, *key)
+            while len(self._pictures) >= MAX_PICTURES:
+                self._pictures.pop(next(iter(self._pictures)))
+            self._pictures[key] = made
+        return self._pictures[key]
+
+    @asynccontextmanager
+    async def watched(self) -> AsyncIterator[asyncio.Queue[str]]:
+        """Pictures as they come; whoever is slow sees the latest."""
+        queue: asyncio.Queue[str] = asyncio.Queue(1)
+        self._watchers.add(queue)
+        try:
+            await queue.put(self._snapshot(await self.trackers.watch(with_trail=True)))
+            yield queue
+        finally:
+            self._watchers.discard(queue)
+
+    def health(self) -> dict[str, Any]:
+        """Whether every tracker answers."""
+        up = sum(handle.is_up for handle in self.trackers.handles)
+        is_well = up == len(self.trackers.handles)
+        return {"status": "well" if is_well else "some trackers start again", "trackers": up}
+
+    def _snapshot(self, bodies: list[dict[str, Any]]) -> str:
+        return json.dumps({"type": "bodies", "version": self.catalogue.served.version, "bodies": bodies})
+
+    async def _draw(self) -> None:
+        if not (self._watchers or self.foxglove):
+            return
+        bodies = await self.trackers.watch(with_trail=False)
+        if self.foxglove is not None:
+            self.foxglove.show(bodies)
+        words = self._snapshot(bodies)
+        for queue in self._watchers:
+            if queue.empty():
+                queue.put_nowait(words)
+
+    async def _sweep(self) -> None:
+        loop = asyncio.get_running_loop()
+        await loop.run_in_executor(None, checkpoints.sweep, self.config.states, self.config.keep)
+        self.metrics.restarts.set(sum(handle.n_restarts for handle in self.trackers.handles))
+
+    async def _look(self) -> None:
+        loop = asyncio.get_running_loop()
+        newer = await loop.run_in_executor(None, self.catalogue.newer)
+        if newer is None:
+            return
+        log.info("maps have changed: loading them")
+        faults = await self.trackers.renew()
+        self.catalogue.settle(newer, faults)
+        self.metrics.renewals.inc()
+        for fault in faults:
+            log.warning("the maps as they were are served on: %s", fault)
+
+
+async def _again(job: Any, every: float) -> None:
+    """Do something every so many seconds, for as long as the service runs."""
+    while True:
+        with suppress(RefusedError):
+            try:
+                await job()
+            except (OSError, ValueError):
+                log.exception("%s", job.__name__)
+        await asyncio.sleep(every)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A process that follows some of the clients: messages in by a pipe, answers out, states to the disk now and then."""
+
+import logging
+import signal
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from magmatch.atlas.atlas import MAX_LOADED
+from magmatch.errors import MagmatchError
+from magmatch.localization.known_places import KnownPlaces, open_place
+from magmatch.serve import checkpoints
+from magmatch.serve.body import Body
+from magmatch.serve.config import ServeConfig
+from magmatch.serve.refusals import RefusedError
+from magmatch.threads import one_blas_thread
+
+log = logging.getLogger(__name__)
+# Seconds for which a body whose client left stays in memory, and between two looks at what is due.
+LINGER, TICK = 60.0, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """What a client is told when it comes."""
+
+    is_resumed: bool
+    n: int
+    t: float | None
+
+
+def run_tracker(pipe: Connection, place: Path, config: ServeConfig) -> None:
+    """Follow clients until told to stop, or until the service is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service says when
+    with one_blas_thread():
+        try:
+            tracker = Tracker(load_places(place), place, config)
+        except (MagmatchError, OSError) as error:
+            pipe.send(error)
+            return
+        pipe.send(None)
+        try:
+            while True:
+                if pipe.poll(TICK):
+                    request = pipe.recv()
+                    if request is None:
+                        break
+                    pipe.send([tracker.answer(*one) for one in request])
+                tracker.keep_up()
+        except (EOFError, OSError):
+            pass
+        finally:
+            tracker.close()
+
+
+def load_places(path: Path) -> KnownPlaces:
+    """Maps, those of a small folder made ready ahead of the first body."""
+    known = KnownPlaces(open_place(path))
+    if len(known.entries) <= MAX_LOADED:
+        for entry in known.entries:
+            known.of(entry)
+    return known
+
+
+class Tracker:
+    """Bodies by their clients' ids."""
+
+    def __init__(self, known: KnownPlaces, place: Path, config: ServeConfig) -> None:
+        self._known, self._place, self._config = known, place, config
+        self._bodies: dict[str, Body] = {}
+        self._writer, self._loader = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        self._loading: Future[KnownPlaces] | None = None
+        self._next_save = monotonic() + config.checkpoint_every
+        self._verbs: dict[str, Callable[..., Any]] = {
+            "open": self.open, "take": self.take, "leave": self.leave, "watch": self.watch, "renew": self.renew,
+            "renewed": self.renewed,
+        }  # fmt: skip
+
+    def answer(self, number: int, verb: str, *arguments: Any) -> tuple[int, Any]:
+        """Do one thing; what cannot be done is the answer, too."""
+        try:
+            return number, self._verbs[verb](*arguments)
+        except RefusedError as refused:
+            return number, refused
+        except Exception:
+            log.exception("a client's message was not worked on")
+            return number, RefusedError(500, "the service made a mistake with this message; please report it")
+
+    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> Opened:
+        """Begin to follow a client, from where it was if it was here."""
+        if anew:
+            self._forget(client)
+        body = self._bodies.get(client)
+        is_resumed = body is not None
+        if body is None:
+            if len(self._bodies) >= self._config.max_clients:
+                self._drop(everyone=True)
+            state = checkpoints.load(self._config.states, client)
+            body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
+            is_resumed = body is not None
+            body = self._bodies[client] = body or Body(self._known, self._config.localizer)
+        body.name, body.is_binary, body.left_at = name or body.name, is_binary, None
+        return Opened(is_resumed, body.n, body.t)
+
+    def take(self, client: str, message: str | bytes) -> str | bytes:
+        """Give the answer to a message."""
+        body = self._bodies[client]
+        body.move_on(self._known)
+        return body.take(message, self._config.max_samples)
+
+    def leave(self, client: str) -> None:
+        """Hear that a client is gone; it may come back."""
+        body = self._bodies.get(client)
+        if body is not None and body.n == 0:
+            del self._bodies[client]
+        elif body is not None:
+            body.left_at = monotonic()
+
+    def watch(self, with_trail: bool) -> list[dict[str, Any]]:
+        """Tell what is drawn of each body."""
+        return [body.picture(client, with_trail=with_trail) for client, body in self._bodies.items()]
+
+    def renew(self) -> None:
+        """Begin to load the maps again; those in use answer until that is done."""
+        self._loading = self._loader.submit(load_places, self._place)
+
+    def renewed(self) -> bool | str:
+        """Whether that is done; what is wrong with the maps otherwise."""
+        if self._loading is None or not self._loading.done():
+            return False
+        loading, self._loading = self._loading, None
+        try:
+            self._known = loading.result()
+        except (MagmatchError, OSError) as error:
+            return str(error)
+        return True
+
+    def keep_up(self) -> None:
+        """Write what is due, and drop bodies whose clients left long ago."""
+        if monotonic() < self._next_save:
+            return
+        self._next_save = monotonic() + self._config.checkpoint_every
+        self._save_all()
+        self._drop()
+
+    def close(self) -> None:
+        """Write everything."""
+        self._save_all()
+        self._writer.shutdown()
+        self._loader.shutdown(cancel_futures=True)
+
+    def _save_all(self) -> None:
+        for client, body in self._bodies.items():
+            if not body.is_kept:
+                self._writer.submit(_save, self._config.states, client, body.state())
+                body.is_kept = True
+
+    def _drop(self, *, everyone: bool = False) -> None:
+        """Let go of bodies whose clients are gone, once they are on the disk."""
+        patience = 0.0 if everyone else LINGER
+        gone = [c for c, b in self._bodies.items() if b.left_at is not None and monotonic() >= b.left_at + patience]
+        if gone:
+            self._save_all()
+            self._writer.submit(int).result()
+        for client in gone:
+            del self._bodies[client]
+
+    def _forget(self, client: str) -> None:
+        self._bodies.pop(client, None)
+        # After whatever is still to be written of it.
+        self._writer.submit(checkpoints.remove, self._config.states, client).result()
+
+
+def _save(folder: Path, client: str, state: bytes) -> None:
+    try:
+        checkpoints.save(folder, client, state)
+    except (OSError, MagmatchError) as error:
+        log.warning("the state of a client was not kept: %s", error)

@@ -1,0 +1,88 @@
+"""What a localizer knows goes on in another process."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.errors import DataFormatError
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.kept_state import restored, state_of
+from magmatch.localization.known_places import KnownPlaces
+from magmatch.localization.localizer import Localizer
+
+
+@pytest.fixture(scope="module")
+def known(place):
+    return KnownPlaces(place)
+
+
+def samples(log, rows):
+    field = log.orientations.inv().apply(log.field)
+    for n in rows:
+        T = RigidTransform.from_components(log.positions[n], log.orientations[n])
+        yield float(log.times[n]), T, field[n]
+
+
+def same(a, b):
+    if a.T_map_body is None or b.T_map_body is None:
+        return (a.T_map_body, a.status, a.probability) == (b.T_map_body, b.status, b.probability)
+    return np.array_equal(a.T_map_body.as_matrix(), b.T_map_body.as_matrix()) and np.array_equal(
+        a.covariance, b.covariance
+    )
+
+
+@pytest.mark.parametrize("cut", [1, 12, 60, 200])
+def test_a_restored_localizer_goes_on_with_the_same_bits(known, followed, cut):
+    log, config = followed.log, LocalizerConfig()
+    one = Localizer(known, config)
+    for sample in samples(log, range(cut)):
+        one.update(*sample)
+    other = restored(known, config, state_of(one))
+    assert same(one.estimate(), other.estimate())
+    for sample in samples(log, range(cut, min(cut + 60, len(log)))):
+        one.update(*sample)
+        other.update(*sample)
+        assert same(one.estimate(), other.estimate())
+    assert state_of(one) == state_of(other)
+
+
+def test_a_state_is_no_larger_than_it_says_after_a_long_walk(known, followed):
+    one = Localizer(known)
+    sizes = []
+    for k, sample in enumerate(samples(followed.log, range(300))):
+        one.update(*sample)
+        if k % 100 == 99:
+            sizes.append(len(state_of(one)))
+    assert sizes[-1] < 2 * sizes[0]
+    assert sizes[-1] < 500_000
+
+
+def test_a_state_of_other_settings_is_refused(known):
+    state = state_of(Localizer(known))
+    with pytest.raises(DataFormatError, match="other settings"):
+        restored(known, LocalizerConfig(window=9.0), state)
+
+
+def test_a_damaged_state_is_refused_wherever_it_is_damaged(known, followed):
+    one = Localizer(known)
+    for sample in samples(followed.log, range(40)):
+        one.update(*sample)
+    state, rng = state_of(one), np.random.default_rng(0)
+    for at in [0, 65, len(state) - 1, *rng.integers(0, len(state), 20)]:
+        damaged = bytearray(state)
+        damaged[at] ^= 0x15
+        with pytest.raises(DataFormatError):
+            restored(known, LocalizerConfig(), bytes(damaged))
+    for n in rng.integers(0, len(state), 20):
+        with pytest.raises(DataFormatError):
+            restored(known, LocalizerConfig(), state[:n])
+
+
+def test_hypotheses_are_the_estimate_s(known, followed):
+    one = Localizer(known)
+    for sample in samples(followed.log, range(150)):
+        one.update(*sample)
+    now, found = one.estimate(), one.hypotheses()
+    assert found[0].probability == now.probability
+    assert np.linalg.norm(found[0].T_map_body.translation - now.T_map_body.translation) < 0.3
+    assert sum(h.probability for h in found) <= 1 + 1e-9

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Maps that are added or replaced while they are served; whole logs; what Foxglove is told."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from drifting import Place, drifting_walk
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.map import FieldMap
+from magmatch.localization.localize import localize
+from serving import client, samples, serving, wait_until
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """A map of another hall."""
+    path = tmp_path_factory.mktemp("other") / "other.map"
+    _, truth = drifting_walk(Place(2), 7, laps=4.0)
+    build_map(Survey(truth, Place(2).field(truth), name="other")).save(path)
+    return path
+
+
+def last_answer(service, log, n=None, key=None):
+    with client(service, key) as one:
+        for row in list(samples(log))[:n]:
+            one.socket.send(json.dumps(row))
+            said = json.loads(one.socket.recv(timeout=60))
+    return said
+
+
+def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    shutil.copy(hall.map, folder / "hall.map")
+    (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
+    walk = drifting_walk(Place(2), 3, laps=0.6, start=1.0)[0]
+    with serving(folder, "--config", tmp_path / "limits.yaml") as service:
+        assert last_answer(service, hall.walk(2)[0])["map"] == "hall.map"
+        assert last_answer(service, walk)["map"] is None
+        before = json.loads(service.ask("/maps")[2])
+        # Half of a map is not served; what was there still is.
+        whole = other.read_bytes()
+        (folder / "other.map").write_bytes(whole[:-2000])
+        wait_until(lambda: json.loads(service.ask("/maps")[2])["fault"])
+        told = json.loads(service.ask("/maps")[2])
+        assert (told["version"], str(tmp_path) in json.dumps(told)) == (before["version"], False)
+        assert last_answer(service, hall.walk(2)[0])["map"] == "hall.map"
+        (folder / "new").write_bytes(whole)
+        (folder / "new").replace(folder / "other.map")
+        now = wait_until(lambda: (m := json.loads(service.ask("/maps")[2]))["version"] != before["version"] and m)
+        assert ([m["name"] for m in now["maps"]], now["fault"]) == (["hall.map", "other.map"], None)
+        assert last_answer(service, walk)["map"] == "other.map"
+        status, _, said = service.ask("/maps/other.map")
+        assert (status, json.loads(said)["name"]) == (200, "other.map")
+        status, _, said = service.ask("/localize", survey_csv(walk, tmp_path))
+        assert (status, json.loads(said)["map"]) == (200, "other.map")
+
+
+def survey_csv(log, tmp_path):
+    log.save(tmp_path / "log.csv")
+    return (tmp_path / "log.csv").read_bytes()
+
+
+def test_a_whole_log_is_localized_as_it_is_here(door, hall, tmp_path):
+    log = hall.walk(2)[0]
+    status, _, said = door.ask("/localize", survey_csv(log, tmp_path))
+    document = json.loads(said)
+    track = localize(FieldMap.load(hall.map), log)
+    assert (status, document["status"]) == (200, "localized")
+    rows = np.array(document["trajectory"])
+    np.testing.assert_allclose(rows[:, 1:4], track.poses.translation, atol=1e-6)
+    np.testing.assert_array_equal(rows[:, 0], log.times[track.is_stated])
+    assert str(tmp_path.parent) not in said.decode()
+
+
+def test_a_whole_survey_is_registered(door, hall, tmp_path):
+    log, truth = hall.walk(2)
+    status, _, said = door.ask("/register?seed=3", survey_csv(log, tmp_path))
+    document = json.loads(said)
+    assert (status, document["schema"], document["seed"]) == (200, "magmatch.registration/1", 3)
+    if document["status"] == "accepted":
+        T = np.array(document["T_base_target"])
+        assert np.linalg.norm(log.positions[0] @ T[:3, :3].T + T[:3, 3] - truth[0]) < 1.0
+
+
+def test_what_is_counted_is_told_to_prometheus(door, hall):
+    last_answer(door, hall.walk(2)[0], 20)
+    status, headers, said = door.ask("/metrics")
+    counts = dict(line.rsplit(" ", 1) for line in said.decode().splitlines() if not line.startswith("#"))
+    assert (status, headers["content-type"].split(";")[0]) == (200, "text/plain")
+    assert float(counts["magmatch_messages_total"]) >= 20
+    assert float(counts['magmatch_answer_seconds_bucket{le="+Inf"}']) == float(counts["magmatch_messages_total"])
+
+
+def test_the_openapi_document_names_every_path(door):
+    document = json.loads(door.ask("/openapi.json")[2])
+    assert document["openapi"].startswith("3.1")
+    for path, methods in document["paths"].items():
+        for method in methods:
+            if path in {"/live", "/watch"}:
+                continue
+            body = b"x" if method == "post" else None
+            status, _, _ = door.ask(path.replace("{name}", "hall.map"), body, method=method.upper())
+            assert status in {200, 422}
+    words = json.dumps(document)
+    for name in document["components"]["schemas"]:
+        assert name in words
+    for reference in set(__import__("re").findall(r"#/components/schemas/(\w+)", words)):
+        assert reference in document["components"]["schemas"]
+
+
+def test_foxglove_is_told_of_bodies(hall, tmp_path):
+    pytest.importorskip("foxglove")
+    import socket
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with serving(hall.map, "--foxglove", port, "--states", tmp_path / "states") as service:
+        said = last_answer(service, hall.walk(2)[0])
+        url = f"ws://127.0.0.1:{port}"
+        with connect(url, proxy=None, subprotocols=["foxglove.sdk.v1"], compression=None) as viewer:
+            topics = {}
+            while {"/tf", "/bodies"} - set(topics):
+                message = viewer.recv(timeout=30)
+                if isinstance(message, str) and (found := json.loads(message))["op"] == "advertise":
+                    topics |= {c["topic"]: c["id"] for c in found["channels"]}
+            asked = [{"id": k, "channelId": topics[name]} for k, name in enumerate(("/tf", "/bodies"))]
+            viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+            seen = b""
+            while b"replay" not in seen and said["map"].encode() not in seen:
+                message = viewer.recv(timeout=30)
+                seen += message if isinstance(message, bytes) else b""

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Limits, keys, kept states and listings of maps, each alone."""
+
+import os
+import time
+
+import pytest
+
+from magmatch.errors import ConfigurationError
+from magmatch.serve import checkpoints
+from magmatch.serve.allowance import Allowance, Allowances
+from magmatch.serve.catalogue import Catalogue, look_at
+from magmatch.serve.config import ServeConfig
+from magmatch.serve.keys import id_of, is_key, new_key
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_an_allowance_gives_its_rate_and_no_more():
+    clock = Clock()
+    one, taken = Allowance(10.0, 20.0, clock), 0
+    for _ in range(1000):
+        clock.now += 0.01
+        if one.take() > 0:
+            one.give_back()
+        else:
+            taken += 1
+    assert 119 <= taken <= 120  # sums of hundredths are rounded
+
+
+def test_waiting_as_long_as_it_says_is_enough():
+    clock = Clock()
+    one = Allowance(10.0, 5.0, clock)
+    wait = [one.take(4) for _ in range(3)][-1]
+    assert wait == pytest.approx(0.7)
+    clock.now += wait
+    assert one.take(0) == 0
+
+
+def test_one_address_s_requests_cost_another_none_and_few_are_remembered():
+    clock = Clock()
+    all_of_them = Allowances(60.0, most_known=3, clock=clock)
+    assert [all_of_them.take("a") > 0 for _ in range(12)] == [False] * 10 + [True] * 2
+    assert all_of_them.take("b") == 0
+    for name in "cde":
+        all_of_them.take(name)
+    assert len(all_of_them._known) == 3
+
+
+def test_keys_are_not_their_ids():
+    keys = {new_key() for _ in range(50)}
+    assert len(keys) == len({id_of(key) for key in keys}) == 50
+    assert all(is_key(key) and not is_key(id_of(key)) for key in keys)
+    assert not any(map(is_key, ("", "a" * 42, "a" * 44, "../" + "a" * 40, "a" * 42 + "\n")))
+
+
+def test_a_kept_state_is_the_last_one_and_sweeping_leaves_what_is_not_ours(tmp_path):
+    with checkpoints.held(tmp_path / "states"):
+        folder, client = tmp_path / "states", id_of(new_key())
+        assert checkpoints.load(folder, client) is None
+        for content in (b"one", b"two"):
+            checkpoints.save(folder, client, content)
+        assert checkpoints.load(folder, client) == b"two"
+        (folder / "other.txt").touch()
+        old = time.time() - 100
+        for path in folder.iterdir():
+            os.utime(path, (old, old))
+        assert checkpoints.sweep(folder, 200.0) == 0
+        assert checkpoints.sweep(folder, 50.0) == 1
+        assert sorted(path.name for path in folder.iterdir()) == ["lock", "other.txt"]
+        assert (folder.stat().st_mode & 0o777) == 0o700
+
+
+def test_two_services_do_not_share_states(tmp_path):
+    with (
+        checkpoints.held(tmp_path / "states"),
+        pytest.raises(ConfigurationError, match="another service"),
+        checkpoints.held(tmp_path / "states"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "maps.example.org", "::"])
+def test_other_machines_need_a_token(tmp_path, host):
+    with pytest.raises(ConfigurationError, match="token"):
+        ServeConfig(host=host, states=tmp_path)
+    ServeConfig(host=host, states=tmp_path, token="a-token-of-enough-letters")
+
+
+@pytest.mark.parametrize("token", ["short", "a b c d e f g h i j k l", "x" * 20 + "\n", "ü" * 20])
+def test_a_token_that_anyone_guesses_or_no_header_holds_is_refused(tmp_path, token):
+    with pytest.raises(ConfigurationError, match="token"):
+        ServeConfig(states=tmp_path, token=token)
+
+
+@pytest.mark.parametrize("origin", ["maps.example.org", "https://a.org/", "ftp://a.org", "*", "null"])
+def test_what_is_no_origin_is_refused(tmp_path, origin):
+    with pytest.raises(ConfigurationError, match="origin"):
+        ServeConfig(states=tmp_path, origins=(origin,))
+
+
+def test_a_map_is_new_once_nobody_writes_it(hall, tmp_path):
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    (folder / "one.map").write_bytes(hall.map.read_bytes())
+    listing = Catalogue(folder, look_at(folder))
+    assert listing.newer() is None
+    (folder / "two.map").write_bytes(hall.map.read_bytes()[:5000])
+    assert listing.newer() is None
+    (folder / "two.map").write_bytes(hall.map.read_bytes())
+    assert listing.newer() is None
+    found = listing.newer()
+    assert [name for name, *_ in found.maps] == ["one.map", "two.map"]
+    listing.settle(found, ["damaged"])
+    assert (listing.names, listing.fault, listing.newer()) == (["one.map"], "damaged", None)
+    (folder / "two.map").unlink()
+    (folder / "three.map").write_bytes(hall.map.read_bytes())
+    assert listing.newer() is None
+    listing.settle(listing.newer(), [])
+    assert (listing.names, listing.fault) == (["one.map", "three.map"], None)
