@@ -7,8 +7,8 @@ import time
 import pytest
 
 from magmatch.errors import ConfigurationError
-from magmatch.serve import checkpoints
 from magmatch.serve.allowance import Allowance, Allowances
+from magmatch.serve.bodies import checkpoints
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key

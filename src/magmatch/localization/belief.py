@@ -21,7 +21,7 @@ from magmatch.localization.monitor import (
     weigh,
 )
 from magmatch.localization.null_model import NullModel
-from magmatch.localization.start import search
+from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of, move
 from magmatch.registration.decide.decision import in_words
 from magmatch.registration.decide.estimate import worst_sd

@@ -18,12 +18,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from magmatch.serve.gate import Gate
 from magmatch.serve.live import PROTOCOL, Live, close
-from magmatch.serve.log_work import Verb, read_question, work_on_log
+from magmatch.serve.logs.uploads import receive_log
+from magmatch.serve.logs.work import Verb, read_question, work_on_log
 from magmatch.serve.metrics import CONTENT_TYPE
 from magmatch.serve.openapi import openapi, openapi_page
 from magmatch.serve.refusals import RefusedError
 from magmatch.serve.service import Service
-from magmatch.serve.uploads import receive_log
 
 PAGE = files("magmatch.serve") / "page"
 

@@ -9,12 +9,12 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from magmatch.serve.allowance import Allowance
+from magmatch.serve.bodies.trackers import TrackerHandle
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key
 from magmatch.serve.messages import SAMPLE, Hello, read_hello
 from magmatch.serve.metrics import Metrics
 from magmatch.serve.refusals import CLOSE_WITH, RefusedError
-from magmatch.serve.trackers import TrackerHandle
 
 PROTOCOL = "magmatch.1"
 MAX_REASON = 120  # bytes that a closing WebSocket may say

@@ -11,7 +11,7 @@ from magmatch._version import __version__
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.localization.result import LocalizationResult
 from magmatch.registration.result import RegistrationResult
-from magmatch.serve.log_work import FILES, LogQuestion
+from magmatch.serve.logs.work import FILES, LogQuestion
 from magmatch.serve.messages import Hello, Sample, Samples
 
 REFUSALS = {

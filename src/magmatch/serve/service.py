@@ -9,16 +9,16 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from magmatch.serve import checkpoints
+from magmatch.serve.bodies import checkpoints
+from magmatch.serve.bodies.trackers import Trackers
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.foxglove_feed import FoxgloveFeed
 from magmatch.serve.live import Live
-from magmatch.serve.log_work import picture_of
-from magmatch.serve.log_workers import LogWorkers
+from magmatch.serve.logs.work import picture_of
+from magmatch.serve.logs.workers import LogWorkers
 from magmatch.serve.metrics import Metrics
 from magmatch.serve.refusals import RefusedError
-from magmatch.serve.trackers import Trackers
 
 log = logging.getLogger(__name__)
 SWEEP_EVERY = 60.0

@@ -9,10 +9,10 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from magmatch.errors import import_extra
+from magmatch.serve.bodies.trackers import TRACKER
 from magmatch.serve.config import ServeConfig
-from magmatch.serve.log_work import begin_worker
+from magmatch.serve.logs.work import begin_worker
 from magmatch.serve.refusals import RefusedError
-from magmatch.serve.trackers import TRACKER
 
 
 class LogWorkers:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magmatch.compiled import compiled
-from magmatch.localization.grid_score import OUTSIDE, UNKNOWN
+from magmatch.localization.start.grid_score import OUTSIDE, UNKNOWN
 from magmatch.registration.prepared.raster import find_cell, interpolate
 
 # A bin in axes with the map's up: shift from the last bin (m), field (T), attitude.

@@ -14,8 +14,8 @@ from typing import Any
 from magmatch.atlas.atlas import MAX_LOADED
 from magmatch.errors import MagmatchError
 from magmatch.localization.known_places import KnownPlaces, open_place
-from magmatch.serve import checkpoints
-from magmatch.serve.body import Body
+from magmatch.serve.bodies import checkpoints
+from magmatch.serve.bodies.body import Body
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.refusals import RefusedError
 from magmatch.threads import one_blas_thread

@@ -10,10 +10,10 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.geometry import rotation_matrix
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.grid_score import UNKNOWN, score_all
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.least_squares import STRETCH, Priors, refine_all
 from magmatch.localization.measurement import FIT, follow
+from magmatch.localization.start.grid_score import UNKNOWN, score_all
+from magmatch.localization.start.least_squares import STRETCH, Priors, refine_all
 from magmatch.localization.state import BIAS, Model, hypotheses, start_covariance
 from magmatch.registration.prepared.pose_prior import PosePriorConfig, pose_prior
 from magmatch.registration.prepared.walk import walk_of

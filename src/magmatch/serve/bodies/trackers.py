@@ -12,9 +12,9 @@ from time import monotonic
 from typing import Any
 
 from magmatch.errors import TaskError
+from magmatch.serve.bodies.tracker import run_tracker
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.refusals import RefusedError
-from magmatch.serve.tracker import run_tracker
 
 log = logging.getLogger(__name__)
 # Requests that go to a tracker at once: what it does in a few ms.
