@@ -12,8 +12,8 @@ from magmatch import __version__
 from magmatch.cli import boundary, main
 
 COMMANDS = (
-    "register", "transform", "slam", "merge", "localize", "odometry", "prepare", "map", "index", "query", "info",
-    "view", "convert", "simulate", "datasets", "demo", "glossary", "evaluate",
+    "register", "transform", "slam", "merge", "localize", "serve", "replay", "odometry", "prepare", "map",
+    "index", "query", "info", "view", "convert", "simulate", "datasets", "demo", "glossary", "evaluate",
 )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ from magmatch.preparation.preparation_report import PreparationReport, StepRepor
 from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
+from magmatch.serve.bodies import checkpoints
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,9 @@ def catalogue() -> dict[str, Writer]:
         "map grid .nc": Writer(lambda k, path: write_netcdf(grids[k], path, "map"), "map.nc", "xarray"),
         "map index": Writer(
             lambda k, path: write_mapped(path, "test/1", {}, {"x": surveys[k].positions}), "room.index"
+        ),
+        "client's state": Writer(
+            lambda k, path: checkpoints.save(path.parent, path.stem, bytes([k]) * 200_000), f"{'0a' * 12}.state"
         ),
         "live checkpoint": Writer(lambda k, path: lives[k].save(path), "live.map"),
         "result": Writer(lambda k, path: results[k].save(path), "result.json"),
