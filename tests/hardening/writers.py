@@ -95,9 +95,7 @@ def catalogue() -> dict[str, Writer]:
         "map index": Writer(
             lambda k, path: write_mapped(path, "test/1", {}, {"x": surveys[k].positions}), "room.index"
         ),
-        "client's state": Writer(
-            lambda k, path: checkpoints.save(path.parent, path.stem, bytes([k]) * 200_000), f"{'0a' * 12}.state"
-        ),
+        "client's state": Writer(lambda k, path: checkpoints.save(path, bytes([k]) * 200_000), "0a.state"),
         "live checkpoint": Writer(lambda k, path: lives[k].save(path), "live.map"),
         "result": Writer(lambda k, path: results[k].save(path), "result.json"),
         "result .tum": Writer(lambda k, path: write_relative_tum(results[k], path), "result.tum"),

@@ -65,7 +65,7 @@ def test_a_kept_state_is_the_last_one_and_sweeping_leaves_what_is_not_ours(tmp_p
         folder, client = tmp_path / "states", id_of(new_key())
         assert checkpoints.load(folder, client) is None
         for content in (b"one", b"two"):
-            checkpoints.save(folder, client, content)
+            checkpoints.save(checkpoints.path_of(folder, client), content)
         assert checkpoints.load(folder, client) == b"two"
         (folder / "other.txt").touch()
         old = time.time() - 100

@@ -19,9 +19,9 @@ def path_of(folder: Path, client: str) -> Path:
     return folder / f"{client}.state"
 
 
-def save(folder: Path, client: str, state: bytes) -> None:
+def save(path: Path, state: bytes) -> None:
     """Put a state in the place of the one before."""
-    with atomic_write(path_of(folder, client)) as stream:
+    with atomic_write(path) as stream:
         stream.write(state)
 
 

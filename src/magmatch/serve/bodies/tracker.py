@@ -178,6 +178,6 @@ class Tracker:
 
 def _save(folder: Path, client: str, state: bytes) -> None:
     try:
-        checkpoints.save(folder, client, state)
+        checkpoints.save(checkpoints.path_of(folder, client), state)
     except (OSError, MagmatchError) as error:
         log.warning("the state of a client was not kept: %s", error)
