@@ -33,6 +33,11 @@ class _OneSentence(ModelMetaclass):
             raise ConfigurationError(msg) from None
 
 
+def of_vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:
+    """Settings of slam and localisation that follow from what is known of the vertical; not both."""
+    return {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
+
+
 class Settings(BaseModel, metaclass=_OneSentence):
     """Settings of a step; reading them from files (`model_validate`) raises pydantic's own error."""
 

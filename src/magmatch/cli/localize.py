@@ -13,8 +13,8 @@ from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
-from magmatch.cli.places import read_walk
 from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.walks import read_walk
 
 if TYPE_CHECKING:
     from magmatch.localization.result import LocalizationResult

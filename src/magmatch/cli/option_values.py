@@ -30,7 +30,9 @@ def vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:
     """Settings that ``--planar`` and ``--no-gravity`` change."""
     if planar and no_gravity:
         refuse("--planar", "z up, as one floor needs", "--no-gravity")
-    return {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
+    from magmatch.settings import of_vertical
+
+    return of_vertical(planar=planar, no_gravity=no_gravity)
 
 
 def refuse(option: str, expected: str, found: str) -> NoReturn:

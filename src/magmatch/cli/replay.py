@@ -11,8 +11,8 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_outputs
-from magmatch.cli.places import read_walk
 from magmatch.cli.serve import read_token
+from magmatch.cli.walks import read_walk
 from magmatch.errors import import_extra
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def replay(
     Exit code 0: at least one pose was stated; 3: none was.
     """
     import_extra("websockets", "to replay a log", "serve")
+    from magmatch.data.tables.tum import write_poses
     from magmatch.serve.replay import live_url
     from magmatch.serve.replay import replay as run
 
@@ -58,7 +59,7 @@ def replay(
     found = run(read_walk(log, layouts), url, speed=speed, token=token, on_pose=follow)
     say(tell(found))
     if out is not None:
-        _write(out, found)
+        write_poses(out, found.times, found.poses)
         say(f"Wrote {out}")
     return DONE if found.poses is not None else NOT_ACCEPTED
 
@@ -67,14 +68,3 @@ def tell(found: "Replayed") -> str:
     """Tell in a line what came back."""
     refused = f", {found.n_errors} samples refused" if found.n_errors else ""
     return f"{found.n_answers} answers, {len(found.times)} with a pose{refused}"
-
-
-def _write(out: Path, found: "Replayed") -> None:
-    import numpy as np
-
-    from magmatch.data.tables.tum import write_tum
-
-    if found.poses is None:
-        write_tum(out, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
-    else:
-        write_tum(out, found.times, found.poses.translation, found.poses.rotation.as_quat())

@@ -54,10 +54,8 @@ def serve(
 
     Ctrl-C ends it; clients go on where they were when it is started again.
     """
-    import_extra("uvicorn", "the service", "serve")
-    import_extra("starlette", "the service", "serve")
-    import_extra("websockets", "the service", "serve")
-    import_extra("prometheus_client", "the service", "serve")
+    for package in ("uvicorn", "starlette", "websockets", "prometheus_client"):
+        import_extra(package, "the service", "serve")
     from magmatch.data.tables.text import is_folder
     from magmatch.serve.config import ServeConfig
     from magmatch.serve.serve import serve as run

@@ -5,10 +5,9 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -82,14 +81,22 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
     return document
 
 
-def read_typed(
-    path: str | Path, adapter: Callable[[], TypeAdapter[T]], schema: str, what: str, max_bytes: int, **defaults: Any
-) -> T:
+_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
+
+
+def adapter_of(kind: type[T]) -> TypeAdapter[T]:
+    """What validates a type, built when it is first needed."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
+
+
+def read_typed(path: str | Path, kind: type[T], schema: str, what: str, max_bytes: int, **defaults: Any) -> T:
     """Read a document and validate it; a value that cannot be is named by its key."""
     expect_path(path)
     document = read_document(path, schema, what, max_bytes)
     try:
-        return adapter().validate_python(defaults | document)
+        return adapter_of(kind).validate_python(defaults | document)
     except ValidationError as error:
         place, words = first_fault(error)
         raise DataFormatError(path, f"key '{place}': {words}") from None
@@ -122,7 +129,7 @@ class TypedDocument:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        return read_typed(path, partial(TypeAdapter, cls), cls.SCHEMA, cls.KIND, cls.MAX_BYTES)
+        return read_typed(path, cls, cls.SCHEMA, cls.KIND, cls.MAX_BYTES)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

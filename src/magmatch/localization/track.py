@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch._version import __version__
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
-from magmatch.data.tables.tum import write_tum
+from magmatch.data.tables.tum import write_poses
 from magmatch.data.trajectory import Trajectory
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked
@@ -67,12 +67,12 @@ class Track:
         times, is_stated = self.log.times, self.is_stated
         assert times is not None
         if not is_stated.any():
-            write_tum(path, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+            write_poses(path, times, None)
             return
         poses, times = self.poses, times[is_stated]
         if odometry is not None and self.log.orientations is not None:
             poses, times = self._carried(odometry)
-        write_tum(path, times, poses.translation, poses.rotation.as_quat())
+        write_poses(path, times, poses)
 
     def _carried(self, odometry: Trajectory) -> tuple[RigidTransform, Scalars]:
         """Poses of a trajectory, each the last stated one before it and the odometry's move since; their times."""

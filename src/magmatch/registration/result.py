@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
@@ -17,7 +16,6 @@ from pydantic import (
     Field,
     GetPydanticSchema,
     Strict,
-    TypeAdapter,
     WrapValidator,
 )
 from pydantic_core.core_schema import no_info_after_validator_function
@@ -327,16 +325,10 @@ class RegistrationResult:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        result = read_typed(path, _adapter, SCHEMA, "registration result", MAX_BYTES, reason="")
+        result = read_typed(path, RegistrationResult, SCHEMA, "registration result", MAX_BYTES, reason="")
         if (result.T_base_target is not None) != result.is_accepted:
             said = f"{'null' if result.T_base_target is None else 'given'} with '{result.status}'"
             raise DataFormatError(path, f"key 'T_base_target': expected a transform exactly where accepted, {said}")
         if result.covariance is not None and not result.is_accepted:
             raise DataFormatError(path, "key 'covariance': expected null where nothing was accepted")
         return result
-
-
-@cache
-def _adapter() -> TypeAdapter[RegistrationResult]:
-    """Built when the first file is read."""
-    return TypeAdapter(RegistrationResult)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is asked for at which path, and what is answered."""
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -36,33 +36,24 @@ def build_app(service: Service) -> Starlette:
         async with service.running():
             yield
 
-    async def live(socket: WebSocket) -> None:
-        try:
-            service.enter()
-        except RefusedError as refused:
-            await socket.send_denial_response(_refusal(service, refused))
-            return
-        try:
-            await socket.accept(_subprotocol(socket))
-            await _live(service, socket)
-        finally:
-            service.leave()
+    def admitted(follow: Callable[[Service, WebSocket], Awaitable[None]]) -> Callable[[WebSocket], Awaitable[None]]:
+        """One of the places for clients is held for as long as a socket is followed."""
 
-    async def watch(socket: WebSocket) -> None:
-        try:
-            service.enter()
-        except RefusedError as refused:
-            await socket.send_denial_response(_refusal(service, refused))
-            return
-        try:
-            await socket.accept(_subprotocol(socket))
-            async with service.watched() as pictures:
-                while True:
-                    await socket.send_text(await pictures.get())
-        except (WebSocketDisconnect, RuntimeError, RefusedError):
-            pass
-        finally:
-            service.leave()
+        async def answer(socket: WebSocket) -> None:
+            try:
+                service.enter()
+            except RefusedError as refused:
+                await socket.send_denial_response(_refusal(service, refused))
+                return
+            try:
+                await socket.accept(_subprotocol(socket))
+                await follow(service, socket)
+            except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
+                pass
+            finally:
+                service.leave()
+
+        return answer
 
     async def log(request: Request) -> Response:
         verb: Verb = "register" if request.url.path == "/register" else "localize"
@@ -102,8 +93,8 @@ def build_app(service: Service) -> Starlette:
             Route("/maps/{name}", picture, methods=["GET"]),
             Route("/localize", log, methods=["POST"]),
             Route("/register", log, methods=["POST"]),
-            WebSocketRoute("/live", live),
-            WebSocketRoute("/watch", watch),
+            WebSocketRoute("/live", admitted(_live)),
+            WebSocketRoute("/watch", admitted(_watch)),
         ],
         middleware=[Middleware(Gate, config=service.config, metrics=service.metrics)],
         exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
@@ -138,11 +129,17 @@ async def _live(service: Service, socket: WebSocket) -> None:
     except RefusedError as refused:
         service.metrics.refused.labels(refused.status).inc()
         await close(socket, refused)
-    except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
-        pass
     finally:
         if service.connected.get(one.client) is one:
             del service.connected[one.client]
+
+
+async def _watch(service: Service, socket: WebSocket) -> None:
+    """Send pictures until whoever watches leaves."""
+    with suppress(RefusedError):
+        async with service.watched() as pictures:
+            while True:
+                await socket.send_text(await pictures.get())
 
 
 def _subprotocol(socket: WebSocket) -> str | None:

@@ -35,7 +35,7 @@ class Live:
         self._came: deque[float] = deque()
         self._something, self._room = asyncio.Event(), asyncio.Event()
         self._room.set()
-        self._is_over = False
+        self._is_over = self._is_replaced = False
         self.client, self.key = "", ""
 
     async def hello(self) -> Hello:
@@ -79,8 +79,6 @@ class Live:
             await asyncio.gather(writer, reader, return_exceptions=True)
             if not self._is_replaced:
                 tracker.ask(lambda _: None, "leave", self.client)
-
-    _is_replaced = False
 
     def replace(self) -> None:
         """Make room for another connection with the same key."""

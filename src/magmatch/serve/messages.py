@@ -3,12 +3,12 @@
 
 import json
 import struct
-from functools import cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from magmatch.data.document import adapter_of
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import first_fault
 from magmatch.localization.estimate import Estimate, LocalizerStatus
@@ -60,7 +60,7 @@ class Hello(_Message):
 
 def read_hello(text: str) -> Hello:
     """Read a client's first message."""
-    found: Hello = _valid(_hello(), text)
+    found: Hello = _valid(Hello, text)
     return found
 
 
@@ -69,7 +69,8 @@ def read_samples(message: str | bytes, most: int) -> np.ndarray:
 
     Returns
     -------
-    (n,) array of `SAMPLE` fields, float64
+    (n, 11) array
+        Time, position, unit quaternion x, y, z, w and field of each.
     """
     rows = _binary(message) if isinstance(message, bytes) else _json(message)
     if len(rows) > most:
@@ -98,34 +99,19 @@ def _binary(message: bytes) -> np.ndarray:
 
 def _json(message: str) -> np.ndarray:
     # What pydantic says of a union names all of its members.
-    found = _valid(_many() if '"samples"' in message[:20] else _one(), message)
+    found = _valid(Samples if '"samples"' in message[:20] else Sample, message)
     samples = found.samples if isinstance(found, Samples) else [found]
     return np.array([[s.t, *s.position, *s.orientation, *s.field] for s in samples])
 
 
-def _valid(adapter: TypeAdapter[Any], text: str) -> Any:
+def _valid(kind: type[Any], text: str) -> Any:
     try:
-        return adapter.validate_json(text)
+        return adapter_of(kind).validate_json(text)
     except ValidationError as error:
         if error.errors()[0]["type"] == "json_invalid":
             raise RefusedError(400, "expected a JSON object, found a message that is not JSON") from None
         place, words = first_fault(error)
         raise RefusedError(422, f"{place}: {words}" if place else words) from None
-
-
-@cache
-def _hello() -> TypeAdapter[Hello]:
-    return TypeAdapter(Hello)
-
-
-@cache
-def _one() -> TypeAdapter[Sample]:
-    return TypeAdapter(Sample)
-
-
-@cache
-def _many() -> TypeAdapter[Samples]:
-    return TypeAdapter(Samples)
 
 
 def write_sample(t: float, p: np.ndarray, q: np.ndarray, b: np.ndarray) -> bytes:

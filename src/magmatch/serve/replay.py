@@ -40,8 +40,8 @@ class Replayed:
     n_answers : int
     n_errors : int
         Samples that were refused.
-    status, reason, map : str
-        Of the last answer.
+    status, map : str
+        Of the last answer; no map where none is told.
     """
 
     times: np.ndarray

@@ -46,8 +46,8 @@ class Service:
             await self.trackers.start()
             self.workers = LogWorkers(self.config)
             self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
-            jobs = (self._sweep, self._look, self._draw)
-            tasks = [asyncio.create_task(_again(job, every)) for job, every in zip(jobs, self._pace(), strict=True)]
+            jobs = {self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every}
+            tasks = [asyncio.create_task(_again(job, every)) for job, every in jobs.items()]
             try:
                 yield
             finally:
@@ -66,9 +66,6 @@ class Service:
         except Exception as error:
             self.fault = error
             raise
-
-    def _pace(self) -> tuple[float, float, float]:
-        return SWEEP_EVERY, self.config.look_every, self.config.draw_every
 
     def enter(self) -> None:
         """Take one of the places for clients."""

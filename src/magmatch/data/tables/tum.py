@@ -4,6 +4,7 @@
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.table import Table, read_table
@@ -17,6 +18,14 @@ def read_tum(path: str | Path) -> Table:
     table = read_table(path, TUM_COLUMNS, TUM_COLUMNS)
     table.require_increasing("t")
     return table
+
+
+def write_poses(path: str | Path, times: Scalars, poses: RigidTransform | None) -> None:
+    """Write poses in TUM layout; None, where there are none, makes a file without lines of data."""
+    if poses is None:
+        write_tum(path, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+    else:
+        write_tum(path, times, poses.translation, poses.rotation.as_quat())
 
 
 def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: np.ndarray) -> None:

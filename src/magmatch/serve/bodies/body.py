@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from magmatch.errors import DataFormatError
 from magmatch.geometry import pose_matrices
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
@@ -58,7 +57,7 @@ class Body:
         try:
             about = json.loads(head)
             localizer = restored(known, config, rest)
-        except (DataFormatError, ValueError):
+        except ValueError:
             return None
         return cls(known, config, localizer, about["name"], n=about["n"], t=about["t"], now=localizer.estimate())
 

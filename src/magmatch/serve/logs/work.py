@@ -30,6 +30,7 @@ from magmatch.localization.localize import localize
 from magmatch.localization.smooth import smooth as with_hindsight
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.refusals import RefusedError
+from magmatch.settings import of_vertical
 from magmatch.viz.figures.plotting import magnitude_ut
 from magmatch.viz.figures.slices import cut_normal_to, field_on
 
@@ -123,9 +124,7 @@ def _answer(
 
 
 def _localized(known: Place, survey: Survey, question: LogQuestion, config: LocalizerConfig) -> dict[str, Any]:
-    switches = {"is_planar": True} if question.planar else {}
-    switches |= {"is_gravity_aligned": False} if question.no_gravity else {}
-    settings = config.model_copy(update=switches)
+    settings = config.model_copy(update=of_vertical(planar=question.planar, no_gravity=question.no_gravity))
     track = with_hindsight(known, survey, settings) if question.smooth else localize(known, survey, settings)
     document = track.result().to_dict()
     times, rows = survey.times, np.flatnonzero(track.is_stated)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The log that `localize` is given, a phone's without poses among them."""
+"""A log with odometry, as `localize` and `replay` take it: a phone's without poses is dead reckoned."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
