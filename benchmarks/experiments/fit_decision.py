@@ -263,15 +263,14 @@ def fit(found: list[tuple[str, Row]]) -> Fitted:
     weights, truths = weights_of(found), [truth(name, one) for name, one in found]
 
     def numbers(v: np.ndarray) -> Fitted:
-        offset = {"map": float(v[2]), "walk": float(v[3])}
-        return Fitted(scale=np.exp(v[0]), saturation=np.exp(v[1]), offset=offset)
+        return Fitted(saturation=np.exp(v[0]), offset={"map": float(v[1]), "walk": float(v[2])})
 
     def loss(v: np.ndarray) -> float:
         law = numbers(v)
         stated = (0.98 * shares(one, law) + 0.01 for _, one in found)
         return -sum(w * float(t @ np.log(p)) for w, t, p in zip(weights, truths, stated, strict=True))
 
-    start = np.array([np.log(8.0), np.log(20.0), 2.0, -1.0])
+    start = np.array([np.log(10.0), 2.0, 0.0])
     return numbers(minimize(loss, start, method="Nelder-Mead", options={"maxiter": 2000, "fatol": 1e-6}).x)
 
 

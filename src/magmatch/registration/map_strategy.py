@@ -14,13 +14,14 @@ from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_map
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import as_map
+from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.pose_prior import pose_prior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range, prepare
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
-from magmatch.registration.weigh.evidence import PoseEvidence
+from magmatch.registration.weigh.evidence import PoseEvidence, overlap_weight
 from magmatch.registration.weigh.map_covariance import map_covariance
 from magmatch.registration.weigh.rank import rank_poses
 
@@ -58,6 +59,7 @@ class MapStrategy:
         """Pair the target with a base that was prepared; the prior covers a volume, m^3."""
         frames = base.T_map_model, self.prepared.T_map_model
         prior = pose_prior(self.config.prior, *frames, volume, height_range(base))
+        prior = spread_inside(prior, base.raster, self.prepared.points, overlap_weight)
         return Pair(base, self.prepared, prior, common_length(base, self.prepared), *frames)
 
     def search(self, pair: MapPair) -> SearchResult:

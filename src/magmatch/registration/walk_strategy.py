@@ -25,7 +25,7 @@ from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of
-from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
+from magmatch.registration.weigh.line_evidence import LineEvidence, inside_base, weigh_walk
 
 WalkPair = Pair[WalkIndex, Walk]
 WeighedWalk = Weighed[WalkIndex, Walk, LineEvidence]
@@ -52,6 +52,7 @@ class WalkStrategy:
         volume = index.base.raster.volume if volume is None else volume
         frames = index.base.T_map_model, walk.T_survey_walk
         prior = pose_prior(self.config.prior, *frames, volume, height_range(index.base))
+        prior = inside_base(prior, index.base, walk, walks.length, self.config.walks.evidence)
         return Pair(walks, walk, prior, walks.length, *frames)
 
     def search(self, pair: WalkPair) -> SearchResult:

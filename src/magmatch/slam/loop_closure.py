@@ -12,7 +12,7 @@ from magmatch.registration.decide.posterior import distinct, effective_evidence
 from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.weigh.line_evidence import weigh_walk
+from magmatch.registration.weigh.line_evidence import inside_base, weigh_walk
 from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
@@ -114,7 +114,7 @@ def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -
     )
     prior = pose_prior(known, T_base, T_walk, base.volume if isinstance(expected, Rough) else expected)
     if not isinstance(expected, Rough):
-        return prior
+        return inside_base(prior, base.index.base, window.walk, base.index.length, config.evidence)
     M = adjoint(window.T_middle_node)
     C = M @ (expected.covariance + np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))) @ M.T
     return replace(prior, T_base_target=T_base.inv() * expected.T_base_log * T_walk, covariance=C)

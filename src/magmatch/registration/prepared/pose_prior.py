@@ -3,7 +3,8 @@
 
 A prior enters three times: poses that it rules out are not searched, its rows stand beside the residuals' in every
 refinement (and so in the covariance), and its density is what the evidence pays for the search: over all poses
-``1 / (volume 8 pi^2)``, over the turns about the vertical ``1 / (volume 2 pi)``, near a rough pose a Gaussian.
+``1 / (volume 8 pi^2)``, over the turns about the vertical ``1 / (volume 2 pi)``, of these over the share that puts
+the target inside the base (`inside`); near a rough pose a Gaussian.
 """
 
 from dataclasses import dataclass
@@ -79,6 +80,8 @@ class PosePrior:
         where heights are the same in the surveys' frames.
     height_sd, height_range : float, m
         How well it is, and over what heights the target might lie were it not known.
+    log_share_inside : float
+        Natural logarithm of the share of these poses, each by its weight, that puts the target inside the base.
     """
 
     volume: float
@@ -90,6 +93,7 @@ class PosePrior:
     height: float | None = None
     height_sd: float = 0.05
     height_range: float = 1.0
+    log_share_inside: float = 0.0
 
     @property
     def is_flat(self) -> bool:
@@ -132,7 +136,7 @@ class PosePrior:
         """Log density where nothing contradicts it, for informations (h, 6, 6)."""
         if self.T_base_target is not None:
             return np.asarray(0.5 * np.linalg.slogdet(A / (2 * np.pi))[1])
-        log_norm = -np.log(max(self.volume, np.finfo(float).tiny))
+        log_norm = -np.log(max(self.volume, np.finfo(float).tiny)) - self.log_share_inside
         if self.up_base is None:
             log_norm -= np.log(8 * np.pi**2)
         else:

@@ -55,6 +55,11 @@ class Walk:
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
         return float(np.median(steps)) if len(steps) else 0.0
 
+    @property
+    def length(self) -> float:
+        """Path in all bins, m."""
+        return self.bin_length * len(self)
+
     def part(self, rows: Indices) -> "Walk":
         """Some of the bins."""
         return replace(self, positions=self.positions[rows], field=self.field[rows], counts=self.counts[rows])

@@ -84,6 +84,15 @@ class PoseEvidence:
         return self.n_good / self.n_informative if self.n_informative else 0.0
 
 
+def overlap_weight(share: Scalars | float) -> Scalars:
+    """Log of the weight of poses by the share of the target that each puts inside the base.
+
+    Of all poses most barely touch the base. Who surveys a place twice means to cover it twice: the weight is the
+    square of the share, as the number of pairs of samples in common.
+    """
+    return np.asarray(2 * np.log(share))
+
+
 def null_model_of(base: PreparedMap, target: PreparedMap) -> NullModel:
     """Null hypothesis of a pair: what the target's cells look like on their own."""
     cells = average_cells(target.samples, common_length(base, target))
@@ -163,7 +172,8 @@ def weigh_pose(
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
     is_informative = n2 > 9 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
-    price = _search_price(joint, pose.sensor_sd, prior.log_density(pose.T_base_target, pose.center, covariance))
+    log_prior = prior.log_density(pose.T_base_target, pose.center, covariance)
+    price = _search_price(joint, pose.sensor_sd, log_prior) + float(overlap_weight(overlap))
     return PoseEvidence(
         pose,
         covariance,

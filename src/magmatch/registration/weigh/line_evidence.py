@@ -6,6 +6,7 @@ centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gra
 """
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, skew
+from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
@@ -41,8 +43,8 @@ class LineConfig(Settings):
     # Fewest bins, and their share, that a pose must put inside the base map.
     min_bins: int = Field(default=8, ge=7)
     min_coverage: float = Field(default=0.3, gt=0, le=1)
-    # What each correlation length of path outside the base map costs, nats: the map's border has many ways out,
-    # and wrong poses like to hang there by the few bins that fit.
+    # By how much the prior of a pose falls for each correlation length of path that it puts outside the base map,
+    # nats: the map's border has many ways out, and wrong poses like to hang there by the few bins that fit.
     price_outside: float = Field(default=3.0, ge=0)
     # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
     # (something moved): their standard deviation grows, at a price each, nats, and up to a share of the path.
@@ -50,6 +52,10 @@ class LineConfig(Settings):
     max_power: float = Field(default=3.0, gt=1)
     price_piece: float = Field(default=3.0, ge=0)
     max_strained_share: float = Field(default=0.3, ge=0, le=1)
+
+    def log_weight(self, path: float, share: Any) -> Any:
+        """Weight of poses of which each puts a share of a path (in correlation lengths) inside the base map."""
+        return -self.price_outside * path * (1 - share)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -148,6 +154,12 @@ def weigh_walk(
     weighed = _weigh(_covered(fine, config), squares, null, config)
     weighed += [roughly[k] for k in order[config.n_fine :]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
+
+
+def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float, config: LineConfig) -> PosePrior:
+    """Spread a prior over poses that put a walk inside a base, as they are weighed."""
+    path = walk.length / length
+    return spread_inside(prior, base.raster, walk.positions, lambda share: config.log_weight(path, share))
 
 
 def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
@@ -279,7 +291,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
         - np.array([unrelated[known.tobytes()] for known in fits.known])
         + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
         + squares.prior.log_densities(fits.rotations, fits.centers, squares.center)
-        - config.price_outside * squares.walk.bin_length / squares.length * (fits.known.shape[1] - n_known)
+        + config.log_weight(squares.walk.length / squares.length, fits.known.mean(axis=1))
         - config.price_piece / config.piece_bins * (fits.strain > 1).sum(axis=1)
     )
     attainable = log_evidence + np.maximum(squares.noise.factor(n_free, n_free)[1] - log_likelihood, 0.0)

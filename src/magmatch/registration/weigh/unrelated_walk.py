@@ -13,14 +13,14 @@ from magmatch.typing import Mask, Matrix, Vector3, Vectors
 
 # Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
 LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
-STRENGTHS = (0.5, 1.0, 2.0, 4.0)
+STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
 # Every so many-th bin decides which unrelated field is the most likely.
 MOST_BINS = 60
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UnrelatedWalk:
-    """The walk's field as a smooth random field of its own, the most likely one: what a pose has to beat.
+    """The walk's field as a smooth random field of its own: what a pose has to beat.
 
     The walk's own errors, and how they differ from walk to walk, are those that a pose may plead too: else a rough
     walk would match whatever is calm.
@@ -39,7 +39,7 @@ class UnrelatedWalk:
     field: Vectors
     covariance: Matrix
     noise: PathNoise
-    favour: float = 0.0
+    favour: float
 
     @classmethod
     def most_likely(
@@ -50,7 +50,7 @@ class UnrelatedWalk:
         length: float,
         around: tuple[Vector3, float] | None = None,
     ) -> "UnrelatedWalk":
-        """Choose lengthscale and strength by the likelihood of the walk's field."""
+        """Try lengthscales and strengths: the most likely ones make its covariance, all of them its likelihood."""
         n = len(walk)
         some = np.unique(np.linspace(0, n - 1, min(n, MOST_BINS)).astype(np.int64))
         d2 = distance[np.ix_(some, some)] ** 2
@@ -60,16 +60,14 @@ class UnrelatedWalk:
         field = walk.field - mean
         errors = noise.isotropic(distance, np.zeros(n))
         errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
-        # Nobody knows its numbers: evidence is the average over them, those of calm places too. From nowhere the best
-        # ones are meant: the law of `decide.posterior` was fitted with them.
-        strengths = STRENGTHS if around is None else (0.0, *STRENGTHS)
-        tried = [(f * length, s**2 * spread2) for f, s in product(LENGTHSCALES, strengths)]
+        tried = [(f * length, s**2 * spread2) for f, s in product(LENGTHSCALES, STRENGTHS)]
         few, errors_of_few = field[some], errors[np.ix_(some, some)]
         found = np.array([
             _log_likelihood(few, _covariance(d2, *numbers, constant) + errors_of_few, noise) for numbers in tried
         ])  # fmt: skip
         chosen = tried[int(found.argmax())]
-        favour = 0.0 if around is None else float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
+        # Nobody knows its numbers: evidence is the average over them, those of calm places too.
+        favour = float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
         return cls(field, _covariance(distance**2, *chosen, constant) + errors, noise, favour)
 
     def log_likelihood(self, rows: Mask) -> float:
