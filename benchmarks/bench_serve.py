@@ -74,7 +74,7 @@ def packed_walk(seed: int, seconds: float) -> list[bytes]:
     b = np.column_stack([np.interp(t, log.times, x) for x in body.T])
     q = Slerp(log.times, log.orientations)(t).as_quat()
     rows = np.zeros(len(t), SAMPLE)
-    rows["t"], rows["p"], rows["q"], rows["b"] = t, p, q, b
+    rows["t"], rows["pqb"] = t, np.column_stack([p, q, b])
     return [frame(row.tobytes()) for row in rows]
 
 
