@@ -60,18 +60,21 @@ class Localizer:
         expect_transform(T_odom_body, "T_odom_body")
         self._follow(self._samples.take(t, T_odom_body.as_matrix(), field))
 
-    def update_by_row(self, row: np.ndarray) -> None:
-        """Take a sample as a stream has it, a row of `samples.unit_rows`, which spares making SciPy's objects."""
-        self._follow(self._samples.take_row(row))
+    def update_by_row(self, row: np.ndarray, *, may_search: bool = True) -> None:
+        """Take a sample as a stream has it, a row of `samples.unit_rows`, which spares making SciPy's objects.
 
-    def _follow(self, sample: np.ndarray) -> None:
+        A search that may not be now is due again a bin later.
+        """
+        self._follow(self._samples.take_row(row), may_search=may_search)
+
+    def _follow(self, sample: np.ndarray, *, may_search: bool = True) -> None:
         new = self._binning.add(sample)
         if new is None:
             return
         for belief in self._places.follow(new):
             if belief.is_doubtful():
                 belief.doubt()
-            if belief.is_due():
+            if may_search and belief.is_due():
                 belief.search()
         self._places.judge()
 

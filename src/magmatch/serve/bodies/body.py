@@ -64,13 +64,13 @@ class Body:
         assert self.localizer is not None
         return json.dumps({"name": self.name, "n": self.n, "t": self.t}).encode() + b"\n" + state_of(self.localizer)
 
-    def take(self, message: str | bytes, most: int) -> str | bytes:
+    def take(self, message: str | bytes, most: int, *, may_search: bool = True) -> str | bytes:
         """Take the samples of a message; gives the answer."""
         rows = read_samples(message, most)
         localizer = self.localizer = self.localizer or Localizer(self.known, self.config)
         for k, row in enumerate(rows):
             try:
-                localizer.update_by_row(row)
+                localizer.update_by_row(row, may_search=may_search)
             except ValueError as error:
                 place = f"sample {k}: " if len(rows) > 1 else ""
                 raise RefusedError(422, place + str(error)) from None
