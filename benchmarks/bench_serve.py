@@ -110,7 +110,9 @@ class Walker(asyncio.Protocol):
             head, mark, rest = self.buffer.partition(b"\r\n\r\n")
             if not mark:
                 return
-            assert b" 101 " in head, head
+            if b" 101 " not in head:  # the bad ones may well be refused; who is none is then missed
+                self.transport.abort()
+                return
             self.buffer, self.is_open = rest, True
             self.transport.write(frame(json.dumps({"type": "hello", **self.said}).encode(), 1))
         while len(self.buffer) >= 2:

@@ -53,7 +53,7 @@ class Belief:
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = NullModel(known, self._model, config)
-        self._window, self._bank = Window.of(self._most, len(self._null)), hypotheses(0)
+        self._window, self._bank = Window.of(len(self._null)), hypotheses(0)
         self._weighed: list[Weighed] = []
         self._found, self._words = NOTHING, ""
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.

@@ -102,6 +102,7 @@ class Tracker:
         self._known, self._place, self._config = known, place, config
         self._bodies: OrderedDict[str, Body] = OrderedDict()
         self._writer, self._loader = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        known.loader = self._loader
         self._loading: Future[KnownPlaces] | None = None
         self._search_until = 0.0
         self._next_save, self._written = monotonic(), self._writer.submit(lambda: None)
@@ -170,6 +171,7 @@ class Tracker:
         loading, self._loading = self._loading, None
         try:
             self._known = loading.result()
+            self._known.loader = self._loader
         except (MagmatchError, OSError) as error:
             return str(error)
         return True
