@@ -42,6 +42,8 @@ class Walker(threading.Thread):
         self.log, self.truth = drifting_walk(Place(1), seed, laps=laps, start=start, bias=bias, turn=0.5)
         self.where, self.key, self.is_done = where, None, False
         self.n_answers = self.n_resumed = self.n_anew = self.n_again = self.n_wrong = self.n_stated = 0
+        # When each answer came: what is sent again was answered since the last checkpoint.
+        self.came, self.oldest_again = np.full(len(self.log), np.nan), 0.0
 
     def run(self) -> None:
         """Until all is answered, or too many tries failed."""
@@ -57,7 +59,9 @@ class Walker(threading.Thread):
                     self.n_anew += not welcome["resumed"]
                 self.key = welcome["key"]
                 next_row = 0 if welcome["t"] is None else int(np.searchsorted(self.log.times, welcome["t"], "right"))
-                self.n_again += max(done + 1 - next_row, 0)
+                if next_row <= done:
+                    self.n_again += done + 1 - next_row
+                    self.oldest_again = max(self.oldest_again, self.came[done] - self.came[next_row])
                 for n in range(next_row, len(rows)):
                     wire.send(packed(rows[n]))
                     self.note(n, read_pose(wire.recv(timeout=60)))
@@ -69,6 +73,7 @@ class Walker(threading.Thread):
     def note(self, n: int, said: dict) -> None:
         """Count an answer, and whether its pose is this walk's."""
         self.n_answers += 1
+        self.came[n] = time.monotonic()
         if "T_map_body" in said:
             T, C = np.array(said["T_map_body"]), np.array(said["covariance"])
             off = np.linalg.norm(T[:3, 3] - self.truth[n])
@@ -100,7 +105,8 @@ def main() -> None:
     print(f"{sum(w.n_answers for w in walkers)} answers to {total} samples, {n_kills} kills, "
           f"{sum(w.is_done for w in walkers)} of {len(walkers)} walks to their end")  # fmt: skip
     print(f"{sum(w.n_resumed for w in walkers)} resumed, {sum(w.n_anew for w in walkers)} began anew, "
-          f"{sum(w.n_again for w in walkers)} samples sent again")  # fmt: skip
+          f"{sum(w.n_again for w in walkers)} samples sent again, the oldest "
+          f"{max(w.oldest_again for w in walkers):.1f} s old")  # fmt: skip
     print(f"{sum(w.n_stated for w in walkers)} poses stated, {sum(w.n_wrong for w in walkers)} not this walk's")
     print("resident MB along the way: " + " ".join(f"{m:.0f}" for m in memory[:: max(len(memory) // 12, 1)]))
 

@@ -144,28 +144,6 @@ def transform_from_product(matrix: Matrix) -> RigidTransform:
     return RigidTransform(matrix, normalize=bool(error > ORTHONORMAL_TO_ROUNDING))
 
 
-def pose_matrices(positions: Points, quaternions: np.ndarray) -> Tensors:
-    """Matrices of poses, for streams of which `RigidTransform` would take most of the time.
-
-    Parameters
-    ----------
-    positions : (n, 3) array, m
-    quaternions : (n, 4) array
-        x, y, z, w; of unit length.
-
-    Returns
-    -------
-    (n, 4, 4) array
-    """
-    T = np.zeros((len(positions), 4, 4))
-    x, y, z, w = quaternions.T
-    T[:, 0, 0], T[:, 0, 1], T[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
-    T[:, 1, 0], T[:, 1, 1], T[:, 1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-    T[:, 2, 0], T[:, 2, 1], T[:, 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    T[:, :3, 3], T[:, 3, 3] = positions, 1.0
-    return T
-
-
 def skew(v: Points) -> Tensors:
     """Cross-product matrices: ``skew(a) @ b == a x b``.
 

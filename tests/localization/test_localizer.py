@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from drifting import Place, drifting_walk
-from magmatch.localization.samples import OdometryJump
+from magmatch.localization.samples import OdometryJump, unit_rows
 
 
 def feed(localizer, log, rows=slice(None), T=None, later=0.0):
@@ -83,6 +83,43 @@ def test_with_nothing_known_of_the_odometrys_frame_the_walk_is_found_too(place, 
 
 def test_the_same_log_gives_the_same_bits(place, followed):
     assert states(mm.localize(place, followed.log).estimates) == states(followed.track.estimates)
+
+
+def rows_of(log):
+    """Samples as a stream has them."""
+    R = log.orientations
+    rows = np.column_stack([log.times, log.positions, R.as_quat(), R.inv().apply(log.field)])
+    assert unit_rows(rows, 1e-6) == len(rows)
+    return rows
+
+
+def test_rows_of_a_stream_say_what_poses_do(place, followed):
+    localizer, last = mm.Localizer(place), feed(mm.Localizer(place), followed.log)[-1]
+    for row in rows_of(followed.log):
+        localizer.update_by_row(row)
+    now = localizer.estimate()
+    # Quaternions round.
+    np.testing.assert_allclose(now.matrix, last.matrix, atol=1e-9)
+    np.testing.assert_allclose(now.covariance, last.covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_rows_are_fine_up_to_the_first_that_is_none():
+    rows = np.tile([0.0, 1, 2, 3, 0, 0, 0, 2, 0, 0, 5e-5], (4, 1))
+    assert unit_rows(rows[:0], 1.0) == 0
+    rows[2, 9] = np.nan
+    assert unit_rows(rows, 1.0) == 2
+    assert unit_rows(rows[3:], 0.5) == 0
+    np.testing.assert_array_equal(rows[:, 7], [1, 1, 2, 2])
+
+
+def test_a_search_that_may_not_be_now_is_made_later(place, followed):
+    localizer, rows = mm.Localizer(place), rows_of(followed.log)
+    for row in rows[:150]:
+        localizer.update_by_row(row, may_search=False)
+    assert not localizer.hypotheses()
+    for row in rows[150:]:
+        localizer.update_by_row(row)
+    assert localizer.estimate().is_stated
 
 
 def test_the_field_turns_with_the_map(place, followed):

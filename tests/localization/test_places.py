@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A body is found in the right map of a folder, and in none where its own is missing."""
 
+from concurrent.futures import Future
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk
+from magmatch.localization.known_places import KnownPlaces
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +39,40 @@ def test_a_walk_of_no_map_in_the_folder_is_nowhere(folder):
     log, _ = drifting_walk(Place(77), 52, laps=1.2)
     track = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True))
     assert not track.is_stated.any()
+
+
+class Aside:
+    """A loader that begins when it is told to."""
+
+    def __init__(self):
+        self.waiting = []
+
+    def submit(self, make, entry):
+        self.waiting.append((future := Future(), make, entry))
+        return future
+
+    def work(self):
+        for future, make, entry in self.waiting:
+            future.set_result(make(entry))
+
+
+def test_no_sample_waits_for_a_map_that_is_made_ready_aside(folder):
+    log, truth = drifting_walk(Place(41), 51, laps=1.6, start=1.0)
+    aside = Aside()
+    localizer = mm.Localizer(KnownPlaces(mm.open_atlas(folder), aside), mm.LocalizerConfig(is_planar=True))
+    poses, field = (
+        RigidTransform.from_components(log.positions, log.orientations),
+        log.orientations.inv().apply(log.field),
+    )
+    for n, t in enumerate(log.times):
+        localizer.update(float(t), poses[n], field[n])
+        if n == len(log) // 3:
+            assert aside.waiting
+            assert localizer.estimate().status == "searching"
+            aside.work()
+    now = localizer.estimate()
+    assert now.map == "cellar.map"
+    assert np.linalg.norm(now.T_map_body.translation - truth[-1]) < 0.3
 
 
 def test_a_rigid_survey_is_still_registered_to_an_atlas(folder):

@@ -13,7 +13,15 @@ NO_BIAS = np.zeros(3)
 def estimate(x, sd, name="hall"):
     T = RigidTransform.from_translation([x, 0.0, 0.0])
     return Estimate(
-        LocalizerStatus.LOCALIZED, "", T, np.diag([1e-4] * 3 + [sd**2] * 3), 0.999, NO_BIAS, NO_BIAS, 1.0, name
+        LocalizerStatus.LOCALIZED,
+        "",
+        T.as_matrix(),
+        np.diag([1e-4] * 3 + [sd**2] * 3),
+        0.999,
+        NO_BIAS,
+        NO_BIAS,
+        1.0,
+        name,
     )
 
 

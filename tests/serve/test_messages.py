@@ -66,7 +66,7 @@ def test_any_hello_is_one_or_a_refusal(message):
 def stated(rng):
     T = RigidTransform.from_exp_coords(rng.normal(size=6))
     A = rng.normal(size=(6, 6))
-    return Estimate(LocalizerStatus.LOCALIZED, "why", T, A @ A.T, 0.999, map="hall")
+    return Estimate(LocalizerStatus.LOCALIZED, "why", T.as_matrix(), A @ A.T, 0.999, map="hall")
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -4,14 +4,17 @@
 import os
 import time
 
+import numpy as np
 import pytest
 
 from magmatch.errors import ConfigurationError
 from magmatch.serve.allowance import Allowance, Allowances
 from magmatch.serve.bodies import checkpoints
+from magmatch.serve.bodies.tracker import Tracker, load_places
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key
+from magmatch.serve.messages import write_sample
 
 
 class Clock:
@@ -84,6 +87,27 @@ def test_two_services_do_not_share_states(tmp_path):
         checkpoints.held(tmp_path / "states"),
     ):
         pass
+
+
+def test_states_are_written_in_turn_each_as_often_as_it_shall_be(hall, tmp_path, monkeypatch):
+    clock, clients = Clock(), [f"{k:024x}" for k in range(4)]
+    monkeypatch.setattr("magmatch.serve.bodies.tracker.monotonic", clock)
+    (tmp_path / "states").mkdir()
+    config = ServeConfig(states=tmp_path / "states", checkpoint_every=4.0)
+    tracker, written = Tracker(load_places(hall.map), hall.map, config), []
+    for client in clients:
+        tracker.open(client, "", False, False)
+    for n in range(80):
+        clock.now += 0.25
+        for client in clients:
+            tracker.take(client, write_sample(clock.now, np.zeros(3), np.array([0.0, 0, 0, 1]), np.full(3, 2e-5)))
+        tracker.keep_up()
+        tracker._written.result()
+        written += [(n, client) for client in clients if tracker._bodies[client].is_kept]
+    tracker.close()
+    turns = {client: [n for n, other in written if other == client] for client in clients}
+    assert all(np.diff(of).max() * 0.25 <= 4.0 and of[0] * 0.25 <= 4.0 for of in turns.values())
+    assert len({n for n, _ in written}) == len(written)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "maps.example.org", "::"])

@@ -4,7 +4,6 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import transform_from_product
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
@@ -18,11 +17,12 @@ from magmatch.localization.monitor import (
     evidence,
     forget,
     is_doubtful,
+    stated,
     weigh,
 )
 from magmatch.localization.null_model import NullModel
 from magmatch.localization.start.search import search
-from magmatch.localization.state import BIAS, hypotheses, model_of, move
+from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.registration.decide.decision import in_words
 from magmatch.registration.decide.estimate import worst_sd
 from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
@@ -53,9 +53,9 @@ class Belief:
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = NullModel(known, self._model, config)
-        self._window, self._bank = Window.of(self._most, len(self._null)), hypotheses(0)
+        self._window, self._bank = Window.of(len(self._null)), hypotheses(0)
         self._weighed: list[Weighed] = []
-        self._found = NOTHING
+        self._found, self._words = NOTHING, ""
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self._searched_at = 0, False, -np.inf
@@ -165,6 +165,7 @@ class Belief:
         self.is_sure = self._found.best >= decision.min_probability and self._is_known_well(self._found.poses[0])
         if self.is_sure:
             self._was_sure, self._prior_odds = True, decision.prior_odds
+            self._words = f"probability {in_words(self._found.best)}"
         else:
             self._trail = []
 
@@ -180,20 +181,14 @@ class Belief:
         if not self.is_sure:
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             return Estimate(status, self._why(), probability=self._found.best)
-        bank, last = self._bank[:1].copy(), self._window.steps[-1]
-        dR, u = np.ascontiguousarray(last["R"].T @ T[:3, :3]), last["R"].T @ (T[:3, 3] - last["p"])
-        move(bank, dR, u, self._known.up, self._model)
-        one = bank[0]
-        T_model_body = np.eye(4)
-        T_model_body[:3, :3], T_model_body[:3, 3] = one["R"], one["p"]
+        factor, last = self._found.poses[0].factor, self._window.steps[-1:]
+        said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
         is_in = bool(self._window.fit[-1, 0]["is_known"])
         return Estimate(
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
-            f"probability {in_words(self._found.best)}{'' if is_in else ', outside what the map knows'}",
-            transform_from_product(self._known.T_map_model @ T_model_body),
-            covariance_of(bank, self._known, self._found.poses[0].factor),
-            self._found.best, one["b"], np.sqrt(np.diag(one["P"])[BIAS : BIAS + 3]), 1 + float(one["scale"]),
-            self._known.name, 1 + float(one["gain"]),
+            self._words if is_in else f"{self._words}, outside what the map knows",
+            said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
+            self._known.name, float(said["gain"]),
         )  # fmt: skip
 
     def hypotheses(self) -> list[Hypothesis]:

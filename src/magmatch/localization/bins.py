@@ -5,7 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from magmatch.compiled import compiled
 from magmatch.typing import Matrix, Vector3
+
+# Sums over a bin's samples: number, times, poses, fields in the odometry's axes; and where its first lies.
+SUMS = np.dtype([("n", "i8"), ("t", "f8"), ("T", "f8", (3, 4)), ("b", "f8", 3), ("first", "f8", 3)])
 
 
 @dataclass(eq=False, slots=True)
@@ -36,31 +40,43 @@ class Binning:
     """A new bin begins at a sample that lies farther than ``side`` (m) from the bin's first."""
 
     side: float
-    n: int = 0
-    _first: Vector3 = field(default_factory=lambda: np.zeros(3))
-    _t: float = 0.0
-    _T: Matrix = field(default_factory=lambda: np.zeros((4, 4)))
-    _b: Vector3 = field(default_factory=lambda: np.zeros(3))
+    # The bin under way, and the last that is complete.
+    _sums: np.ndarray = field(default_factory=lambda: np.zeros(2, SUMS))
 
-    def add(self, t: float, T: Matrix, z: Vector3) -> Bin | None:
-        """Take a sample, the body's pose as a (4, 4) matrix; gives the bin before it where that is complete."""
-        p, done = T[:3, 3], None
-        if self.n and (moved := p - self._first) @ moved > self.side**2:
-            done = self._close()
-            self.n = 0
-        if self.n == 0:
-            self._first, self._t = p, 0.0
-            self._T[:], self._b[:] = 0.0, 0.0
-        self.n += 1
-        self._t += t
-        self._T += T
-        self._b += T[:3, :3] @ z
-        return done
+    def add(self, sample: np.ndarray) -> Bin | None:
+        """Take a sample, (1,) of `samples.SAMPLE`; gives the bin before it where that is complete."""
+        return self._close() if _add(self._sums, sample, self.side) else None
 
     def _close(self) -> Bin:
-        R_mean, p = self._T[:3, :3] / self.n, self._T[:3, 3] / self.n
+        done = self._sums[1]
+        n, T = done["n"], done["T"]
+        R_mean, p = T[:3, :3] / n, T[:3, 3] / n
         U, _, Vt = np.linalg.svd(R_mean)
         if np.linalg.det(U @ Vt) < 0:
             U[:, 2] *= -1
         R = U @ Vt
-        return Bin(self._t / self.n, R, p, R.T @ self._b / self.n, R.T @ R_mean)
+        return Bin(float(done["t"] / n), R, p, R.T @ done["b"] / n, R.T @ R_mean)
+
+
+@compiled
+def _add(sums, sample, side):  # type: ignore[no-untyped-def]
+    """Add a sample; whether it began another bin."""
+    now, one = sums[0], sample[0]
+    T, z, first = one.T, one.z, now.first
+    x, y, w = T[0, 3] - first[0], T[1, 3] - first[1], T[2, 3] - first[2]
+    is_done = now.n > 0 and x * x + y * y + w * w > side * side
+    if is_done:
+        sums[1] = sums[0]
+    if is_done or now.n == 0:
+        now.n, now.t = 0, 0.0
+        for a in range(3):
+            first[a], now.b[a] = T[a, 3], 0.0
+            for e in range(4):
+                now.T[a, e] = 0.0
+    now.n += 1
+    now.t += one.t
+    for a in range(3):
+        now.b[a] += T[a, 0] * z[0] + T[a, 1] * z[1] + T[a, 2] * z[2]
+        for e in range(4):
+            now.T[a, e] += T[a, e]
+    return is_done

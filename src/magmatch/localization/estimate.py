@@ -6,7 +6,8 @@ from enum import StrEnum
 
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.typing import Covariance6, Vector3
+from magmatch.geometry import transform_from_product
+from magmatch.typing import Covariance6, Matrix, Vector3
 
 
 class LocalizerStatus(StrEnum):
@@ -36,8 +37,8 @@ class Estimate:
     status : LocalizerStatus
     reason : str
         In words, what decided.
-    T_map_body : RigidTransform or None
-        Map's frame from the body's; None unless localized or dead reckoning.
+    matrix : (4, 4) array or None
+        Of ``T_map_body``, the map's frame from the body's; None unless localized or dead reckoning.
     covariance : (6, 6) array or None
         Of xi in ``T_true = T Exp(xi)``, rotation first (rad, m), body's axes.
     probability : float
@@ -54,7 +55,7 @@ class Estimate:
 
     status: LocalizerStatus
     reason: str
-    T_map_body: RigidTransform | None = None
+    matrix: Matrix | None = None
     covariance: Covariance6 | None = None
     probability: float = 0.0
     bias: Vector3 | None = None
@@ -66,4 +67,9 @@ class Estimate:
     @property
     def is_stated(self) -> bool:
         """Whether a pose is stated."""
-        return self.T_map_body is not None
+        return self.matrix is not None
+
+    @property
+    def T_map_body(self) -> RigidTransform | None:
+        """Map's frame from the body's, made when it is asked for; None unless localized or dead reckoning."""
+        return None if self.matrix is None else transform_from_product(self.matrix)

@@ -30,7 +30,7 @@ SCHEMA = "magmatch.localizer/1"
 # What a state may consist of.
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (Bin, Binning, Posterior, Samples, Weighed, Window)}
 # Of a belief and its null model: what follows from the map and the settings.
-MADE_ANEW = {"_known", "_config", "_model"}
+MADE_ANEW = {"_known", "_config", "_model", "_start"}
 
 
 def state_of(localizer: Localizer) -> bytes:
@@ -100,6 +100,7 @@ def _config_of(localizer: Localizer) -> Any:
 
 def _belief(belief: Belief) -> dict[str, Any]:
     kept = {name: value for name, value in vars(belief).items() if name not in MADE_ANEW}
+    kept["_window"] = belief._window.trimmed()
     return kept | {"_null": {name: v for name, v in vars(belief._null).items() if name not in MADE_ANEW}}
 
 

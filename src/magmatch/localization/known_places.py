@@ -2,6 +2,7 @@
 """A map, or a folder of maps, each made ready once for however many bodies walk in it."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,10 +25,13 @@ class KnownPlaces:
     Parameters
     ----------
     place : FieldMap, MapIndex or Atlas
+    loader : Executor, optional
+        Makes maps ready beside all else; without one, whoever needs a map first waits for it.
     """
 
-    def __init__(self, place: Place) -> None:
-        self.place = place
+    def __init__(self, place: Place, loader: Executor | None = None) -> None:
+        self.place, self.loader = place, loader
+        self._making: dict[AtlasEntry | None, Future[KnownMap]] = {}
         self._ready: dict[AtlasEntry | None, KnownMap] = {}
         self._fingerprints: dict[AtlasEntry | None, str] = {}
 
@@ -42,6 +46,17 @@ class KnownPlaces:
             field_map = self.of(entry).index.field_map
             self._fingerprints[entry] = f"{hash_survey(field_map.survey)} {self.of(entry).length!r}"
         return self._fingerprints[entry]
+
+    def soon(self, entry: AtlasEntry | None) -> KnownMap | None:
+        """Give a map as `of` does, or None while the loader makes it ready."""
+        if self.loader is None or entry in self._ready:
+            return self.of(entry)
+        if entry not in self._making:
+            self._making[entry] = self.loader.submit(self._make, entry)
+        if not self._making[entry].done():
+            return None
+        self._ready[entry] = self._making.pop(entry).result()
+        return self.of(entry)
 
     def of(self, entry: AtlasEntry | None) -> KnownMap:
         """Give the map of an atlas's entry, or the only one, ready; those that were needed last stay so."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verb of this room: where a body is in a known map, sample by sample."""
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import expect_kind, expect_transform
@@ -14,7 +15,7 @@ from magmatch.localization.places import Places
 from magmatch.localization.samples import Samples
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Matrix, Vector3
+from magmatch.typing import Vector3
 
 ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
 
@@ -57,17 +58,23 @@ class Localizer:
             Not a sample: NaN, a clock that runs backward, another unit, a jump. What is known stays as it was.
         """
         expect_transform(T_odom_body, "T_odom_body")
-        self.update_by_matrix(t, T_odom_body.as_matrix(), field)
+        self._follow(self._samples.take(t, T_odom_body.as_matrix(), field))
 
-    def update_by_matrix(self, t: float, T_odom_body: Matrix, field: Vector3) -> None:
-        """Take a sample whose pose is known to be a rigid (4, 4) matrix, which spares making one of SciPy's."""
-        new = self._binning.add(*self._samples.take(t, T_odom_body, field))
+    def update_by_row(self, row: np.ndarray, *, may_search: bool = True) -> None:
+        """Take a sample as a stream has it, a row of `samples.unit_rows`, which spares making SciPy's objects.
+
+        A search that may not be now is due again a bin later.
+        """
+        self._follow(self._samples.take_row(row), may_search=may_search)
+
+    def _follow(self, sample: np.ndarray, *, may_search: bool = True) -> None:
+        new = self._binning.add(sample)
         if new is None:
             return
         for belief in self._places.follow(new):
             if belief.is_doubtful():
                 belief.doubt()
-            if belief.is_due():
+            if may_search and belief.is_due():
                 belief.search()
         self._places.judge()
 

@@ -44,10 +44,9 @@ class Window:
     _end: int = 0
 
     @classmethod
-    def of(cls, most: int, n_null: int) -> "Window":
-        """Room for so many bins, and more, so that they are seldom moved."""
-        n = 4 * most
-        return cls(np.zeros(n, STEP), np.zeros((n, 0), FIT), np.zeros((n, n_null), FIT))
+    def of(cls, n_null: int) -> "Window":
+        """No bin yet."""
+        return cls(np.zeros(0, STEP), np.zeros((0, 0), FIT), np.zeros((0, n_null), FIT))
 
     def __len__(self) -> int:
         return self._end - self._first
@@ -70,14 +69,21 @@ class Window:
     def add(self, b: Bin) -> None:
         """Take a bin; how it was foretold is still to be written."""
         if self._end == len(self._steps):
-            for each in (self._steps, self._fit, self._null):
-                each[: len(self)] = each[self._first :].copy()
-            self._first, self._end = 0, len(self)
+            n, parts = len(self), (self.steps, self.fit, self.null)
+            # Room for three times as many more, so that they are seldom moved.
+            self._steps, self._fit, self._null = (
+                np.concatenate([part, np.zeros((3 * n + 1, *part.shape[1:]), part.dtype)]) for part in parts
+            )
+            self._first, self._end = 0, n
         last = self._steps[self._end - 1] if len(self) else None
         R0, p0, t0, w0 = (b.R, b.p, b.t, 0.0) if last is None else (last["R"], last["p"], last["t"], last["walked"])
         u = R0.T @ (b.p - p0)
         self._steps[self._end] = (R0.T @ b.R, u, b.t - t0, b.z, b.M, b.R, b.p, b.t, w0 + math.sqrt(u @ u))
         self._end += 1
+
+    def trimmed(self) -> "Window":
+        """The same without room for more."""
+        return Window(self.steps, self.fit, self.null, 0, len(self))
 
     def forget_first(self) -> None:
         """Of all bins the oldest."""

@@ -9,10 +9,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.state import PLACE
+from magmatch.localization.state import BIAS, Model, move
 from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.typing import Covariance6, Scalars, Vector3
+from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
+
+# What is said of a hypothesis: the fields of an `Estimate`; T is T_map_body.
+STATED = np.dtype(
+    [
+        ("T", "f8", (4, 4)), ("covariance", "f8", (6, 6)), ("bias", "f8", 3), ("bias_sd", "f8", 3),
+        ("scale", "f8"), ("gain", "f8"),
+    ]
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -180,8 +188,56 @@ def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
 
 def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
     """Of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes; how the map's own poses may be off is part of it."""
-    least = 0.0 if known.noise.is_learned else 1.0
-    C = max(factor, least) * one["P"][0, : PLACE + 3, : PLACE + 3] + known.bent
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = one["R"][0]
-    return np.asarray(turn.T @ C @ turn)
+    C = np.empty((6, 6))
+    _covariance(one, known.bent, _factor(known, factor), C)
+    return C
+
+
+def _factor(known: KnownMap, factor: float) -> float:
+    return max(factor, 0.0 if known.noise.is_learned else 1.0)
+
+
+@compiled
+def _covariance(bank, bent, factor, C):  # type: ignore[no-untyped-def]
+    """R^T (factor P + bent) R, block by block."""
+    R, P = bank[0].R, bank[0].P
+    for i in range(0, 6, 3):
+        for j in range(0, 6, 3):
+            for a in range(3):
+                for e in range(3):
+                    total = 0.0
+                    for m in range(3):
+                        for n in range(3):
+                            total += R[m, a] * (factor * P[i + m, j + n] + bent[i + m, j + n]) * R[n, e]
+                    C[i + a, j + e] = total
+
+
+def stated(
+    one: np.ndarray, last: np.ndarray, T_odom_body: Matrix, known: KnownMap, model: Model, factor: float
+) -> np.ndarray:
+    """What is said of a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
+    said = np.zeros(1, STATED)
+    _state(one, last, T_odom_body, known.T_map_model, known.bent, _factor(known, factor), known.up, model, said)
+    return said
+
+
+@compiled
+def _state(bank, last, T, T_map_model, bent, factor, up, model, said):  # type: ignore[no-untyped-def]
+    h, step, out = bank[0], last[0], said[0]
+    dR, u = np.zeros((3, 3)), np.zeros(3)
+    for a in range(3):
+        for k in range(3):
+            u[a] += step.R[k, a] * (T[k, 3] - step.p[k])
+            for e in range(3):
+                dR[a, e] += step.R[k, a] * T[k, e]
+    move(bank, dR, u, up, model)
+    _covariance(bank, bent, factor, out.covariance)
+    out.T[3, 3] = 1.0
+    for a in range(3):
+        out.bias[a], out.bias_sd[a] = h.b[a], np.sqrt(h.P[BIAS + a, BIAS + a])
+        out.T[a, 3] = T_map_model[a, 3]
+        for k in range(3):
+            out.T[a, 3] += T_map_model[a, k] * h.p[k]
+            for e in range(3):
+                out.T[a, e] += T_map_model[a, k] * h.R[k, e]
+    out.scale, out.gain = 1 + h.scale, 1 + h.gain

@@ -30,6 +30,7 @@ class Places:
         self._bins: list[Bin] = []
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
+        self._awaited: list[AtlasEntry] = []
         self.bin_length, self.why_none = 1.0, "too little was walked"
         if isinstance(place, Atlas):
             self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in place.entries]))
@@ -53,6 +54,7 @@ class Places:
             self._bins = [*self._bins, done][-round(self._config.window / BIN_LENGTH) :]
             if not any(belief.is_sure for belief in self.likely.values()):
                 self._vote(self._atlas)
+                self._begin()
         return list(self.likely.values())
 
     def judge(self) -> None:
@@ -71,15 +73,16 @@ class Places:
         votes = count_votes([entry.table for entry in atlas.entries], Survey(p, b), atlas.config.walks.search, 0)
         voted = shortlist(atlas.entries, votes)
         self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
-        for entry in voted:
-            if entry not in self.likely:
-                self.likely[entry] = self._begin(entry)
+        self._awaited = [entry for entry in voted if entry not in self.likely]
 
-    def _begin(self, entry: AtlasEntry) -> Belief:
-        belief = Belief(self.known.of(entry), self._config)
-        for one in self._bins:
-            belief.follow(one)
-        return belief
+    def _begin(self) -> None:
+        """Believe in the maps that were voted for, as soon as each is ready."""
+        for entry in self._awaited:
+            if known := self.known.soon(entry):
+                self.likely[entry] = Belief(known, self._config)
+                for one in self._bins:
+                    self.likely[entry].follow(one)
+        self._awaited = [entry for entry in self._awaited if entry not in self.likely]
 
 
 def _survey_of(place: FieldMap | MapIndex) -> Survey:

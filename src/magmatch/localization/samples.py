@@ -3,32 +3,52 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NoReturn
 
 import numpy as np
 
 from magmatch.arguments import numbers_of
+from magmatch.compiled import compiled
 from magmatch.data.checks import MAX_FIELD
 from magmatch.typing import Matrix, Vector3
 
 # A body that moves faster has not moved: its odometry began anew, m/s (and m, of clocks that jitter).
 MOST_SPEED, MOST_STEP = 50.0, 5.0
+# The last sample: time (-inf before the first), the body in an odometry's frame without jumps, field in its axes;
+# where the odometry had it and how its frame lies in that without jumps; and the next, until it is checked.
+SAMPLE = np.dtype(
+    [
+        ("t", "f8"), ("T", "f8", (4, 4)), ("z", "f8", 3), ("p_given", "f8", 3), ("T_odom_given", "f8", (4, 4)),
+        ("next_t", "f8"), ("next_T", "f8", (4, 4)), ("next_z", "f8", 3),
+    ]
+)  # fmt: skip
+FINE, BAD_TIME, BAD_POSE, BAD_FIELD, LARGE_FIELD, BACKWARD, JUMP = range(7)
 
 
 class OdometryJump(ValueError):
     """The odometry says that the body moved faster than any; it goes on from where it jumped to."""
 
 
+def _none() -> np.ndarray:
+    last = np.zeros(1, SAMPLE)
+    last["t"], last["T"], last["T_odom_given"] = -np.inf, np.eye(4), np.eye(4)
+    return last
+
+
 @dataclass(eq=False, slots=True)
 class Samples:
-    """The last sample, in an odometry's frame without jumps."""
+    """The last sample, (1,) of SAMPLE."""
 
-    t: float | None = None
-    T_odom_body: Matrix = field(default_factory=lambda: np.eye(4))
-    _given: Matrix = field(default_factory=lambda: np.eye(4))
-    _T_odom_given: Matrix = field(default_factory=lambda: np.eye(4))
+    last: np.ndarray = field(default_factory=_none)
 
-    def take(self, t: float, T: Matrix, b: Vector3) -> tuple[float, Matrix, Vector3]:
-        """Check a sample, T its body's pose, a rigid (4, 4) matrix, and remember it.
+    @property
+    def T_odom_body(self) -> Matrix:
+        """Where the body was then, in an odometry's frame without jumps."""
+        T: Matrix = self.last["T"][0]
+        return T
+
+    def take(self, t: float, T: Matrix, b: Vector3) -> np.ndarray:
+        """Check a sample, T its body's pose, a rigid (4, 4) matrix, and remember it; gives it, (1,) of SAMPLE.
 
         Raises
         ------
@@ -36,33 +56,113 @@ class Samples:
             What was expected and what was found; an `OdometryJump` is one.
         """
         time = t if isinstance(t, float) else numbers_of(t, "t", "(), in s")
-        if np.ndim(time) or not math.isfinite(time):
-            msg = f"t: expected a finite number of seconds, got {t!r:.40}"
-            raise ValueError(msg)
-        if not np.isfinite(T).all():
-            msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
-            raise ValueError(msg)
         z = numbers_of(b, "field", "(3,), in T")
-        if z.shape != (3,) or not np.isfinite(z).all():
+        if np.ndim(time):
+            self._refuse(BAD_TIME, t, b)
+        if z.shape != (3,):
+            self._refuse(BAD_FIELD, t, b)
+        self.last["next_t"], self.last["next_T"], self.last["next_z"] = time, T, z
+        if fault := _take(self.last):
+            self._refuse(fault, t, b)
+        return self.last
+
+    def take_row(self, row: np.ndarray) -> np.ndarray:
+        """Do the same with a row of numbers as `unit_rows` leaves it, (11,)."""
+        _read(self.last, row)
+        if fault := _take(self.last):
+            self._refuse(fault, float(row[0]), row[8:])
+        return self.last
+
+    def _refuse(self, fault: int, t: float, b: Vector3) -> NoReturn:
+        """Say what is wrong; an odometry that began anew is followed from there."""
+        one = self.last[0]
+        if fault == BAD_TIME:
+            msg = f"t: expected a finite number of seconds, got {t!r:.40}"
+        elif fault == BAD_POSE:
+            msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
+        elif fault == BAD_FIELD:
             msg = f"field: expected three finite numbers, in T, got {np.asarray(b)!r:.60}; leave such samples out"
-            raise ValueError(msg)
-        if (size := math.sqrt(z @ z)) > MAX_FIELD:
+        elif fault == LARGE_FIELD:
+            size = math.sqrt(one["next_z"] @ one["next_z"])
             msg = f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
-            raise ValueError(msg)
-        now = float(time)
-        if self.t is None:
-            self.t, self.T_odom_body, self._given = now, T, T
-            return now, T, z
-        if now <= self.t:
-            msg = f"t: expected a time after {self.t:.9g} s, got {now:.9g}"
-            raise ValueError(msg)
-        moved = math.dist(T[:3, 3].tolist(), self._given[:3, 3].tolist())
-        if moved > MOST_STEP + MOST_SPEED * (now - self.t):
+        elif fault == BACKWARD:
+            msg = f"t: expected a time after {one['t']:.9g} s, got {one['next_t']:.9g}"
+        else:
+            T, p = one["next_T"], one["p_given"]
+            step = f"{math.dist(T[:3, 3], p):.3g} m in {one['next_t'] - one['t']:.3g} s"
             # Whatever the odometry says from here on is relative to where it believes to be now.
-            self._T_odom_given, self._given = self.T_odom_body @ np.linalg.inv(T), T
-            step = f"{moved:.3g} m in {now - self.t:.3g} s"
+            one["T_odom_given"], p[:] = one["T"] @ np.linalg.inv(T), T[:3, 3]
             msg = f"T_odom_body: expected a step, got a jump of {step}; it counts as none"
             raise OdometryJump(msg)
-        self.t, self._given = now, T
-        self.T_odom_body = self._T_odom_given @ T
-        return now, self.T_odom_body, z
+        raise ValueError(msg)
+
+
+@compiled
+def unit_rows(rows, most_off):  # type: ignore[no-untyped-def]
+    """Bring the quaternions of rows (n, 11) of time, position, quaternion x, y, z, w and field to unit length.
+
+    Gives how many rows are fine: up to one that is not finite, or whose quaternion's length is off by more than told.
+    """
+    for n in range(len(rows)):
+        row = rows[n]
+        norm = np.sqrt(row[4] ** 2 + row[5] ** 2 + row[6] ** 2 + row[7] ** 2)
+        for k in range(11):
+            if not np.isfinite(row[k]):
+                return n
+        if abs(norm - 1) > most_off:
+            return n
+        for k in range(4, 8):
+            row[k] /= norm
+    return len(rows)
+
+
+@compiled
+def _read(last, row):  # type: ignore[no-untyped-def]
+    """A row of numbers as the next sample."""
+    one = last[0]
+    T, x, y, z, w = one.next_T, row[4], row[5], row[6], row[7]
+    one.next_t = row[0]
+    T[0, 0], T[0, 1], T[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    T[1, 0], T[1, 1], T[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    T[2, 0], T[2, 1], T[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    for a in range(3):
+        T[a, 3], one.next_z[a], T[3, a] = row[1 + a], row[8 + a], 0.0
+    T[3, 3] = 1.0
+
+
+@compiled
+def _take(last):  # type: ignore[no-untyped-def]
+    """Remember the next sample, unless something is wrong with it: that is the answer."""
+    one = last[0]
+    T = one.next_T
+    fault = _fault(one)
+    if fault == FINE:
+        one.t = one.next_t
+        for a in range(3):
+            one.z[a], one.p_given[a] = one.next_z[a], T[a, 3]
+            for e in range(4):
+                total = 0.0
+                for k in range(4):
+                    total += one.T_odom_given[a, k] * T[k, e]
+                one.T[a, e] = total
+    return fault
+
+
+@compiled
+def _fault(one):  # type: ignore[no-untyped-def]
+    T, z, p = one.next_T, one.next_z, one.p_given
+    if not np.isfinite(one.next_t):
+        return BAD_TIME
+    for a in range(4):
+        for e in range(4):
+            if not np.isfinite(T[a, e]):
+                return BAD_POSE
+    if not (np.isfinite(z[0]) and np.isfinite(z[1]) and np.isfinite(z[2])):
+        return BAD_FIELD
+    if np.sqrt(z[0] ** 2 + z[1] ** 2 + z[2] ** 2) > MAX_FIELD:
+        return LARGE_FIELD
+    if one.next_t <= one.t:
+        return BACKWARD
+    moved = np.sqrt((T[0, 3] - p[0]) ** 2 + (T[1, 3] - p[1]) ** 2 + (T[2, 3] - p[2]) ** 2)
+    # Since -inf there was time for any step.
+    return JUMP if moved > MOST_STEP + MOST_SPEED * (one.next_t - one.t) else FINE

@@ -51,16 +51,17 @@ def _join(a: Estimate, b: Estimate) -> Estimate:
     """What both know; of two that contradict each other, nothing."""
     if not (a.is_stated and b.is_stated):
         return a if a.is_stated else b if b.is_stated else max(a, b, key=lambda e: e.probability)
-    assert a.T_map_body is not None
-    assert b.T_map_body is not None
+    T_map_a, T_map_b = a.T_map_body, b.T_map_body
+    assert T_map_a is not None
+    assert T_map_b is not None
     assert a.covariance is not None
     assert b.covariance is not None
-    xi = (a.T_map_body.inv() * b.T_map_body).as_exp_coords()
+    xi = (T_map_a.inv() * T_map_b).as_exp_coords()
     if a.map != b.map or xi @ np.linalg.solve(a.covariance + b.covariance, xi) > CONTRADICTION:
         return Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
     # Both weigh one half.
     A, B = np.linalg.inv(a.covariance) / 2, np.linalg.inv(b.covariance) / 2
     C = np.linalg.inv(A + B)
     sure = max(a, b, key=lambda e: (e.status is LocalizerStatus.LOCALIZED, e.probability))
-    T = a.T_map_body * RigidTransform.from_exp_coords(C @ B @ xi)
-    return replace(sure, T_map_body=T, covariance=(C + C.T) / 2)
+    T = T_map_a * RigidTransform.from_exp_coords(C @ B @ xi)
+    return replace(sure, matrix=T.as_matrix(), covariance=(C + C.T) / 2)

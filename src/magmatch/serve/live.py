@@ -35,7 +35,8 @@ class Live:
         self._came: deque[float] = deque()
         self._something, self._room = asyncio.Event(), asyncio.Event()
         self._room.set()
-        self._is_over = self._is_replaced = False
+        self._is_over = self._is_replaced = self._is_sending = False
+        self._n_sent = 0
         self.client, self.key = "", ""
 
     async def hello(self) -> Hello:
@@ -65,18 +66,17 @@ class Live:
         }  # fmt: skip
         await self._socket.send_json(welcome)
         tracker.on_death.add(self._tracker_died)
-        writer = asyncio.create_task(self._write())
-        reader = asyncio.create_task(self._read(tracker))
+        tasks = [asyncio.create_task(one) for one in (self._write(), self._read(tracker), self._look())]
         try:
-            done, _ = await asyncio.wait((writer, reader), return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for one in done:
                 one.result()
         finally:
             self._is_over = True
             tracker.on_death.discard(self._tracker_died)
-            for task in (writer, reader):
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(writer, reader, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
             if not self._is_replaced:
                 tracker.ask(lambda _: None, "leave", self.client)
 
@@ -125,33 +125,36 @@ class Live:
         self._something.set()
 
     async def _write(self) -> None:
-        """Send answers; a client that takes none for long is sent away."""
+        """Send answers."""
         socket, outbox, came = self._socket, self._outbox, self._came
         while True:
+            self._is_sending = False
             if not outbox:
                 self._something.clear()
                 await self._something.wait()
-            answer = outbox.popleft()
+            answer, self._is_sending = outbox.popleft(), True
+            self._n_sent += 1
             if isinstance(answer, RefusedError):
                 self._metrics.refused.labels(answer.status).inc()
                 if self._is_over:
                     raise answer
-                await self._send(socket.send_json(answer.document))
+                await socket.send_json(answer.document)
             elif isinstance(answer, bytes):
-                await self._send(socket.send_bytes(answer))
+                await socket.send_bytes(answer)
             else:
-                await self._send(socket.send_text(answer))
+                await socket.send_text(answer)
             if came:
                 self._metrics.wait.observe(monotonic() - came.popleft())
                 self._metrics.messages.inc()
             self._room.set()
 
-    async def _send(self, sending: Any) -> None:
-        try:
-            async with asyncio.timeout(self._config.patience):
-                await sending
-        except TimeoutError:
-            raise RefusedError(408, f"took no answer for {self._config.patience:g} s") from None
+    async def _look(self) -> None:
+        """Send a client away that takes no answer for long; to time each answer would cost as much as to send it."""
+        patience, n = self._config.patience, -1
+        while not (self._is_sending and n == self._n_sent):
+            n = self._n_sent
+            await asyncio.sleep(patience)
+        raise RefusedError(408, f"took no answer for {patience:g} s")
 
 
 async def close(socket: WebSocket, why: RefusedError) -> None:

@@ -12,6 +12,7 @@ from magmatch.data.document import adapter_of
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import first_fault
 from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.samples import unit_rows
 from magmatch.serve.refusals import RefusedError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -19,9 +20,10 @@ Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Four = Annotated[list[Number], Field(min_length=4, max_length=4)]
 
 # Binary samples: t (s), position (m), quaternion xyzw, field (T). Little-endian.
-SAMPLE = np.dtype([("t", "<f8"), ("p", "<f4", 3), ("q", "<f4", 4), ("b", "<f4", 3)])
+SAMPLE = np.dtype([("t", "<f8"), ("pqb", "<f4", 10)])
 # Binary poses: samples taken, status, t, probability, rows of T_map_body, upper triangle of the covariance by rows.
 POSE = struct.Struct("<IB3xdd12d21f")
+_HEAD, _NO_POSE = struct.Struct("<IB3xdd"), bytes(12 * 8 + 21 * 4)
 STATUSES = tuple(LocalizerStatus)
 _UPPER = np.triu_indices(6)
 
@@ -75,12 +77,14 @@ def read_samples(message: str | bytes, most: int) -> np.ndarray:
     rows = _binary(message) if isinstance(message, bytes) else _json(message)
     if len(rows) > most:
         raise RefusedError(413, f"expected at most {most} samples in a message, found {len(rows)}")
-    q = rows[:, 4:8]
-    norm = np.sqrt((q * q).sum(axis=1))
-    if not (np.abs(norm - 1) <= MAX_NORM_ERROR).all():
-        found = float(norm[np.argmax(np.abs(norm - 1))])
-        raise RefusedError(422, f"orientation: expected a unit quaternion x, y, z, w, found one of norm {found:.3g}")
-    rows[:, 4:8] = q / norm[:, None]
+    if (n := unit_rows(rows, MAX_NORM_ERROR)) < len(rows):
+        if not (is_finite := np.isfinite(rows[n])).all():
+            name = ("t", *("position",) * 3, *("orientation",) * 4, *("field",) * 3)[int(np.argmin(is_finite))]
+            words = f"{name}: expected finite numbers, found NaN or infinity; leave such samples out"
+        else:
+            found = float(np.linalg.norm(rows[n, 4:8]))
+            words = f"orientation: expected a unit quaternion x, y, z, w, found one of norm {found:.3g}"
+        raise RefusedError(422, words)
     return rows
 
 
@@ -89,11 +93,8 @@ def _binary(message: bytes) -> np.ndarray:
         words = f"expected a whole number of samples of {SAMPLE.itemsize} bytes each, found {len(message)} bytes"
         raise RefusedError(400, words)
     found = np.frombuffer(message, SAMPLE)
-    rows = np.column_stack([found["t"], found["p"], found["q"], found["b"]]).astype(np.float64)
-    if not np.isfinite(rows).all():
-        column = int(np.flatnonzero(~np.isfinite(rows).all(axis=0))[0])
-        name = ("t", *("position",) * 3, *("orientation",) * 4, *("field",) * 3)[column]
-        raise RefusedError(422, f"{name}: expected finite numbers, found NaN or infinity; leave such samples out")
+    rows = np.empty((len(found), 11))
+    rows[:, 0], rows[:, 1:] = found["t"], found["pqb"]
     return rows
 
 
@@ -116,7 +117,7 @@ def _valid(kind: type[Any], text: str) -> Any:
 
 def write_sample(t: float, p: np.ndarray, q: np.ndarray, b: np.ndarray) -> bytes:
     """One sample in the binary form."""
-    return np.array([(t, p, q, b)], SAMPLE).tobytes()
+    return np.array([(t, (*p, *q, *b))], SAMPLE).tobytes()
 
 
 def pose_document(n: int, t: float, now: Estimate) -> dict[str, Any]:
@@ -125,8 +126,8 @@ def pose_document(n: int, t: float, now: Estimate) -> dict[str, Any]:
         "type": "pose", "n": n, "t": t, "status": now.status.value, "reason": now.reason,
         "probability": now.probability, "map": now.map,
     }  # fmt: skip
-    if now.T_map_body is not None and now.covariance is not None:
-        said |= {"T_map_body": now.T_map_body.as_matrix().tolist(), "covariance": now.covariance.tolist()}
+    if now.matrix is not None and now.covariance is not None:
+        said |= {"T_map_body": now.matrix.tolist(), "covariance": now.covariance.tolist()}
     return said
 
 
@@ -134,10 +135,10 @@ def write_pose(n: int, t: float, now: Estimate, *, binary: bool) -> str | bytes:
     """An estimate after n samples as an answer."""
     if not binary:
         return json.dumps(pose_document(n, t, now), allow_nan=False)
-    T, C = np.zeros(12), np.zeros(21)
-    if now.T_map_body is not None and now.covariance is not None:
-        T, C = now.T_map_body.as_matrix()[:3].ravel(), now.covariance[_UPPER]
-    return POSE.pack(n & 0xFFFFFFFF, STATUSES.index(now.status), t, now.probability, *T, *C)
+    head = _HEAD.pack(n & 0xFFFFFFFF, STATUSES.index(now.status), t, now.probability)
+    if now.matrix is None or now.covariance is None:
+        return head + _NO_POSE
+    return head + now.matrix[:3].astype("<f8").tobytes() + now.covariance[_UPPER].astype("<f4").tobytes()
 
 
 def read_pose(answer: str | bytes) -> dict[str, Any]:

@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verb of this room: a map, or a folder of maps, is served until it is told to stop."""
 
+import asyncio
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 import uvicorn
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from magmatch.errors import ConfigurationError
 from magmatch.serve.app import build_app
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.service import Service
 
+# Bytes that are read of a WebSocket at once: of one that floods, so much is parsed before others have their turn.
+MAX_READ = 8192
 # Bytes of a request's head.
 MAX_HEAD = 16_384
 BACKLOG = 512
@@ -38,7 +42,7 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     listening = _listen(config)
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
-        build_app(service), http="h11", ws="websockets-sansio", ws_max_size=config.max_message,
+        build_app(service), http="h11", loop="asyncio", ws=_Wire, ws_max_size=config.max_message,
         ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="on", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5, backlog=BACKLOG,
     )  # fmt: skip
@@ -47,6 +51,14 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
         server.run(sockets=[listening])
     if service.fault is not None:
         raise service.fault
+
+
+class _Wire(WebSocketsSansIOProtocol):
+    """Reads little at a time; asyncio's transports would read 256 KiB, thousands of samples."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        transport.max_size = MAX_READ  # type: ignore[attr-defined]
+        super().connection_made(transport)
 
 
 class _Server(uvicorn.Server):

@@ -2,13 +2,11 @@
 """One body as a tracker follows it: its localizer, what was said last, and where it was."""
 
 import json
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from magmatch.geometry import pose_matrices
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.localization.kept_state import restored, state_of
@@ -66,14 +64,13 @@ class Body:
         assert self.localizer is not None
         return json.dumps({"name": self.name, "n": self.n, "t": self.t}).encode() + b"\n" + state_of(self.localizer)
 
-    def take(self, message: str | bytes, most: int) -> str | bytes:
+    def take(self, message: str | bytes, most: int, *, may_search: bool = True) -> str | bytes:
         """Take the samples of a message; gives the answer."""
         rows = read_samples(message, most)
-        poses = pose_matrices(rows[:, 1:4], rows[:, 4:8])
         localizer = self.localizer = self.localizer or Localizer(self.known, self.config)
         for k, row in enumerate(rows):
             try:
-                localizer.update_by_matrix(float(row[0]), poses[k], row[8:])
+                localizer.update_by_row(row, may_search=may_search)
             except ValueError as error:
                 place = f"sample {k}: " if len(rows) > 1 else ""
                 raise RefusedError(422, place + str(error)) from None
@@ -88,10 +85,10 @@ class Body:
             self.known, self.localizer = known, None
 
     def _remember(self) -> None:
-        if self.now.T_map_body is None:
+        if self.now.matrix is None:
             return
-        x, y, _ = self.now.T_map_body.translation.tolist()
-        if not self.trail or np.hypot(x - self.trail[-1][0], y - self.trail[-1][1]) > TRAIL_STEP:
+        x, y = self.now.matrix[:2, 3].tolist()
+        if not self.trail or math.hypot(x - self.trail[-1][0], y - self.trail[-1][1]) > TRAIL_STEP:
             self.trail.append((x, y, self.now.map or ""))
 
     def picture(self, client: str, *, with_trail: bool) -> dict[str, Any]:
@@ -101,8 +98,8 @@ class Body:
             "client": client[:8], "name": self.name, "is_here": self.left_at is None, "status": now.status.value,
             "reason": now.reason, "probability": now.probability, "map": now.map, "t": self.t, "n": self.n,
         }  # fmt: skip
-        if now.T_map_body is not None and now.covariance is not None:
-            T = now.T_map_body.as_matrix()
+        if now.matrix is not None and now.covariance is not None:
+            T = now.matrix
             R, C = T[:3, :3], now.covariance[3:, 3:]
             said |= {"T_map_body": T.tolist(), "covariance_xy": (R @ C @ R.T)[:2, :2].tolist()}
         elif self.localizer is not None:

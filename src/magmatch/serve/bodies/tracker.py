@@ -1,28 +1,38 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A process that follows some of the clients: messages in by a pipe, answers out, states to the disk now and then."""
 
+import gc
 import logging
+import select
 import signal
+from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
+import numpy as np
+
 from magmatch.atlas.atlas import MAX_LOADED
 from magmatch.errors import MagmatchError
+from magmatch.geometry import path_walked
 from magmatch.localization.known_places import KnownPlaces, open_place
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.body import Body
 from magmatch.serve.config import ServeConfig
+from magmatch.serve.messages import write_sample
 from magmatch.serve.refusals import RefusedError
 from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 # Seconds for which a body whose client left stays in memory, and between two looks at what is due.
 LINGER, TICK = 60.0, 0.1
+# A batch that took so long, s, begins no other search, which would take several times longer: others wait for it.
+SEARCH_WITHIN = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +49,25 @@ def run_tracker(pipe: Connection, place: Path, config: ServeConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service says when
     with one_blas_thread():
         try:
-            tracker = Tracker(load_places(place), place, config)
+            known = load_places(place)
+            rehearse(known, config)
+            tracker = Tracker(known, place, config)
         except (MagmatchError, OSError) as error:
             pipe.send(error)
             return
         pipe.send(None)
+        # All that is there by now stays: the collector need not look through it again.
+        gc.freeze()
+        # The pipe's own way to wait makes a selector each time.
+        arrival = select.poll()
+        arrival.register(pipe.fileno(), select.POLLIN)
         try:
             while True:
-                if pipe.poll(TICK):
+                if arrival.poll(1000 * TICK):
                     request = pipe.recv()
                     if request is None:
                         break
-                    pipe.send([tracker.answer(*one) for one in request])
+                    pipe.send(tracker.answers(request))
                 tracker.keep_up()
         except (EOFError, OSError):
             pass
@@ -67,21 +84,39 @@ def load_places(path: Path) -> KnownPlaces:
     return known
 
 
+def rehearse(known: KnownPlaces, config: ServeConfig) -> None:
+    """Walk along a map's own samples, so that no client waits until loops are compiled or read from the cache."""
+    first = known.of(known.entries[0])
+    survey = first.index.field_map.survey
+    n = int(np.searchsorted(path_walked(survey.positions), config.localizer.window * first.length))
+    body = Body(known, config.localizer, is_binary=True)
+    for k, (p, b) in enumerate(zip(survey.positions[:n], survey.field[:n], strict=True)):
+        with suppress(RefusedError):
+            body.take(write_sample(float(k), p, np.array([0.0, 0.0, 0.0, 1.0]), b), 1)
+
+
 class Tracker:
     """Bodies by their clients' ids."""
 
     def __init__(self, known: KnownPlaces, place: Path, config: ServeConfig) -> None:
         self._known, self._place, self._config = known, place, config
-        self._bodies: dict[str, Body] = {}
+        self._bodies: OrderedDict[str, Body] = OrderedDict()
         self._writer, self._loader = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        known.loader = self._loader
         self._loading: Future[KnownPlaces] | None = None
-        self._next_save = monotonic() + config.checkpoint_every
+        self._search_until = 0.0
+        self._next_save, self._written = monotonic(), self._writer.submit(lambda: None)
         self._verbs: dict[str, Callable[..., Any]] = {
             "open": self.open, "take": self.take, "leave": self.leave, "watch": self.watch, "renew": self.renew,
             "renewed": self.renewed,
         }  # fmt: skip
 
-    def answer(self, number: int, verb: str, *arguments: Any) -> tuple[int, Any]:
+    def answers(self, requests: list[tuple[Any, ...]]) -> list[tuple[int, Any]]:
+        """Do what is asked for, one after another."""
+        self._search_until = monotonic() + SEARCH_WITHIN
+        return [self._answer(*one) for one in requests]
+
+    def _answer(self, number: int, verb: str, *arguments: Any) -> tuple[int, Any]:
         """Do one thing; what cannot be done is the answer, too."""
         try:
             return number, self._verbs[verb](*arguments)
@@ -111,7 +146,7 @@ class Tracker:
         """Give the answer to a message."""
         body = self._bodies[client]
         body.move_on(self._known)
-        return body.take(message, self._config.max_samples)
+        return body.take(message, self._config.max_samples, may_search=monotonic() < self._search_until)
 
     def leave(self, client: str) -> None:
         """Hear that a client is gone; it may come back."""
@@ -136,16 +171,21 @@ class Tracker:
         loading, self._loading = self._loading, None
         try:
             self._known = loading.result()
+            self._known.loader = self._loader
         except (MagmatchError, OSError) as error:
             return str(error)
         return True
 
     def keep_up(self) -> None:
-        """Write what is due, and drop bodies whose clients left long ago."""
-        if monotonic() < self._next_save:
+        """Write a state where one is due, each in its turn so that nobody waits for all; drop who left long ago."""
+        now, every = monotonic(), self._config.checkpoint_every
+        if not self._bodies or now < self._next_save or not self._written.done():
             return
-        self._next_save = monotonic() + self._config.checkpoint_every
-        self._save_all()
+        # A disk that is slow is waited for, not caught up with.
+        self._next_save = max(self._next_save, now - every) + every / len(self._bodies)
+        client = next(iter(self._bodies))
+        self._bodies.move_to_end(client)
+        self._save(client)
         self._drop()
 
     def close(self) -> None:
@@ -155,10 +195,14 @@ class Tracker:
         self._loader.shutdown(cancel_futures=True)
 
     def _save_all(self) -> None:
-        for client, body in self._bodies.items():
-            if not body.is_kept:
-                self._writer.submit(_save, self._config.states, client, body.state())
-                body.is_kept = True
+        for client in self._bodies:
+            self._save(client)
+
+    def _save(self, client: str) -> None:
+        body = self._bodies[client]
+        if not body.is_kept:
+            self._written = self._writer.submit(_save, self._config.states, client, body.state())
+            body.is_kept = True
 
     def _drop(self, *, everyone: bool = False) -> None:
         """Let go of bodies whose clients are gone, once they are on the disk."""

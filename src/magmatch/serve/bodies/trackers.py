@@ -19,6 +19,8 @@ from magmatch.serve.refusals import RefusedError
 log = logging.getLogger(__name__)
 # Requests that go to a tracker at once: what it does in a few ms.
 MAX_BATCH = 64
+# Seconds between two batches: of many clients at once, each wakes two processes; one client alone never waits.
+GATHER = 0.004
 # Deaths within so many seconds after which a tracker is not started again.
 MOST_DEATHS, DEATHS_WITHIN = 10, 60.0
 STOP_WITHIN = 20.0
@@ -39,6 +41,7 @@ class TrackerHandle:
         self._process: SpawnProcess | None = None
         self._starting: asyncio.Task[None] | None = None
         self._is_closing = self.is_up = self._is_due = False
+        self._sent_at = 0.0
         self.n_restarts = 0
         # Called when the process is dead: whoever it followed comes again, to go on from the last checkpoint.
         self.on_death: set[Callable[[], None]] = set()
@@ -67,10 +70,7 @@ class TrackerHandle:
             answer(RefusedError(503, "the process that follows this client starts again; come again", retry_after=5))
             return
         self._waiting.append(((verb, *arguments), answer))
-        if not self._under_way and not self._is_due:
-            # After all that can be read now has been.
-            self._is_due = True
-            self._loop.call_soon(self._flush)
+        self._plan()
 
     async def asked(self, verb: str, *arguments: Any) -> Any:
         """Send a request and wait for the answer."""
@@ -101,12 +101,18 @@ class TrackerHandle:
             self._process.join()
         self._pipe.close()
 
+    def _plan(self) -> None:
+        """Send what waits, after all that can be read now has been."""
+        if self._waiting and not self._under_way and not self._is_due:
+            self._is_due = True
+            self._loop.call_at(self._sent_at + GATHER, self._flush)
+
     def _flush(self) -> None:
         self._is_due = False
         if self._under_way or not self._waiting or not self.is_up:
             return
         batch = [self._waiting.popleft() for _ in range(min(MAX_BATCH, len(self._waiting)))]
-        self._under_way = [answer for _, answer in batch]
+        self._under_way, self._sent_at = [answer for _, answer in batch], self._loop.time()
         try:
             self._pipe.send([(k, *request) for k, (request, _) in enumerate(batch)])
         except OSError:
@@ -121,7 +127,7 @@ class TrackerHandle:
         asked, self._under_way = self._under_way, []
         for number, found in answers:
             asked[number](found)
-        self._flush()
+        self._plan()
 
     def _on_death(self) -> None:
         """Tell those whose requests are lost, and start another process."""

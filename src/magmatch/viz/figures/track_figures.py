@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 def path_figure(track: Track, k: int) -> "Figure":
     """The poses stated in one of the maps, over its |B|."""
     go, field_map = require_plotly(), track.maps[k]
-    stated = [
-        e for e in track.estimates if e.T_map_body is not None and (len(track.maps) == 1 or e.map == _name(track, k))
-    ]
-    points = np.array([e.T_map_body.translation for e in stated if e.T_map_body is not None]).reshape(-1, 3)
+    stated = [e for e in track.estimates if e.is_stated and (len(track.maps) == 1 or e.map == _name(track, k))]
+    points = np.array([e.matrix[:3, 3] for e in stated if e.matrix is not None]).reshape(-1, 3)
     sd = np.array([np.sqrt(np.linalg.eigvalsh(e.covariance[3:, 3:])[-1]) for e in stated if e.covariance is not None])
     cut = cut_through(np.concatenate([field_map.survey.positions, points]))
     a, b, _ = cut.axes
