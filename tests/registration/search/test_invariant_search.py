@@ -12,9 +12,9 @@ from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
-    align_frames,
     choose_anchors,
     distinct_poses,
+    frame_hypotheses,
     invariant_search,
     judging_samples,
     similar_points,
@@ -35,8 +35,8 @@ def pair():
 
 def test_frames_of_one_point_seen_twice_are_aligned_by_the_turn_between(pair):
     rows = np.arange(200)
-    R = align_frames(*pair, rows, rows)
-    np.testing.assert_allclose(R, np.tile(rotation_matrix(T_TRUE), (200, 1, 1)), atol=1e-6)
+    poses = frame_hypotheses(*pair, rows, rows[:, None])
+    np.testing.assert_allclose(poses.rotations, np.tile(rotation_matrix(T_TRUE), (200, 1, 1)), atol=1e-6)
 
 
 def test_a_point_is_most_like_itself_seen_from_elsewhere(pair):

@@ -88,7 +88,7 @@ def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_betwe
     assert (np.diff(distance2, axis=1) >= 0).all()
     is_there = distance2[:, 0] < 1e-6
     assert is_there.mean() > 0.2
-    R, pb, rows = hypotheses(table, walk, i, j, similar)
+    R, pb, rows, _ = hypotheses(table, walk, i, j, similar)
     assert rows.tolist() == np.repeat(np.arange(len(i)), 3).tolist()
     first = np.arange(len(i)) * 3
     true = R[first[is_there]]
