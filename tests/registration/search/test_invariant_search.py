@@ -79,6 +79,9 @@ def test_anchors_are_drawn_once_each_by_how_well_their_gradient_is_known(pair):
     )
     drawn = np.concatenate([choose_anchors(steep, 20, np.random.default_rng(k)) for k in range(30)])
     assert 0.05 < (drawn < 10).mean() < 0.25
+    # Where the field has no gradient at all, one point is as good as another.
+    even = replace(target, gradient_sd=np.zeros(200), point_gradient=np.zeros((200, 3, 3)))
+    assert len(set(choose_anchors(even, 60, np.random.default_rng(0)).tolist())) == 60
 
 
 def test_half_of_the_judges_are_near_the_anchor_and_the_others_anywhere(pair):
