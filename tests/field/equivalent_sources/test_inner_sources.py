@@ -126,6 +126,13 @@ def test_magnets_that_are_found_explain_as_much_as_the_true_ones_however_many_an
     assert left(*find_magnets(lanes, field, 0.3)) <= left(magnets, moments)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_on_a_field_that_changes_linearly_shows_no_magnet(seed):
+    lanes = over_a_floor()
+    field = lanes @ np.diag([2e-6, -1e-6, -1e-6]) + np.random.default_rng(seed).normal(scale=NOISE, size=lanes.shape)
+    assert len(find_magnets(lanes, field, 0.3)[0]) == 0
+
+
 def test_magnets_under_a_lane_are_found_where_they_are():
     lanes = over_a_floor()
     magnets, rng = np.array([[0.2, 0.3, 0.02], [0.7, 0.5, 0.0], [0.55, 0.1, 0.03]]), np.random.default_rng(0)
