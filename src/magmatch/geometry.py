@@ -166,6 +166,12 @@ def pose_matrices(positions: Points, quaternions: np.ndarray) -> Tensors:
     return T
 
 
+def unit_vectors(vectors: Vectors) -> Vectors:
+    """Vectors (n, 3) of length 1, in the same directions; where one has no length, 0."""
+    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
+    return unit
+
+
 def skew(v: Points) -> Tensors:
     """Cross-product matrices: ``skew(a) @ b == a x b``.
 
