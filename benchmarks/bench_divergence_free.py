@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published field model: what the spacing of its inducing points costs, against the exact posterior.
 
+Run: PYTHONPATH=tests python benchmarks/bench_divergence_free.py
+
 Error at left-out stretches of a simulated office (noise included), on the same 1,500 samples; needs the extra
 'simulation'.
 """
@@ -8,7 +10,6 @@ Error at left-out stretches of a simulated office (noise included), on the same 
 from dataclasses import replace
 
 import numpy as np
-from oracle import DenseGP
 
 from magmatch import simulate
 from magmatch.field.config import FieldConfig
@@ -17,6 +18,7 @@ from magmatch.field.prior_choice.numbers import choose_numbers
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.script import rmse_ut
+from oracles.dense import DenseGP
 
 CONSTANT_SD = DivergenceFreeConfig().constant_sd
 SPACINGS = ((0.6, 0.8), (0.7, 0.7), (0.7, 1.0), (0.85, 1.0), (0.85, 1.4), (1.0, 1.4))

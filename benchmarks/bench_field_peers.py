@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Our field models against what one would use instead: time at equal numbers, and error on held-out recordings.
 
-Usage: python benchmarks/bench_field_peers.py [--from DIR] [--skip-times] [--rows cea ...]
+Usage: PYTHONPATH=tests python benchmarks/bench_field_peers.py [--from DIR] [--skip-times] [--rows cea ...]
 Run with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. GPyTorch joins where it is installed. RMSE is of 3-vectors; every
 method chooses its numbers from the training samples alone. 'near' are queries less than 2 m from a training sample,
 'far' those of them more than 0.3 m from any.
@@ -14,7 +14,6 @@ from importlib.metadata import version
 import numpy as np
 from bench_priors import left_out
 from field_peers import HAS_GPYTORCH, PEERS, exact_divergence_free
-from oracle import DenseGP
 from scipy.spatial import cKDTree
 
 from magmatch import FieldConfig, build_map
@@ -26,6 +25,7 @@ from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.threads import single_threaded
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
+from oracles.dense import DenseGP
 
 BOX = np.array([3.0, 3.0, 1.0])
 SD, NOISE_SD = 20 * UT, 0.4 * UT  # of a component of the simulated field; 2 % of it as noise

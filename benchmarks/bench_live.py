@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Live estimation along an endless walk, one sample per call, against the published recursive update; one thread.
 
-Usage: OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16] [--from DIR]
+Usage: PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16]
+    [--from DIR]
 A robot walks loops through a building at 1 m/s with a 200 Hz sensor, and asks once a second of its own time for
 field, gradient and variance at 25 points within half a metre, from data at most 1 s old. Truth is a sum of dipoles.
 The peer is the published recursion over a room, its domain declared beforehand; it gets the same samples there.
@@ -12,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from bench_field import dipole_field
-from oracle import RecursiveSparseGP
 from threadpoolctl import threadpool_limits
 
 from magmatch.data.recordings import load_recordings
@@ -22,6 +22,7 @@ from magmatch.field.inducing.inducing_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
+from oracles.recursive import RecursiveSparseGP
 
 RATE, SPEED = 200, 1.0
 H = Hyperparameters(0.8, 8 * UT, 0.4 * UT, 0.2, 100.0)

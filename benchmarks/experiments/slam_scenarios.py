@@ -35,7 +35,8 @@ from magmatch.simulation.paths import (
 )
 from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
 from magmatch.slam.config import OdometryConfig
-from magmatch.slam.graph.pose_graph import Closure
+from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.ties import Closure
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.tie import APART
 from magmatch_evaluation.saved_table import saver, show
@@ -135,7 +136,7 @@ def ceiling(session: mm.Session, path: np.ndarray, turned: Rotation) -> mm.Surve
         for a in range(b - APART + 1)
         if np.linalg.norm(p[a] - p[b]) < near
     ]
-    graph.solve()
+    solve(graph)
     return corrected(one, graph)
 
 

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from numba import njit
-from numba.core import event
+from numba import njit, types
+from numba.core import event, sigutils
 
 log = logging.getLogger(__name__)
 # Above information and below a warning: to be told at once.
@@ -26,11 +26,17 @@ NOTICE = 25
 compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)  # type: ignore[call-overload]
 # Becomes part of the loop that calls it before that is compiled, so that counts known there are known here.
 inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
-_known: list[tuple[Any, str]] = []
+_known: list[tuple[Any, tuple[types.Type, ...]]] = []
 
 
-def compiled_ahead(signature: str) -> Callable[[Any], Any]:
+def record(kind: type, fields: str) -> Any:
+    """Type of a named tuple as loops see it, from the types of its fields."""
+    return types.BaseTuple.from_types(_types(fields), kind)  # type: ignore[no-untyped-call]
+
+
+def compiled_ahead(*arguments: str | types.Type) -> Callable[[Any], Any]:
     """Compile a loop whose signature is known, so that another process may do it before it is called."""
+    signature = tuple(one for part in arguments for one in (_types(part) if isinstance(part, str) else (part,)))
 
     def decorate(function: Any) -> Any:
         loop = compiled(function)
@@ -38,6 +44,11 @@ def compiled_ahead(signature: str) -> Callable[[Any], Any]:
         return loop
 
     return decorate
+
+
+def _types(words: str) -> tuple[types.Type, ...]:
+    """Types of values that are listed, such as ``f8, i8[::1]``."""
+    return tuple(sigutils.normalize_signature(f"({words},)")[0])  # type: ignore[no-untyped-call]
 
 
 def compile_known(module: str) -> None:

@@ -144,6 +144,12 @@ def transform_from_product(matrix: Matrix) -> RigidTransform:
     return RigidTransform(matrix, normalize=bool(error > ORTHONORMAL_TO_ROUNDING))
 
 
+def unit_vectors(vectors: Vectors) -> Vectors:
+    """Vectors (n, 3) of length 1, in the same directions; where one has no length, 0."""
+    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
+    return unit
+
+
 def skew(v: Points) -> Tensors:
     """Cross-product matrices: ``skew(a) @ b == a x b``.
 

@@ -18,6 +18,13 @@ def test_typical_length_of_a_squared_exponential_potential_is_its_lengthscale(le
     assert typical_length(CLOUD, field) == pytest.approx(length, rel=0.35)
 
 
+@pytest.mark.parametrize("power", [-10, 10])
+def test_typical_length_follows_the_unit_of_length(power):
+    field = 1e-6 * np.sin(3 * CLOUD)
+    there = typical_length(CLOUD * 2.0**power, field)
+    assert there == pytest.approx(2.0**power * typical_length(CLOUD, field), rel=1e-9)
+
+
 def test_a_few_spikes_do_not_change_the_typical_length():
     field = 1e-6 * np.sin(3 * CLOUD)
     spiked = field.copy()

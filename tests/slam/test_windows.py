@@ -11,6 +11,7 @@ from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import lie_level, odometry_graph
+from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.windows import cut
 
@@ -37,7 +38,7 @@ def test_every_sample_lies_in_one_window_and_nodes_count_on(laps, length):
 def test_a_correction_of_nothing_is_the_log_itself():
     (path,) = cut([LOG], 0.8, CONFIG)
     graph = odometry_graph([path], CONFIG)
-    graph.solve()
+    solve(graph)
     after = corrected(path, graph)
     np.testing.assert_allclose(after.positions, LOG.positions, atol=1e-9)
     np.testing.assert_allclose(after.field, LOG.field, atol=1e-15)

@@ -17,8 +17,8 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, common_leng
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
-    align_frames,
     choose_anchors,
+    frame_hypotheses,
     judging_samples,
     similar_points,
 )
@@ -63,12 +63,12 @@ def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.ra
     if not len(i) or not len(table.first):
         return 0.0
     similar, distance2 = similar_pairs(table, walk, i, j, config.n_neighbours)
-    R, anchors, pair_rows = hypotheses(table, walk, i, j, similar)
-    middle = (walk.positions[i] + walk.positions[j])[pair_rows] / 2
-    centers = anchors + np.einsum("nij,nj->ni", R, walk.positions.mean(axis=0) - middle)
+    poses = hypotheses(table, walk, i, j, similar)
+    centers = poses.carry(walk.positions.mean(axis=0))
     # Pairs unlike any of the base fall to its most unlike ones, all in one place: such agreement means little.
     weights = np.exp(-distance2.ravel() / DISTANCE2)
-    largest = _largest_agreement(R, centers, pair_rows, weights, SAME_ROTATION, SAME_PLACE * table.length)
+    angle, distance = SAME_ROTATION, SAME_PLACE * table.length
+    largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
     return float(largest / len(i))
 
 
@@ -84,11 +84,10 @@ def _best_score(
 ) -> float:
     anchors = choose_anchors(target, N_ANCHORS, rng)
     neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS, config.whitening_floor)
-    rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
-    R = align_frames(base, target, neighbours.ravel(), anchors[rows])
-    judges = judging_samples(target.points[anchors], target, N_JUDGES, rng)
+    poses = frame_hypotheses(base, target, anchors, neighbours)
+    judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
     scores = score_poses(
-        R, base.points[neighbours.ravel()], rows, target.points[anchors], judges, weigh_samples(base, target), base,
+        poses, judges, weigh_samples(base, target), base,
         config.sd_rotation, config.sd_translation * common_length(base, target), config.outlier_share,
     )  # fmt: skip
     return max(float(scores.max()), 0.0)

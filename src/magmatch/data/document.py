@@ -91,17 +91,6 @@ def adapter_of(kind: type[T]) -> TypeAdapter[T]:
     return _ADAPTERS[kind]
 
 
-def read_typed(path: str | Path, kind: type[T], schema: str, what: str, max_bytes: int, **defaults: Any) -> T:
-    """Read a document and validate it; a value that cannot be is named by its key."""
-    expect_path(path)
-    document = read_document(path, schema, what, max_bytes)
-    try:
-        return adapter_of(kind).validate_python(defaults | document)
-    except ValidationError as error:
-        place, words = first_fault(error)
-        raise DataFormatError(path, f"key '{place}': {words}") from None
-
-
 class TypedDocument:
     """A dataclass that is a file: its fields, in their order, under a schema."""
 
@@ -111,13 +100,28 @@ class TypedDocument:
     KIND: ClassVar[str]
     MAX_BYTES: ClassVar[int] = 256 * 1024**2
 
+    @staticmethod
+    def key(name: str) -> str:
+        """Key of the file for a field."""
+        return name
+
+    def fault(self) -> tuple[str, str] | None:
+        """Key of a value that contradicts others, and what was expected; None where nothing does."""
+        return None
+
     def to_dict(self) -> dict[str, Any]:
         """What the result says, in lists, numbers and words, keys and order as in the file."""
         names = [f.name for f in fields(self)]  # type: ignore[arg-type]
-        return {"schema": self.SCHEMA} | {name: plain(getattr(self, name), name) for name in names}
+        return {"schema": self.SCHEMA} | {self.key(n): plain(getattr(self, n), self.key(n)) for n in names}
 
     def save(self, path: str | Path) -> None:
-        """Write the result as JSON, whole or not at all."""
+        """Write the result as JSON (layout in ``docs/conventions.md``), whole or not at all.
+
+        Raises
+        ------
+        DataFormatError
+            The folder does not exist.
+        """
         write_document(path, self.to_dict())
 
     @classmethod
@@ -129,7 +133,17 @@ class TypedDocument:
         DataFormatError
             Not such a file, or one of its values cannot be; names the key.
         """
-        return read_typed(path, cls, cls.SCHEMA, cls.KIND, cls.MAX_BYTES)
+        expect_path(path)
+        document = read_document(path, cls.SCHEMA, cls.KIND, cls.MAX_BYTES)
+        try:
+            found = adapter_of(cls).validate_python(document)
+        except ValidationError as error:
+            fault: tuple[str, str] | None = first_fault(error)
+        else:
+            fault = found.fault()
+        if fault is not None:
+            raise DataFormatError(path, f"key '{fault[0]}': {fault[1]}")
+        return found
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from magmatch.geometry import unit_vectors
 from magmatch.typing import Mask, Scalars, Tensors, Vectors
 
 # Support vectors held in memory at once.
@@ -27,7 +28,7 @@ def local_frames(
     ``w_s = exp(-d_s^2 / 2 frame_sd^2)``; ``y = z x x``.
     """
     own = field[keypoint_rows]
-    z = _unit(own)
+    z = unit_vectors(own)
     weight = np.exp(-0.5 * (distance / frame_sd) ** 2)
     total, lengths = np.zeros((len(own), 3)), np.zeros(len(own))
     step = max(CHUNK // max(neighbours.shape[1], 1), 1)
@@ -39,7 +40,7 @@ def local_frames(
         lengths[part] = np.einsum("s,ks->k", weight, np.linalg.norm(lateral, axis=2))
     # Once more, so that the axes are orthogonal to rounding where the sum nearly cancels.
     total -= np.einsum("kc,kc->k", total, z)[:, None] * z
-    x = _unit(total)
+    x = unit_vectors(total)
     tiny = np.finfo(float).tiny
     strength: Scalars = np.linalg.norm(total, axis=1) / np.maximum(lengths, tiny)
     strength[np.linalg.norm(own, axis=1) < tiny] = 0.0
@@ -50,8 +51,3 @@ def is_defined(strength: Scalars, minimum: float) -> Mask:
     """Whether a frame's x-axis is more than noise."""
     defined: Mask = strength > minimum
     return defined
-
-
-def _unit(vectors: Vectors) -> Vectors:
-    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
-    return unit

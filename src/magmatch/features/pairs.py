@@ -7,6 +7,7 @@ Two points do: the vector between them and the two field vectors.
 
 import numpy as np
 
+from magmatch.geometry import unit_vectors
 from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
 
@@ -69,7 +70,7 @@ def align_pairs(
     weights = (_direction_sd(distance, sd_position) ** -2, field_weight, field_weight)
     H = np.zeros((len(distance), 3, 3))
     for w, a, b in zip(weights, base, target, strict=True):
-        H += np.einsum("n,ni,nj->nij", w, _unit(a), _unit(b), optimize=True)
+        H += np.einsum("n,ni,nj->nij", w, unit_vectors(a), unit_vectors(b), optimize=True)
     U, _, Vt = np.linalg.svd(H)
     U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
     R: Tensors = U @ Vt
@@ -80,8 +81,3 @@ def _direction_sd(distance: Scalars, sd_position: float) -> Scalars:
     """Uncertainty of the direction between two points, rad."""
     sd: Scalars = np.sqrt(2) * sd_position / np.maximum(distance, 2 * sd_position)
     return sd
-
-
-def _unit(v: Vectors) -> Vectors:
-    unit: Vectors = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny)
-    return unit

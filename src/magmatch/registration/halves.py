@@ -16,7 +16,7 @@ from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk, is_line
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.walk_strategy import WalkStrategy
-from magmatch.registration.weigh.bend import DRIFTS, REMEDY
+from magmatch.registration.weigh.bend import DRIFTS, REMEDY, weigh_halves
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
 
 
@@ -40,11 +40,11 @@ def naming_drift(
     def weighed(part: Walk, starts: list[RigidTransform]) -> list[LineEvidence]:
         return weigh_walk(walks.base, part, starts, walks.noise, walks.length, pair.prior, config.walks.evidence)[:1]
 
-    halves = []
-    for rows in np.array_split(np.arange(len(walk)), 2):
-        part = walk.part(rows)
-        found = strategy.search(replace(pair, target=part))
-        halves += weighed(part, [best, *(one.T_base_target for one in found.candidates)])
+    def searched(half: Walk) -> list[LineEvidence]:
+        found = strategy.search(replace(pair, target=half))
+        return weighed(half, [best, *(one.T_base_target for one in found.candidates)])
+
+    halves = [one for _, one in weigh_halves(walk, np.arange(len(walk)), searched)]
     evidence = [effective_evidence(one.log_evidence, one.misfit) for one in halves]
     whole = max((effective_evidence(one.log_evidence, one.misfit) for one in weighed(walk, [best])), default=0.0)
     needed = needed_evidence(config.decision.min_probability, "walk", config.decision.prior_odds)

@@ -4,9 +4,8 @@
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -22,13 +21,10 @@ from pydantic_core.core_schema import no_info_after_validator_function
 from scipy.spatial.transform import RigidTransform
 from typing_extensions import TypedDict
 
-from magmatch.data.document import plain, read_typed, write_document
-from magmatch.errors import DataFormatError
+from magmatch.data.document import TypedDocument
 from magmatch.geometry import transform_from_matrix, transform_points
 from magmatch.picture import BASE, TARGET, points_picture, share_picture, with_picture
 
-SCHEMA = "magmatch.registration/1"
-MAX_BYTES = 64 * 1024**2
 MAX_LINKS = 300
 # Rounding that a covariance from elsewhere may show, relative to its standard deviations (units differ by entry).
 COVARIANCE_TOLERANCE = 1e-9
@@ -164,13 +160,8 @@ class Sensor(TypedDict, total=False):
     calibrated: dict[Annotated[str, Field(pattern="^(base|target)$")], Calibration]
 
 
-def _key(name: str) -> str:
-    """Key of the file for a field of the result."""
-    return name.removeprefix("n_")
-
-
 @dataclass(frozen=True, eq=False, slots=True)
-class RegistrationResult:
+class RegistrationResult(TypedDocument):
     """The answer of `register`, accepted or not; fields stand in the order of the file.
 
     Attributes
@@ -208,10 +199,19 @@ class RegistrationResult:
         Enough to run it again and get the same numbers.
     """
 
-    __pydantic_config__: ClassVar = ConfigDict(alias_generator=_key)
+    SCHEMA = "magmatch.registration/1"
+    KIND = "registration result"
+    MAX_BYTES = 64 * 1024**2
+
+    @staticmethod
+    def key(name: str) -> str:
+        """Key of the file for a field: counts stand there by what they count."""
+        return name.removeprefix("n_")
+
+    __pydantic_config__: ClassVar = ConfigDict(alias_generator=key)
 
     status: Status
-    reason: str
+    reason: Annotated[str, Field(default="")]  # files from elsewhere need not have one
     base: str | None = field(default=None, kw_only=True)
     T_base_target: Transform | None
     covariance: Covariance | None = None
@@ -281,54 +281,22 @@ class RegistrationResult:
         at_target = shift - cross @ np.linalg.solve(turn, cross.T)
         return float(np.sqrt(np.trace(turn))), float(np.sqrt(max(float(np.trace(at_target)), 0.0)))
 
+    def fault(self) -> tuple[str, str] | None:
+        """A transform or a covariance that contradicts the status."""
+        if (self.T_base_target is not None) != self.is_accepted:
+            said = f"{'null' if self.T_base_target is None else 'given'} with '{self.status}'"
+            return "T_base_target", f"expected a transform exactly where accepted, {said}"
+        if self.covariance is not None and not self.is_accepted:
+            return "covariance", "expected null where nothing was accepted"
+        return None
+
     def to_dict(self) -> dict[str, Any]:
         """What the result says, in lists, numbers and words, keys and order as in the file."""
         is_known = self.covariance is not None and np.isfinite(self.covariance).all()
-        result = replace(self, covariance=self.covariance if is_known else None, links=self.links.few())
-        document = {_key(f.name): plain(getattr(result, f.name), _key(f.name)) for f in fields(self)}
+        stated = replace(self, covariance=self.covariance if is_known else None, links=self.links.few())
+        document = TypedDocument.to_dict(stated)
         for alternative in document["alternatives"]:
             # It stands last, and only where there is one.
             base = alternative.pop("base")
             alternative.update({} if base is None else {"base": base})
-        return {"schema": SCHEMA} | document
-
-    def save(self, path: str | Path) -> None:
-        """Write the result as JSON (layout in ``docs/conventions.md``), whole or not at all.
-
-        Parameters
-        ----------
-        path : path
-            Where; an existing file is replaced.
-
-        Raises
-        ------
-        DataFormatError
-            The folder does not exist.
-        """
-        write_document(path, self.to_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> "RegistrationResult":
-        """Read a result; saving it again gives the same bytes.
-
-        Parameters
-        ----------
-        path : path
-            A file that `save` wrote, or JSON of the same layout from elsewhere.
-
-        Returns
-        -------
-        RegistrationResult
-
-        Raises
-        ------
-        DataFormatError
-            Not such a file, or one of its values cannot be; names the key.
-        """
-        result = read_typed(path, RegistrationResult, SCHEMA, "registration result", MAX_BYTES, reason="")
-        if (result.T_base_target is not None) != result.is_accepted:
-            said = f"{'null' if result.T_base_target is None else 'given'} with '{result.status}'"
-            raise DataFormatError(path, f"key 'T_base_target': expected a transform exactly where accepted, {said}")
-        if result.covariance is not None and not result.is_accepted:
-            raise DataFormatError(path, "key 'covariance': expected null where nothing was accepted")
-        return result
+        return document

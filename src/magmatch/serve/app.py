@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is asked for at which path, and what is answered."""
 
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -30,56 +30,6 @@ PAGE = files("magmatch.serve") / "page"
 
 def build_app(service: Service) -> Starlette:
     """Put paths and answers together."""
-
-    @asynccontextmanager
-    async def running(_: Starlette) -> AsyncIterator[None]:
-        async with service.running():
-            yield
-
-    def admitted(follow: Callable[[Service, WebSocket], Awaitable[None]]) -> Callable[[WebSocket], Awaitable[None]]:
-        """One of the places for clients is held for as long as a socket is followed."""
-
-        async def answer(socket: WebSocket) -> None:
-            try:
-                service.enter()
-            except RefusedError as refused:
-                await socket.send_denial_response(_refusal(service, refused))
-                return
-            try:
-                await socket.accept(_subprotocol(socket))
-                await follow(service, socket)
-            except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
-                pass
-            finally:
-                service.leave()
-
-        return answer
-
-    async def log(request: Request) -> Response:
-        verb: Verb = "register" if request.url.path == "/register" else "localize"
-        question = read_question(request.query_params.multi_items())
-        version = service.catalogue.served.version
-        with TemporaryDirectory(prefix="magmatch-") as folder:
-            upload = Path(folder) / "log"
-            await receive_log(request, upload, service.config)
-            arguments = (verb, service.place, version, upload, question, service.config)
-            document = await service.workers.run(work_on_log, *arguments)
-        service.metrics.logs.labels(verb).inc()
-        return JSONResponse(document)
-
-    async def maps(_: Request) -> Response:
-        return JSONResponse(service.catalogue.document())
-
-    async def picture(request: Request) -> Response:
-        return JSONResponse(await service.picture(request.path_params["name"]))
-
-    async def health(_: Request) -> Response:
-        said = service.health()
-        return JSONResponse(said, 200 if said["status"] == "well" else 503)
-
-    async def metrics(_: Request) -> Response:
-        return Response(service.metrics.text(), headers={"Content-Type": CONTENT_TYPE})
-
     app = Starlette(
         routes=[
             Route("/", _file("page.html", "text/html"), methods=["GET"]),
@@ -87,22 +37,66 @@ def build_app(service: Service) -> Starlette:
             Route("/page.css", _file("page.css", "text/css"), methods=["GET"]),
             Route("/docs", lambda _: HTMLResponse(openapi_page()), methods=["GET"]),
             Route("/openapi.json", lambda _: JSONResponse(openapi()), methods=["GET"]),
-            Route("/health", health, methods=["GET"]),
-            Route("/metrics", metrics, methods=["GET"]),
-            Route("/maps", maps, methods=["GET"]),
-            Route("/maps/{name}", picture, methods=["GET"]),
-            Route("/localize", log, methods=["POST"]),
-            Route("/register", log, methods=["POST"]),
-            WebSocketRoute("/live", admitted(_live)),
-            WebSocketRoute("/watch", admitted(_watch)),
+            Route("/health", partial(_health, service), methods=["GET"]),
+            Route("/metrics", partial(_metrics, service), methods=["GET"]),
+            Route("/maps", lambda _: JSONResponse(service.catalogue.document()), methods=["GET"]),
+            Route("/maps/{name}", partial(_picture, service), methods=["GET"]),
+            Route("/localize", partial(_log, service, "localize"), methods=["POST"]),
+            Route("/register", partial(_log, service, "register"), methods=["POST"]),
+            WebSocketRoute("/live", partial(_admit, service, _live)),
+            WebSocketRoute("/watch", partial(_admit, service, _watch)),
         ],
         middleware=[Middleware(Gate, config=service.config, metrics=service.metrics)],
         exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
-        lifespan=running,
+        lifespan=lambda _: service.running(),
     )
     # A path with a slash too many is another path.
     app.router.redirect_slashes = False
     return app
+
+
+async def _health(service: Service, _: Request) -> Response:
+    said = service.health()
+    return JSONResponse(said, 200 if said["status"] == "well" else 503)
+
+
+async def _metrics(service: Service, _: Request) -> Response:
+    return Response(service.metrics.text(), headers={"Content-Type": CONTENT_TYPE})
+
+
+async def _picture(service: Service, request: Request) -> Response:
+    return JSONResponse(await service.picture(request.path_params["name"]))
+
+
+async def _log(service: Service, verb: Verb, request: Request) -> Response:
+    """Let a worker answer a question of a log."""
+    question = read_question(request.query_params.multi_items())
+    version = service.catalogue.served.version
+    with TemporaryDirectory(prefix="magmatch-") as folder:
+        upload = Path(folder) / "log"
+        await receive_log(request, upload, service.config)
+        arguments = (verb, service.place, version, upload, question, service.config)
+        document = await service.workers.run(work_on_log, *arguments)
+    service.metrics.logs.labels(verb).inc()
+    return JSONResponse(document)
+
+
+async def _admit(
+    service: Service, follow: Callable[[Service, WebSocket], Awaitable[None]], socket: WebSocket
+) -> None:
+    """Follow a socket; one of the places for clients is held as long."""
+    try:
+        service.enter()
+    except RefusedError as refused:
+        await socket.send_denial_response(_refusal(service, refused))
+        return
+    try:
+        await socket.accept(_subprotocol(socket))
+        await follow(service, socket)
+    except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
+        pass
+    finally:
+        service.leave()
 
 
 async def _explain(service: Service, _: Request, error: Exception) -> Response:

@@ -9,6 +9,7 @@ from typing import Any
 from magmatch.atlas.atlas import maps_in
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import DataFormatError
+from magmatch.serve.refusals import without_paths
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,5 +83,5 @@ class Catalogue:
         ]
         return {
             "version": self.served.version, "maps": maps,
-            "fault": None if self.fault is None else self.fault.replace(str(self.place), "maps"),
+            "fault": None if self.fault is None else without_paths(self.fault, {self.place: "maps"}),
         }  # fmt: skip

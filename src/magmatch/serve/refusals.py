@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What cannot be done: a status code of HTTP and one sentence. A WebSocket is closed with 4000 more."""
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 CLOSE_WITH = 4000
@@ -27,3 +29,12 @@ class RefusedError(Exception):
         """When to come again, and how to say who one is."""
         found = {} if self.retry_after is None else {"Retry-After": str(max(1, round(self.retry_after)))}
         return found | ({"WWW-Authenticate": "Bearer"} if self.status == 401 else {})
+
+
+def without_paths(words: str, names: Mapping[Path, str]) -> str:
+    """What is said of files on one line, by names instead of their paths, whether these are absolute or not."""
+    words = " ".join(words.split())
+    for path, name in names.items():
+        for form in {str(path), str(path.resolve())} - {".", "/"}:
+            words = words.replace(form, name)
+    return words

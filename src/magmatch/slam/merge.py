@@ -22,7 +22,9 @@ from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.pose_graph import MOST_ODDS, Closure, PoseGraph
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.solve import MOST_ODDS, solve
+from magmatch.slam.graph.ties import Closure
 from magmatch.slam.places import Places
 from magmatch.slam.session import Session
 from magmatch.slam.statement import covariance_about
@@ -80,7 +82,7 @@ def merge(
             graph.closures = _register_pairs(given, maps, config, seed)
         with clock("graph"):
             _lay_out(graph)
-            graph.solve()
+            solve(graph)
     return Session(config, samples, Places(paths, graph), clock.seconds(), seed, is_rigid=True)
 
 

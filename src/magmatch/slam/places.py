@@ -18,6 +18,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.solve import forget_closures, solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closure import residuals
 from magmatch.slam.numbers import guessed_noise, shared_numbers
@@ -86,7 +87,7 @@ class Places:
         follow(self.paths[-1], self.graph)
         if self.anchors:
             self.graph.fixed = fixed_points(self.anchors, self.paths)
-        self.graph.solve()
+        solve(self.graph)
 
     def close(self, paths: Sequence[Path]) -> None:
         """Look for closures of some logs, as long as any is found."""
@@ -149,7 +150,7 @@ class Places:
         ]
         self.graph.closures += closures
         if closures:
-            self.graph.solve()
+            solve(self.graph)
         return len(closures)
 
     def stretch(self, node: int) -> Base:
@@ -230,7 +231,7 @@ def find(
             with clock("noise"):
                 places.close_near(places.paths)
                 places.learn_noise()
-                places.graph.forget_closures()
+                forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
     return places

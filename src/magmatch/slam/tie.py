@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import transform_error, transform_from_matrix
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
-from magmatch.slam.graph.pose_graph import REACH, Closure, PoseGraph
+from magmatch.slam.graph.pose_graph import REACH, PoseGraph
+from magmatch.slam.graph.ties import Closure
 from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars

@@ -98,15 +98,47 @@ def test_along_a_path_and_in_a_plane_there_are_no_holes():
         assert len(hole_charges(lay_shell(points, 0.4, 0.2, 600), points)[0]) == 0
 
 
-def test_magnets_under_a_lane_are_found_where_they_are():
+def over_a_floor():
     x, y = np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 0.8, 0.1))
-    lanes = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=1)
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=1)
+
+
+def dipoles(points, magnets, moments):
+    field = np.zeros_like(points)
+    for at, moment in zip(magnets, moments, strict=True):
+        r, d = points - at, np.linalg.norm(points - at, axis=1)[:, None]
+        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+    return field
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_magnets_that_are_found_explain_as_much_as_the_true_ones_however_many_and_close(seed):
+    lanes, rng = over_a_floor(), np.random.default_rng(seed)
+    magnets = np.c_[rng.uniform(0.1, 0.9, 10), rng.uniform(0.1, 0.7, 10), rng.uniform(-0.05, 0.06, 10)]
+    moments = 1e-7 * rng.normal(size=(10, 3))
+    field = dipoles(lanes, magnets, moments) + rng.normal(scale=NOISE, size=lanes.shape)
+
+    def left(at, moments):
+        """Beside what changes linearly."""
+        A, b = np.c_[np.ones(len(lanes)), lanes], field - dipoles(lanes, at, moments)
+        return np.linalg.norm(b - A @ np.linalg.lstsq(A, b)[0])
+
+    assert left(*find_magnets(lanes, field, 0.3)) <= left(magnets, moments)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_on_a_field_that_changes_linearly_shows_no_magnet(seed):
+    lanes = over_a_floor()
+    field = lanes @ np.diag([2e-6, -1e-6, -1e-6]) + np.random.default_rng(seed).normal(scale=NOISE, size=lanes.shape)
+    assert len(find_magnets(lanes, field, 0.3)[0]) == 0
+
+
+def test_magnets_under_a_lane_are_found_where_they_are():
+    lanes = over_a_floor()
     magnets, rng = np.array([[0.2, 0.3, 0.02], [0.7, 0.5, 0.0], [0.55, 0.1, 0.03]]), np.random.default_rng(0)
     moments = 1e-8 * np.array([[0.5, 1.0, 3.0], [2.0, 0.0, -3.0], [0.0, 1.0, 2.0]])
     field = np.array([18e-6, 2e-6, -44e-6]) + rng.normal(scale=NOISE, size=lanes.shape)
-    for at, moment in zip(magnets, moments, strict=True):
-        r, d = lanes - at, np.linalg.norm(lanes - at, axis=1)[:, None]
-        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+    field += dipoles(lanes, magnets, moments)
     found, strengths = find_magnets(lanes, field, 0.3)
     order = [int(np.argmin(np.linalg.norm(found - at, axis=1))) for at in magnets]
     np.testing.assert_allclose(found[order], magnets, atol=2e-3)

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.prepared.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.register import register
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
@@ -168,20 +169,20 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     poses = [T, T * about(rng, 2.5), T * RigidTransform.from_translation([9.0, 0, 0])]
     R = np.array([P.rotation.as_matrix() for P in poses])
     pb = np.array([P.apply(a) for P, a in zip(poses, anchors, strict=True)])
-    poses = R[:1], pb[:1], np.arange(1)
-    R, pb, rows = prior.narrow((R, pb, np.arange(3)), anchors, CENTER, (0.01, 0.01), rng)
+    given = Hypotheses(R, pb, np.arange(3), anchors)
+    found = prior.narrow(given, CENTER, (0.01, 0.01), rng)
+    R, pb, rows, about_these = found
+    assert about_these is anchors
     assert len(R) == len(pb) == len(rows) == MOST_DRAWN + 1
     np.testing.assert_allclose(R[0], T.rotation.as_matrix(), atol=1e-12)
-    # Where each puts the middle, carried from its anchor.
-    moved = pb + np.einsum("nij,nj->ni", R, CENTER - anchors[rows])
+    moved = found.carry(CENTER)
     np.testing.assert_allclose(moved[1], T.apply(CENTER), atol=1e-9)
     assert prior.admits(R, moved, CENTER, (0.01, 0.01)).mean() > 0.97
     assert set(rows[1:].tolist()) == {0, 1, 2}
     # Fewer are enough for a search that tells fewer apart.
-    assert len(prior.narrow(poses, anchors, CENTER, (1.0, 1.0), rng)[0]) == FEWEST_DRAWN + 1
+    assert len(prior.narrow(given.subset(slice(1)), CENTER, (1.0, 1.0), rng)[0]) == FEWEST_DRAWN + 1
     flat = PosePrior(1.0)
-    given_poses = R, pb, rows
-    assert flat.narrow(given_poses, anchors, CENTER, (0.1, 0.1), rng) is given_poses
+    assert flat.narrow(given, CENTER, (0.1, 0.1), rng) is given
 
 
 def test_densities_pay_for_all_poses_for_turns_about_the_vertical_or_for_a_rough_pose():

@@ -74,6 +74,10 @@ def test_the_change_is_what_the_moved_sources_make(moved, beside):
     assert beside.noise < CONFIG.max_noise
 
 
+def test_as_many_charges_stand_for_a_change_as_may(beside):
+    assert 0.9 * CONFIG.n_charges < len(beside.weights) <= CONFIG.n_charges
+
+
 def test_a_wrong_pose_is_no_likelier_beside_a_change_than_a_field_of_its_own(moved, ordinary, beside):
     base, target, T_model, _ = moved
     wrong = T_model * perturbation(np.array([0.0, 0.0, 2.5, 0.3, 0.2, 0.0]), ordinary.center)

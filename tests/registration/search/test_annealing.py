@@ -8,6 +8,7 @@ import pytest
 
 from hand_made import box, prepared_map, some_field, turn_about
 from magmatch.geometry import rotation_matrix
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.search.annealing import anneal_poses
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 
@@ -29,11 +30,9 @@ def annealed(pair, xi, schedule, damping=1e-9, eps=EPS):
     base, target = pair
     T = turn_about(ANCHOR, np.asarray(xi, float))
     rows = np.arange(len(target.samples))[None]
-    R, pb, scores = anneal_poses(
-        rotation_matrix(T)[None], T.apply(ANCHOR)[None], np.zeros(1, int), ANCHOR[None], rows,
-        weigh_samples(base, target), base, np.array(schedule), eps, damping,
-    )  # fmt: skip
-    return R[0], pb[0], scores[0]
+    poses = Hypotheses(rotation_matrix(T)[None], T.apply(ANCHOR)[None], np.zeros(1, int), ANCHOR[None])
+    found, scores = anneal_poses(poses, rows, weigh_samples(base, target), base, np.array(schedule), eps, damping)
+    return found.rotations[0], found.anchors_base[0], scores[0]
 
 
 def off(R, pb):
@@ -71,10 +70,8 @@ def test_a_pose_is_scored_as_the_search_scores_it(pair):
     base, target = pair
     schedule = [[0.05, 0.04], [0.02, 0.03]]
     R, pb, found = annealed(pair, [0.1, 0, 0, 0, 0.1, 0], schedule, damping=0.3, eps=0.3)
-    expected = score_poses(
-        R[None], pb[None], np.zeros(1, int), ANCHOR[None], np.arange(len(target.samples))[None],
-        weigh_samples(base, target), base, *schedule[-1], 0.3,
-    )  # fmt: skip
+    poses, rows = Hypotheses(R[None], pb[None], np.zeros(1, int), ANCHOR[None]), np.arange(len(target.samples))[None]
+    expected = score_poses(poses, rows, weigh_samples(base, target), base, *schedule[-1], 0.3)
     assert found == pytest.approx(expected[0], rel=1e-9)
 
 

@@ -12,9 +12,9 @@ from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
-    align_frames,
     choose_anchors,
     distinct_poses,
+    frame_hypotheses,
     invariant_search,
     judging_samples,
     similar_points,
@@ -35,8 +35,8 @@ def pair():
 
 def test_frames_of_one_point_seen_twice_are_aligned_by_the_turn_between(pair):
     rows = np.arange(200)
-    R = align_frames(*pair, rows, rows)
-    np.testing.assert_allclose(R, np.tile(rotation_matrix(T_TRUE), (200, 1, 1)), atol=1e-6)
+    poses = frame_hypotheses(*pair, rows, rows[:, None])
+    np.testing.assert_allclose(poses.rotations, np.tile(rotation_matrix(T_TRUE), (200, 1, 1)), atol=1e-6)
 
 
 def test_a_point_is_most_like_itself_seen_from_elsewhere(pair):
@@ -79,6 +79,9 @@ def test_anchors_are_drawn_once_each_by_how_well_their_gradient_is_known(pair):
     )
     drawn = np.concatenate([choose_anchors(steep, 20, np.random.default_rng(k)) for k in range(30)])
     assert 0.05 < (drawn < 10).mean() < 0.25
+    # Where the field has no gradient at all, one point is as good as another.
+    even = replace(target, gradient_sd=np.zeros(200), point_gradient=np.zeros((200, 3, 3)))
+    assert len(set(choose_anchors(even, 60, np.random.default_rng(0)).tolist())) == 60
 
 
 def test_half_of_the_judges_are_near_the_anchor_and_the_others_anywhere(pair):

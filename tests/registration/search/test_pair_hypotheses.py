@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pairs of points that find a walk: which are tabulated and drawn, what resembles what, and the poses that follow."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
@@ -88,13 +90,22 @@ def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_betwe
     assert (np.diff(distance2, axis=1) >= 0).all()
     is_there = distance2[:, 0] < 1e-6
     assert is_there.mean() > 0.2
-    R, pb, rows = hypotheses(table, walk, i, j, similar)
+    R, pb, rows, _ = hypotheses(table, walk, i, j, similar)
     assert rows.tolist() == np.repeat(np.arange(len(i)), 3).tolist()
     first = np.arange(len(i)) * 3
     true = R[first[is_there]]
     np.testing.assert_allclose(true, np.tile(rotation_matrix(T_TRUE), (len(true), 1, 1)), atol=1e-4)
     middle = T_TRUE.apply((walk.positions[i] + walk.positions[j]) / 2)
     np.testing.assert_allclose(pb[first[is_there]], middle[is_there], atol=1e-9)
+
+
+def test_a_walk_that_is_explained_exactly_says_more_the_less_noise_the_base_has(base, walk, table):
+    scores = []
+    for noise_sd in (0.1e-6, 1e-6, 10e-6):
+        noisy = replace(base, noise_sd=noise_sd)
+        found = pair_search(noisy, table, walk, PosePrior(10.0), CONFIG, np.random.default_rng(0))
+        scores.append(found.candidates[0].score / len(walk))
+    assert scores[0] > scores[1] + 0.1 > scores[2] + 0.2
 
 
 def test_the_search_finds_the_pose_between_and_keeps_distinct_poses_best_first(base, walk, table):

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from hand_made import EARTH, box, prepared_map, seen_from, some_field, turn_about
 from magmatch.geometry import random_transform, rotation_matrix
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.search.scoring import expected_variance, mixture_ratio, score_poses, weigh_samples
 
 RNG = np.random.default_rng(0)
@@ -31,8 +32,8 @@ def score(base, target, poses, anchors, rows=None):
     R = np.stack([rotation_matrix(T) for T in poses])
     pb = np.stack([T.apply(a) for T, a in zip(poses, anchors, strict=True)])
     rows = np.tile(np.arange(len(target.samples)), (len(poses), 1)) if rows is None else rows
-    evidence = weigh_samples(base, target)
-    return score_poses(R, pb, np.arange(len(poses)), anchors, rows, evidence, base, SD_TURN, SD_SHIFT, EPS)
+    tried = Hypotheses(R, pb, np.arange(len(poses)), anchors)
+    return score_poses(tried, rows, weigh_samples(base, target), base, SD_TURN, SD_SHIFT, EPS)
 
 
 def some_poses(n=4, seed=2):
@@ -100,11 +101,14 @@ def test_many_samples_overflow_no_product():
 def test_scores_do_not_depend_on_the_unit_of_the_field():
     base, target = pair_of()
     poses, anchors = some_poses(), target.samples[:4]
-    evidence = weigh_samples(base, target)
-    scaled = [2.0 * v for v in (evidence.field_rms, evidence.gradient_rms)]
     noise, sd, d2, V0, b2, r2 = 1e-13, 2e-7, 0.3, 1e-11, 3e-11, 1e-11
-    V = expected_variance(noise, sd, d2, SD_TURN, SD_SHIFT, evidence.field_rms, evidence.gradient_rms, V0)
-    again = expected_variance(4 * noise, 2 * sd, d2, SD_TURN, SD_SHIFT, *scaled, 4 * V0)
+    evidence = weigh_samples(base, target)._replace(noise_variance=noise, deviation_variance=V0)
+    scaled = evidence._replace(
+        noise_variance=4 * noise, deviation_variance=4 * V0,
+        field_rms=2 * evidence.field_rms, gradient_rms=2 * evidence.gradient_rms,
+    )  # fmt: skip
+    V = expected_variance(evidence, sd, d2, SD_TURN, SD_SHIFT)
+    again = expected_variance(scaled, 2 * sd, d2, SD_TURN, SD_SHIFT)
     assert again == pytest.approx(4 * V)
     assert mixture_ratio(4 * r2, again, 4 * b2, 4 * V0, EPS) == pytest.approx(mixture_ratio(r2, V, b2, V0, EPS))
     assert len(score(base, target, poses, anchors)) == 4
@@ -113,7 +117,10 @@ def test_scores_do_not_depend_on_the_unit_of_the_field():
 def test_an_outlier_costs_no_more_than_its_share_and_a_pose_no_worse_than_an_unrelated_field():
     assert mixture_ratio(1e9, 1.0, 0.0, 1.0, 0.3) == pytest.approx(0.3)
     assert mixture_ratio(2.0, 1.0, 2.0, 1.0, 0.3) == pytest.approx(1.0)
-    assert expected_variance(1.0, 9.0, 1.0, 1.0, 1.0, 9.0, 9.0, 5.0) == 5.0
+    loud = weigh_samples(*pair_of())._replace(
+        deviation_variance=5.0, noise_variance=1.0, field_rms=9.0, gradient_rms=9.0
+    )
+    assert expected_variance(loud, 9.0, 1.0, 1.0, 1.0) == 5.0
 
 
 def test_scales_are_those_of_the_samples():

@@ -197,6 +197,19 @@ def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk)
     assert weighed(base, walk).log_evidence == pytest.approx(weighed(base, walk, config=plain).log_evidence)
 
 
+def test_a_piece_ten_times_as_disturbed_is_at_most_a_tenth_as_likely_for_each_component_of_its_bins(base, walk):
+    """Weighed down, its residuals are as large as expected again: what remains is the density's own factor."""
+    held, likelihoods = PosePrior(20.0, HERE, np.diag(np.full(6, 1e-8))), []
+    for size in (10, 100):
+        field = walk.field.copy()
+        field[8:11] += size * np.array([4e-6, -3e-6, 3e-6])
+        disturbed = replace(walk, field=field)
+        null = UnrelatedWalk.most_likely(disturbed, cdist(walk.positions, walk.positions), NOISE, LENGTH)
+        found = weighed(base, disturbed, prior=held, config=LineConfig(price_piece=0.0))
+        likelihoods.append(found.log_evidence + null.log_likelihood(found.is_covered))
+    assert likelihoods[0] - likelihoods[1] > 3 * CONFIG.piece_bins * np.log(10)
+
+
 def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):
     found = weighed(base, walk)
     assert weighed(base, walk, prior=PosePrior(2.0)).log_evidence - found.log_evidence == pytest.approx(np.log(10))

@@ -14,6 +14,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points, of_logs, read_anchors
 from magmatch.slam.graph.odometry import odometry_graph
+from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.windows import cut
@@ -33,7 +34,7 @@ def graph_of(rows, logs=(LOG,), config=LEVEL, sd=0.02, truths=(TRUTH,)):
         for k in rows
     ]
     graph.fixed = fixed_points(anchors, paths)
-    graph.solve()
+    solve(graph)
     return graph, paths
 
 
@@ -41,7 +42,7 @@ def test_slopes_are_those_of_finite_differences():
     graph, _ = graph_of([10, 90, 200], config=SlamConfig(is_gravity_aligned=False))
     rng = np.random.default_rng(0)
     graph.R = Rotation.from_rotvec(rng.normal(size=(len(graph.p), 3))).as_matrix()
-    seen, J = graph._seen_at_fixed()
+    seen, J = graph.seen_at_fixed()
     small, R, p = 1e-6, graph.R, graph.p
     for side, nodes in ((0, graph.fixed.one), (6, graph.fixed.other)):
         for k in range(6):
@@ -51,7 +52,7 @@ def test_slopes_are_those_of_finite_differences():
             graph.p = p + np.einsum("nij,nj->ni", R, xi[:, 3:])
             # Two points between the same nodes move with both.
             mine = np.isin(nodes, nodes) & (graph.fixed.one != graph.fixed.other)
-            slope = (graph._seen_at_fixed()[0] - seen) / small
+            slope = (graph.seen_at_fixed()[0] - seen) / small
             alone = [
                 i
                 for i in np.flatnonzero(mine)
@@ -86,7 +87,7 @@ def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():
             for k in (3, 100, 206)
         ]
         graph.fixed = fixed_points(anchors, paths)
-        graph.solve()
+        solve(graph)
         node = len(graph.p) // 2
         error = graph.R[node].T @ (graph.p[node] - truth[paths[0].middles[node]])
         C = graph.marginals()[node][3:5, 3:5]
@@ -121,7 +122,7 @@ def test_the_answer_moves_with_the_surveyors_frame(angle, shift):
         graph = odometry_graph(paths, LEVEL)
         anchors = [(Anchor("walk", float(LOG.times[k]), M.apply(TRUTH[k]), 0.03), 0) for k in (5, 100, 200)]
         graph.fixed = fixed_points(anchors, paths)
-        graph.solve()
+        solve(graph)
         found.append(graph.p)
     np.testing.assert_allclose(found[1], moved.apply(found[0]), atol=2e-3)
 

@@ -25,7 +25,6 @@ LAYOUT = "magmatch.tile/2"
 REFIT_TOLERANCE = 1e-6
 # Samples at which a refitted field is compared with the stored one.
 N_CHECKED = 2000
-NOTHING = (np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 class FitError(MagmatchError, ValueError):
@@ -97,10 +96,10 @@ class TileTask:
 
     def observe(self, model: SplineModel) -> SplineInformation:
         """What the tile's samples say."""
-        signed = [(self._inside(part).information(model), part.sign) for part in self.parts]
-        total = signed[0][0] if signed[0][1] > 0 else model.observe(*NOTHING) - signed[0][0]
-        for information, sign in signed[1:]:
-            total = total + information if sign > 0 else total - information
+        # The first part is never one that is taken off.
+        total, *more = (self._inside(part).information(model) for part in self.parts)
+        for information, part in zip(more, self.parts[1:], strict=True):
+            total = total + information if part.sign > 0 else total - information
         return total
 
     def infer(self) -> SplinePosterior:

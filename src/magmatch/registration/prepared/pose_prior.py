@@ -14,8 +14,9 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import perturbation, rotation_matrix, skew
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.settings import Settings
-from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
+from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
 # Standard deviations within which a pose must lie to be searched.
 REACH = 3.5
@@ -24,8 +25,6 @@ REACH = 3.5
 N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
 MORE_NEIGHBOURS = 4
 UP = np.array([0.0, 0.0, 1.0])
-
-Hypotheses = tuple[Tensors, Points, Indices]
 
 
 class PosePriorConfig(Settings):
@@ -276,17 +275,13 @@ class PosePrior:
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(
-        self, poses: Hypotheses, anchors_target: Points, center: Vector3, slack: tuple[float, float],
-        rng: np.random.Generator,
-    ) -> Hypotheses:  # fmt: skip
+        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
+    ) -> Hypotheses:
         """Leave out hypotheses that the prior rules out, and add poses about a rough one.
 
         Parameters
         ----------
-        poses : triple of arrays
-            Rotations (h, 3, 3), where each pose puts its anchor (h, 3), and which anchor that is (h,).
-        anchors_target : (a, 3) array, m
-            Points of the target about which poses turn.
+        poses : Hypotheses
         center : (3,) array, m
             Middle of the target.
         slack : (float, float), rad and m
@@ -296,21 +291,20 @@ class PosePrior:
 
         Returns
         -------
-        triple of arrays
-            As given.
+        Hypotheses
+            About the same anchors.
         """
         if self.is_flat:
             return poses
-        R, anchors_base, rows = poses
-        moved = anchors_base + np.einsum("nij,nj->ni", R, center - anchors_target[rows])
-        kept = self.admits(R, moved, center, slack)
+        kept = poses.subset(np.flatnonzero(self.admits(poses.rotations, poses.carry(center), center, slack)))
         drawn, moved = self.draw(self._n_drawn(slack), center, rng)
-        drawn_rows = np.arange(len(drawn), dtype=np.int64) % len(anchors_target)
-        anchors_drawn = moved + np.einsum("nij,nj->ni", drawn, anchors_target[drawn_rows] - center)
-        return (
-            np.concatenate([R[kept], drawn]),
-            np.concatenate([anchors_base[kept], anchors_drawn]),
-            np.concatenate([rows[kept], drawn_rows]),
+        rows = np.arange(len(drawn), dtype=np.int64) % len(poses.anchors_target)
+        anchors = moved + np.einsum("nij,nj->ni", drawn, poses.anchors_target[rows] - center)
+        return Hypotheses(
+            np.concatenate([kept.rotations, drawn]),
+            np.concatenate([kept.anchors_base, anchors]),
+            np.concatenate([kept.anchor_rows, rows]),
+            poses.anchors_target,
         )
 
 

@@ -2,13 +2,12 @@
 """A map's field and its spread on a grid, for the many cheap look-ups of a search (trilinear)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from magmatch.compiled import compiled, compiled_ahead
+from magmatch.compiled import compiled, compiled_ahead, record
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
@@ -21,8 +20,7 @@ MIN_COVERED = 0.95
 MIN_WHOLE, FEW_POINTS = 0.7, 20_000
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Raster:
+class Raster(NamedTuple):
     """Field and standard deviation at the points of a grid, in the map's model frame.
 
     Attributes
@@ -82,8 +80,11 @@ class Raster:
         """
         out = np.zeros((len(points), 13))
         is_known = np.zeros(len(points), dtype=np.bool_)
-        _lookup_many(self.values, self.origin, self.spacing, points, out, is_known)
+        _lookup_many(self, points, out, is_known)
         return out[:, :3], out[:, 3], out[:, 4:].reshape(-1, 3, 3), is_known
+
+
+RASTER = record(Raster, "f8[::1], f8, f8[:,:,:,::1]")
 
 
 def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Raster:
@@ -167,8 +168,9 @@ def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-unty
             out[6 + 3 * d] = ((1 - u) * dz0 + u * dz1) / spacing
 
 
-@compiled_ahead("(f8[:,:,:,::1], f8[::1], f8, f8[:,::1], f8[:,::1], b1[::1])")
-def _lookup_many(values, origin, spacing, points, out, is_known):  # type: ignore[no-untyped-def]
+@compiled_ahead(RASTER, "f8[:,::1], f8[:,::1], b1[::1]")
+def _lookup_many(raster, points, out, is_known):  # type: ignore[no-untyped-def]
+    origin, spacing, values = raster
     for n in range(len(points)):
         i, j, k, u, v, w = find_cell(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])
         is_known[n] = i >= 0

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import rotation_matrix
+from magmatch.geometry import rotation_matrix, unit_vectors
 from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Vectors
@@ -103,8 +103,8 @@ def vector_msac(
     pairs = _Pairs(
         base_points / inlier_distance,
         target_points / inlier_distance,
-        _unit(base_field),
-        _unit(target_field),
+        unit_vectors(base_field),
+        unit_vectors(target_field),
         config.vector_weight,
     )
     if len(pairs.base) < max(config.sample_size, config.min_inliers):
@@ -210,8 +210,3 @@ def _settle(pairs: _Pairs, R: np.ndarray, t: np.ndarray, inlier_distance: float)
 def _distinct(R: Tensors, t: Vectors, costs: Scalars, center: Vector3, limit: int) -> Indices:
     """Rows of the cheapest transforms, without those that nearly repeat a cheaper one."""
     return distinct_poses(R, R @ center + t, -costs, _SAME_ROTATION, 1.0, limit)
-
-
-def _unit(vectors: Vectors) -> Vectors:
-    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
-    return unit

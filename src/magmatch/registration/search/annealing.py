@@ -1,85 +1,84 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Coarse refinement of many poses at once: annealed Gauss-Newton on the same score that ranked them."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from magmatch.compiled import compiled, compiled_ahead
+from magmatch.compiled import compiled, compiled_ahead, record
 from magmatch.field.cholesky.blas import PLAIN, address_of, gemm, gesv
+from magmatch.registration.prepared.hypotheses import HYPOTHESES, Hypotheses
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.raster import find_cell, interpolate
-from magmatch.registration.search.scoring import Evidence, expected_variance, mixture_ratio
+from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate
+from magmatch.registration.search.scoring import EVIDENCE, Evidence, expected_variance, mixture_ratio
 from magmatch.threads import side_by_side, slices
-from magmatch.typing import Points, Scalars, Tensors
+from magmatch.typing import Scalars
 
 # Inaccuracy that is granted at each step, as a share of a candidate's own.
 COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
 
 
+class Room(NamedTuple):
+    """Where the loops put what they work on."""
+
+    A: np.ndarray  # (6, 6), normal equations
+    dx: np.ndarray  # (6,), their right side, then the step
+    turns: np.ndarray  # (4, 3, 3), matrices on the way to the step's rotation
+    work: np.ndarray  # (4, 13), vectors of one sample
+    pivots: np.ndarray  # (7,), of the solution, and whether there is one
+
+
+ROOM = record(Room, "f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], i4[::1]")
+
+
 def anneal_poses(
-    rotations: Tensors,
-    anchors_base: Points,
-    anchor_rows: np.ndarray,
-    anchors_target: Points,
+    poses: Hypotheses,
     sample_rows: np.ndarray,
     evidence: Evidence,
     base: PreparedMap,
     schedule: np.ndarray,
     outlier_share: float,
     damping: float,
-) -> tuple[Tensors, Points, Scalars]:
-    """Refine poses while the inaccuracy that is granted to them shrinks.
+) -> tuple[Hypotheses, Scalars]:
+    """Refine poses while the inaccuracy that is granted to them, a row (rad, m) of the schedule a step, shrinks.
 
     Returns
     -------
-    rotations : (h, 3, 3) array
-    anchors_base : (h, 3) array, m
-    scores : (h,) array
-        At the last row's inaccuracy.
+    Hypotheses
+        h poses, about the same anchors.
+    (h,) array
+        Their scores at the last row's inaccuracy.
     """
-    R, pb, scores = rotations.copy(), anchors_base.copy(), np.zeros(len(rotations))
-    raster, schedule, rows = base.raster, np.ascontiguousarray(schedule), np.ascontiguousarray(sample_rows)
-    scale = np.array([
-        evidence.noise_variance, evidence.deviation_variance, outlier_share,
-        evidence.field_rms, evidence.gradient_rms, damping,
-    ])  # fmt: skip
+    found = poses._replace(rotations=poses.rotations.copy(), anchors_base=poses.anchors_base.copy())
+    scores, schedule = np.zeros(len(found.rotations)), np.ascontiguousarray(schedule)
+    rows = np.ascontiguousarray(sample_rows)
 
     def anneal(some: slice) -> None:
-        _anneal(
-            R[some], pb[some], anchor_rows[some], anchors_target, rows,
-            evidence.positions, evidence.field, evidence.deviation2,
-            raster.values, raster.origin, raster.spacing, scale, schedule, scores[some],
-            np.zeros((6, 6)), np.zeros(6), np.zeros((4, 3, 3)), np.zeros((4, 13)), np.zeros(7, np.int32),
-        )  # fmt: skip
+        room = Room(np.zeros((6, 6)), np.zeros(6), np.zeros((4, 3, 3)), np.zeros((4, 13)), np.zeros(7, np.int32))
+        _anneal(found.subset(some), rows, evidence, base.raster, schedule, outlier_share, damping, scores[some], room)
 
-    side_by_side(anneal, slices(len(R)))
-    return R, pb, scores
+    side_by_side(anneal, slices(len(scores)))
+    return found, scores
 
 
-@compiled_ahead(
-    "(f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,:,:,::1], f8[::1], "
-    "f8, f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], i4[::1])"
-)
-def _anneal(  # type: ignore[no-untyped-def]
-    R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, schedule, scores, A, dx, turns, work, pivots
-):  # fmt: skip
+@compiled_ahead(HYPOTHESES, "i8[:,::1]", EVIDENCE, RASTER, "f8[:,::1], f8, f8, f8[::1]", ROOM)
+def _anneal(poses, rows, evidence, raster, schedule, eps, damping, scores, room):  # type: ignore[no-untyped-def]
+    A, dx, pivots = room.A, room.dx, room.pivots
     info, six = address_of(pivots) + 24, np.int32(6)
-    for h in range(len(R)):
+    for h in range(len(scores)):
         for step in range(len(schedule)):
             turn, shift = schedule[step, 0], schedule[step, 1]
-            _normal_equations(
-                h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, dx, work
-            )
+            _normal_equations(h, poses, rows, evidence, raster, eps, turn, shift, room)
             for c in range(3):
-                A[c, c] += scale[5] / (turn * turn)
-                A[3 + c, 3 + c] += scale[5] / (shift * shift)
+                A[c, c] += damping / (turn * turn)
+                A[3 + c, 3 + c] += damping / (shift * shift)
             # Symmetric, so Fortran reads the same matrix; damped, so never singular.
             gesv(False, six, np.int32(1), A, six, pivots, dx, six, info)
-            _step(h, R, pb, dx, 3 * turn, 3 * shift, turns)
+            _step(h, poses.rotations, poses.anchors_base, dx, 3 * turn, 3 * shift, room.turns)
         last = len(schedule) - 1
         scores[h] = _normal_equations(
-            h, R, pb, anchor[h], pt, rows, x, b, b2, values, origin, spacing, scale,
-            schedule[last, 0], schedule[last, 1], A, dx, work,
-        )  # fmt: skip
+            h, poses, rows, evidence, raster, eps, schedule[last, 0], schedule[last, 1], room
+        )
 
 
 @compiled
@@ -117,13 +116,12 @@ def _step(h, R, pb, dx, most_turn, most_shift, turns):  # type: ignore[no-untype
 
 
 @compiled
-def _normal_equations(  # type: ignore[no-untyped-def]  # noqa: PLR0912
-    h, R, pb, a, pt, rows, x, b, b2, values, origin, spacing, scale, turn, shift, A, v, work
-):  # fmt: skip
+def _normal_equations(h, poses, rows, evidence, raster, eps, turn, shift, room):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Fill in the weighted normal equations of the left perturbation (dth, dp) about the anchor; gives the score."""
-    noise, V0, eps, field_rms, gradient_rms = scale[0], scale[1], scale[2], scale[3], scale[4]
-    total, product = 0.0, 1.0
-    y, Rb, o, J = work[0], work[1], work[2], work[3]
+    (R, pb, anchor, pt), (origin, spacing, values) = poses, raster
+    x, b, b2, V0 = evidence.positions, evidence.field, evidence.deviation2, evidence.deviation_variance
+    total, product, a, A, v = 0.0, 1.0, anchor[h], room.A, room.dx
+    y, Rb, o, J = room.work[0], room.work[1], room.work[2], room.work[3]
     for c in range(6):
         v[c] = 0.0
         for d in range(6):
@@ -140,7 +138,7 @@ def _normal_equations(  # type: ignore[no-untyped-def]  # noqa: PLR0912
         interpolate(values, spacing, i, j, k, fx, fy, fz, o)
         r2 = (Rb[0] - o[0]) ** 2 + (Rb[1] - o[1]) ** 2 + (Rb[2] - o[2]) ** 2
         d2 = y[0] * y[0] + y[1] * y[1] + y[2] * y[2]
-        V = expected_variance(noise, o[3], d2, turn, shift, field_rms, gradient_rms, V0)
+        V = expected_variance(evidence, o[3], d2, turn, shift)
         ratio = mixture_ratio(r2, V, b2[n], V0, eps)
         product *= ratio
         if product > 1e100 or product < 1e-100:  # one logarithm for many samples

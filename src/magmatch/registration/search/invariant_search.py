@@ -4,19 +4,19 @@
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled_ahead
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.settings import Settings
-from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
+from magmatch.typing import Indices, Points, Scalars, Tensors
 
 
 class InvariantSearchConfig(Settings):
@@ -65,46 +65,40 @@ def invariant_search(
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
     tell(f"scoring {neighbours.size} hypotheses")
-    anchor_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1])
-    R = align_frames(base, target, neighbours.ravel(), anchors[anchor_rows])
-    pb, pt = base.points[neighbours.ravel()], target.points[anchors]
     evidence = weigh_samples(base, target)
-    rows = judging_samples(pt, target, config.n_score_samples, rng)
+    poses = frame_hypotheses(base, target, anchors, neighbours)
+    rows = judging_samples(poses.anchors_target, target, config.n_score_samples, rng)
     lengthscale = common_length(base, target)
-    sd = np.array([config.sd_rotation, config.sd_translation * lengthscale])
-    center, slack = target.samples.mean(axis=0), (config.sd_rotation, config.sd_translation * lengthscale)
-    R, pb, anchor_rows = prior.narrow((R, pb, anchor_rows), pt, center, slack, rng)
-    if not len(R):
+    sd = (config.sd_rotation, config.sd_translation * lengthscale)
+    center = target.samples.mean(axis=0)
+    poses = prior.narrow(poses, center, sd, rng)
+    if not len(poses.rotations):
         return SearchResult()
     # Most hypotheses are wrong, and a few samples say so.
     few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
-    scores = score_poses(R, pb, anchor_rows, pt, few, evidence, base, sd[0], sd[1], config.outlier_share)
-    best = np.argsort(-scores, kind="stable")[: config.n_second]
-    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
-    scores = score_poses(R, pb, anchor_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
+    scores = score_poses(poses, few, evidence, base, *sd, config.outlier_share)
+    poses = poses.subset(np.argsort(-scores, kind="stable")[: config.n_second])
+    scores = score_poses(poses, rows, evidence, base, *sd, config.outlier_share)
     # A pose that fits a strong corner of the base comes in hundreds of copies, which would leave no room for others.
-    moved = _carry(center, R, pb, pt[anchor_rows])
-    best = distinct_poses(R, moved, scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
-    R, pb, anchor_rows = R[best], pb[best], anchor_rows[best]
+    best = distinct_poses(poses.rotations, poses.carry(center), scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
+    poses = poses.subset(best)
 
     tell("refining the best hypotheses")
     schedule = np.outer(COARSE_SCHEDULE, sd)
-    R, pb, scores = anneal_poses(
-        R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.3
-    )
-    keep = distinct_poses(R, _carry(center, R, pb, pt[anchor_rows]), scores, 0.07, 0.6 * lengthscale, config.n_fine)
-    R, pb, anchor_rows = R[keep], pb[keep], anchor_rows[keep]
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule, config.outlier_share, damping=0.3)
+    keep = distinct_poses(poses.rotations, poses.carry(center), scores, 0.07, 0.6 * lengthscale, config.n_fine)
+    poses = poses.subset(keep)
     common = rng.permutation(len(target.samples))[: config.n_fine_samples]
-    rows = np.tile(common, (len(pt), 1))
+    rows = np.tile(common, (len(anchors), 1))
     schedule = np.outer(FINE_SCHEDULE, sd)
-    R, pb, scores = anneal_poses(
-        R, pb, anchor_rows, pt, rows, evidence, base, schedule, config.outlier_share, damping=0.05
-    )
-    moved = _carry(center, R, pb, pt[anchor_rows])
-    scores[~prior.admits(R, moved, center, slack)] = -np.inf
-    keep = distinct_poses(R, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule, config.outlier_share, damping=0.05)
+    moved = poses.carry(center)
+    scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
+    keep = distinct_poses(poses.rotations, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
     keep = keep[np.isfinite(scores[keep])]
-    candidates = tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep)
+    candidates = tuple(
+        Candidate(poses.pose(k, moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep.tolist()
+    )
     return SearchResult(
         candidates,
         n_keypoints=len(base.points) + len(target.points),
@@ -166,7 +160,7 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
     return rows
 
 
-@compiled_ahead("(f8[:,::1], f8[:,::1], i8[::1], f8, i8, i8[:,::1])")
+@compiled_ahead("f8[:,::1], f8[:,::1], i8[::1], f8, i8, i8[:,::1]")
 def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
     """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
     n = len(shuffled)
@@ -195,7 +189,7 @@ def distinct_poses(
     return np.asarray(order[kept[:n]], dtype=np.int64)
 
 
-@compiled_ahead("(f8[:,:,::1], f8[:,::1], f8, f8, i8[::1])")
+@compiled_ahead("f8[:,:,::1], f8[:,::1], f8, f8, i8[::1]")
 def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[no-untyped-def]
     """List rows that no kept row before them resembles (trace of the relative rotation, squared distance)."""
     n = 0
@@ -221,19 +215,19 @@ def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[n
     return n
 
 
-def align_frames(base: PreparedMap, target: PreparedMap, base_rows: Indices, target_rows: Indices) -> Tensors:
-    """Rotations that turn the frames of target points onto those of base points: (n, 3, 3)."""
+def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:
+    """Poses that put each anchor on each of its neighbours, and the frame of one onto that of the other.
+
+    Parameters
+    ----------
+    base, target : PreparedMap
+    anchors : (a,) int array
+        Rows of ``target.points``.
+    neighbours : (a, k) int array
+        Rows of ``base.points``.
+    """
+    rows, base_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1]), neighbours.ravel()
     base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
-    target_frames = point_frames(target.point_field, target.point_gradient)[target_rows]
+    target_frames = point_frames(target.point_field, target.point_gradient)[anchors[rows]]
     R: Tensors = base_frames @ np.swapaxes(target_frames, 1, 2)
-    return R
-
-
-def _carry(p_target: Matrix, R: Tensors, anchors_base: Points, anchors_target: Points) -> Points:
-    """Where each pose puts one target point."""
-    moved: Points = anchors_base + np.einsum("nij,nj->ni", R, p_target - anchors_target)
-    return moved
-
-
-def _pose(R: Matrix, moved_center: Matrix, center: Matrix) -> RigidTransform:
-    return RigidTransform.from_components(moved_center - R @ center, Rotation.from_matrix(R))
+    return Hypotheses(R, base.points[base_rows], rows, target.points[anchors])

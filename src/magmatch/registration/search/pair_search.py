@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import thin
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
@@ -20,7 +20,7 @@ from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
-from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
+from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
 
 
 class PairSearchConfig(Settings):
@@ -111,32 +111,29 @@ def pair_search(
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return SearchResult()
-    center, pt = walk.positions.mean(axis=0), (walk.positions[i] + walk.positions[j]) / 2
-    sd = np.array([config.sd_rotation, config.sd_translation * table.length])
+    center, sd = walk.positions.mean(axis=0), (config.sd_rotation, config.sd_translation * table.length)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     similar, _ = similar_pairs(table, walk, i, j, n_neighbours)
     found = hypotheses(table, walk, i, j, similar)
-    R, pb, pair_rows = prior.narrow(found, pt, center, (sd[0], sd[1]), rng)
-    if not len(R):
+    poses = prior.narrow(found, center, sd, rng)
+    if not len(poses.rotations):
         return SearchResult()
     evidence = _evidence(base, table, walk)
     some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
-    rows = np.tile(some, (len(pt), 1))
-    tell(f"scoring {len(R)} hypotheses")
-    scores = score_poses(R, pb, pair_rows, pt, rows, evidence, base, sd[0], sd[1], config.outlier_share)
-    best = _best_by_place(_carry(center, R, pb, pt[pair_rows]), scores, table.length, config)
-    R, pb, pair_rows = R[best], pb[best], pair_rows[best]
-    R, pb, scores = anneal_poses(
-        R, pb, pair_rows, pt, rows, evidence, base, np.outer(COARSE_SCHEDULE, sd), config.outlier_share, damping=0.3
-    )
-    moved = _carry(center, R, pb, pt[pair_rows])
-    scores[~prior.admits(R, moved, center, (sd[0], sd[1]))] = -np.inf
-    keep = distinct_poses(R, moved, scores, 0.1, 0.3 * table.length, config.n_candidates)
+    rows = np.tile(some, (len(i), 1))
+    tell(f"scoring {len(poses.rotations)} hypotheses")
+    scores = score_poses(poses, rows, evidence, base, *sd, config.outlier_share)
+    poses = poses.subset(_best_by_place(poses.carry(center), scores, table.length, config))
+    schedule = np.outer(COARSE_SCHEDULE, sd)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule, config.outlier_share, damping=0.3)
+    moved = poses.carry(center)
+    scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
+    keep = distinct_poses(poses.rotations, moved, scores, 0.1, 0.3 * table.length, config.n_candidates)
     keep = keep[np.isfinite(scores[keep])]
     return SearchResult(
-        tuple(Candidate(_pose(R[k], moved[k], center), float(scores[k])) for k in keep),
+        tuple(Candidate(poses.pose(k, moved[k], center), float(scores[k])) for k in keep.tolist()),
         n_keypoints=len(table.positions) + len(walk),
-        n_correspondences=len(found[0]),
+        n_correspondences=len(found.rotations),
     )
 
 
@@ -177,9 +174,7 @@ def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighb
     return table.tree.query(whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm), k)
 
 
-def hypotheses(
-    table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices
-) -> tuple[Tensors, Points, Indices]:
+def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:
     """Poses that put each of the walk's pairs onto base pairs.
 
     Parameters
@@ -193,12 +188,10 @@ def hypotheses(
 
     Returns
     -------
-    rotations : (n k, 3, 3) array
-    anchors_base : (n k, 3) array, m
-        Where each pose puts the middle of its pair.
-    pair_rows : (n k,) int array
-        Which pair each pose comes from.
+    Hypotheses
+        n k of them, each about the middle of one of the walk's n pairs.
     """
+    middles = (walk.positions[i] + walk.positions[j]) / 2
     a, b = table.first[similar.ravel()], table.second[similar.ravel()]
     rows = np.repeat(np.arange(len(i)), similar.shape[1])
     i, j = i[rows], j[rows]
@@ -210,7 +203,7 @@ def hypotheses(
         table.sd_position,
         table.sd_field,
     )
-    return R, (table.positions[a] + table.positions[b]) / 2, rows
+    return Hypotheses(R, (table.positions[a] + table.positions[b]) / 2, rows, middles)
 
 
 def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices, Indices]:
@@ -265,13 +258,3 @@ def _best_by_place(centers: Points, scores: Scalars, length: float, config: Pair
         if len(kept) >= config.n_coarse:
             break
     return np.asarray(kept, dtype=np.int64)
-
-
-def _carry(p_walk: np.ndarray, R: Tensors, anchors_base: Points, anchors_walk: Points) -> Points:
-    """Where each pose puts one point of the walk."""
-    moved: Points = anchors_base + np.einsum("nij,nj->ni", R, p_walk - anchors_walk)
-    return moved
-
-
-def _pose(R: np.ndarray, moved_center: np.ndarray, center: np.ndarray) -> RigidTransform:
-    return RigidTransform.from_components(moved_center - R @ center, Rotation.from_matrix(R))

@@ -7,19 +7,19 @@ b the sample's deviation from the target's median field and V0 that deviation's 
 not cover say nothing.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from magmatch.compiled import compiled, compiled_ahead
+from magmatch.compiled import compiled, compiled_ahead, record
+from magmatch.registration.prepared.hypotheses import HYPOTHESES, Hypotheses
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
-from magmatch.registration.prepared.raster import find_cell, interpolate_field
+from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate_field
 from magmatch.threads import side_by_side, slices
-from magmatch.typing import Points, Scalars, Tensors, Vectors
+from magmatch.typing import Points, Scalars, Vectors
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """The target's samples as a search sees them, with what 'unrelated' means for each.
 
     Attributes
@@ -43,6 +43,9 @@ class Evidence:
     noise_variance: float
     field_rms: float
     gradient_rms: float
+
+
+EVIDENCE = record(Evidence, "f8[:,::1], f8[:,::1], f8[::1], f8, f8, f8, f8")
 
 
 def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> Evidence:
@@ -75,10 +78,7 @@ def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> E
 
 
 def score_poses(
-    rotations: Tensors,
-    anchors_base: Points,
-    anchor_rows: np.ndarray,
-    anchors_target: Points,
+    poses: Hypotheses,
     sample_rows: np.ndarray,
     evidence: Evidence,
     base: PreparedMap,
@@ -86,16 +86,12 @@ def score_poses(
     sd_translation: float,
     outlier_share: float,
 ) -> Scalars:
-    """Score many poses; a pose turns about its anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
+    """Score many poses.
 
     Parameters
     ----------
-    rotations : (h, 3, 3) array
-    anchors_base : (h, 3) array, m
-        Where each pose puts its anchor, base model frame.
-    anchor_rows : (h,) int array
-        Which anchor each pose belongs to.
-    anchors_target : (a, 3) array, m
+    poses : Hypotheses
+        h of them, about a anchors.
     sample_rows : (a, s) int array
         Which samples judge the poses of each anchor.
     evidence : Evidence
@@ -110,20 +106,12 @@ def score_poses(
     (h,) array
         Log-likelihood ratios summed over the samples.
     """
-    out, raster, rows = np.zeros(len(rotations)), base.raster, np.ascontiguousarray(sample_rows)
-    scale = np.array([
-        evidence.noise_variance, evidence.deviation_variance, outlier_share,
-        sd_rotation, sd_translation, evidence.field_rms, evidence.gradient_rms,
-    ])  # fmt: skip
+    out, rows, sd = np.zeros(len(poses.rotations)), np.ascontiguousarray(sample_rows), (sd_rotation, sd_translation)
 
     def score(some: slice) -> None:
-        _score(
-            rotations[some], anchors_base[some], anchor_rows[some], anchors_target, rows,
-            evidence.positions, evidence.field, evidence.deviation2,
-            raster.values, raster.origin, raster.spacing, scale, out[some],
-        )  # fmt: skip
+        _score(poses.subset(some), rows, evidence, base.raster, *sd, outlier_share, out[some])
 
-    side_by_side(score, slices(len(rotations)))
+    side_by_side(score, slices(len(out)))
     return out
 
 
@@ -135,21 +123,19 @@ def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0):  # type: ignore[no-untyped-def]
+def expected_variance(evidence, sd, d2, sd_rotation, sd_translation):  # type: ignore[no-untyped-def]
     """Residual variance of a sample at squared distance d2 from the anchor of an inaccurate pose."""
+    V0, noise, field_rms, gradient_rms = evidence[3:]
     turn2 = sd_rotation * sd_rotation
     V = noise + sd * sd + field_rms * field_rms * turn2
     V += gradient_rms * gradient_rms * (sd_translation * sd_translation + turn2 * d2)
     return V if V < V0 else V0
 
 
-@compiled_ahead(
-    "(f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,:,:,::1], f8[::1], "
-    "f8, f8[::1], f8[::1])"
-)
-def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, out):  # type: ignore[no-untyped-def]
-    noise, V0, eps, sd_rotation, sd_translation = scale[0], scale[1], scale[2], scale[3], scale[4]
-    field_rms, gradient_rms = scale[5], scale[6]
+@compiled_ahead(HYPOTHESES, "i8[:,::1]", EVIDENCE, RASTER, "f8, f8, f8, f8[::1]")
+def _score(poses, rows, evidence, raster, sd_rotation, sd_translation, eps, out):  # type: ignore[no-untyped-def]
+    (R, pb, anchor, pt), (origin, spacing, values) = poses, raster
+    x, b, b2, V0 = evidence.positions, evidence.field, evidence.deviation2, evidence.deviation_variance
     for h in range(len(R)):
         a = anchor[h]
         total, product = 0.0, 1.0
@@ -171,7 +157,7 @@ def _score(R, pb, anchor, pt, rows, x, b, b2, values, origin, spacing, scale, ou
             ey = R[h, 1, 0] * b[n, 0] + R[h, 1, 1] * b[n, 1] + R[h, 1, 2] * b[n, 2] - by
             ez = R[h, 2, 0] * b[n, 0] + R[h, 2, 1] * b[n, 1] + R[h, 2, 2] * b[n, 2] - bz
             d2 = y0 * y0 + y1 * y1 + y2 * y2
-            V = expected_variance(noise, sd, d2, sd_rotation, sd_translation, field_rms, gradient_rms, V0)
+            V = expected_variance(evidence, sd, d2, sd_rotation, sd_translation)
             product *= mixture_ratio(ex * ex + ey * ey + ez * ez, V, b2[n], V0, eps)
             if product > 1e100 or product < 1e-100:  # one logarithm for many samples
                 total += np.log(product)

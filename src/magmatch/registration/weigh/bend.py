@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How far a walk bends: by what its halves' poses differ, which no rigid pose follows and no residual of it shows."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.weigh.line_evidence import LineConfig, LineEvidence, weigh_walk
-from magmatch.typing import Covariance6, Matrix, Vector3
+from magmatch.typing import Covariance6, Indices, Matrix, Vector3
 
 DRIFTS = "the target's positions or orientations drift"
 REMEDY = "register shorter pieces, or correct the walk with magmatch slam"
@@ -73,6 +74,13 @@ class Bend:
         )
 
 
+def weigh_halves(
+    walk: Walk, rows: Indices, weigh: Callable[[Walk], list[LineEvidence]]
+) -> list[tuple[Indices, LineEvidence]]:
+    """Of each half of some bins its rows and best pose; fewer than two where one has no pose."""
+    return [(half, best) for half in np.array_split(rows, 2) for best in weigh(walk.part(half))[:1]]
+
+
 def bend_of(
     base: PreparedMap,
     walk: Walk,
@@ -84,12 +92,14 @@ def bend_of(
 ) -> Bend | None:
     """Let the halves of what the base covers settle from a pose of all; None where either has too few bins."""
     is_covered = base.raster.lookup(T_base_walk.apply(walk.positions))[3]
-    rows = np.array_split(np.flatnonzero(is_covered), 2)
-    halves: list[LineEvidence] = []
-    for part in rows:
-        halves += weigh_walk(base, walk.part(part), [T_base_walk], noise, length, prior, config)
-    if len(halves) < 2:
+
+    def weigh(half: Walk) -> list[LineEvidence]:
+        return weigh_walk(base, half, [T_base_walk], noise, length, prior, config)
+
+    found = weigh_halves(walk, np.flatnonzero(is_covered), weigh)
+    if len(found) < 2:
         return None
+    rows, halves = zip(*found, strict=True)
     center, total = walk.positions[is_covered].mean(axis=0), np.zeros((6, 6))
     for half in halves:
         M = adjoint(RigidTransform.from_translation(half.center - center))

@@ -29,7 +29,7 @@ from magmatch.localization.known_places import Place, open_place
 from magmatch.localization.localize import localize
 from magmatch.localization.smooth import smooth as with_hindsight
 from magmatch.serve.config import ServeConfig
-from magmatch.serve.refusals import RefusedError
+from magmatch.serve.refusals import RefusedError, without_paths
 from magmatch.settings import of_vertical
 from magmatch.viz.figures.plotting import magnitude_ut
 from magmatch.viz.figures.slices import cut_normal_to, field_on
@@ -104,7 +104,10 @@ def work_on_log(
         return RefusedError(413, "the log needs more memory than there is; send a shorter one")
     except MagmatchError as error:
         status = 501 if isinstance(error, MissingExtraError) else 422
-        return RefusedError(status, _without_paths(error, upload, place))
+        names = {upload: "log", upload.parent: "log", place: "maps", place.parent: "maps"}
+        words = without_paths(str(error), names)
+        is_ours = isinstance(error, DataFormatError) and str(Path.home()) in words
+        return RefusedError(status, "log: cannot be read" if is_ours else words)
     except Exception:
         log.exception("a log was not worked on")
         return RefusedError(500, "the service made a mistake with this log; please report it")
@@ -153,17 +156,6 @@ def _refuse_bombs(upload: Path, most: int) -> None:
         raise RefusedError(422, "log: is a zip archive that is damaged") from None
     if size > most:
         raise RefusedError(413, f"unpacks to more than {most} bytes")
-
-
-def _without_paths(error: MagmatchError, upload: Path, place: Path) -> str:
-    """What an error says, of a log and maps instead of our files."""
-    words = " ".join(str(error).split())
-    for path, name in ((upload, "log"), (upload.parent, "log"), (place, "maps"), (place.parent, "maps")):
-        for form in {str(path), str(path.resolve())} - {".", "/"}:
-            words = words.replace(form, name)
-    if isinstance(error, DataFormatError) and str(Path.home()) in words:
-        return "log: cannot be read"
-    return words
 
 
 @contextmanager

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses that a search tries, each about a point of the target whose place it states."""
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.compiled import record
+from magmatch.typing import Indices, Points, Tensors, Vector3
+
+
+class Hypotheses(NamedTuple):
+    """Poses that each turn about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
+
+    Attributes
+    ----------
+    rotations : (h, 3, 3) array
+    anchors_base : (h, 3) array, m
+        Where each pose puts its anchor, base model frame.
+    anchor_rows : (h,) int array
+        Which anchor each pose belongs to.
+    anchors_target : (a, 3) array, m
+    """
+
+    rotations: Tensors
+    anchors_base: Points
+    anchor_rows: Indices
+    anchors_target: Points
+
+    def subset(self, rows: Indices | slice) -> Self:
+        """Some of the poses."""
+        return self._replace(
+            rotations=self.rotations[rows], anchors_base=self.anchors_base[rows], anchor_rows=self.anchor_rows[rows]
+        )
+
+    def carry(self, p_target: Vector3) -> Points:
+        """Where each pose puts one point of the target: (h, 3), m."""
+        arms = p_target - self.anchors_target[self.anchor_rows]
+        moved: Points = self.anchors_base + np.einsum("nij,nj->ni", self.rotations, arms)
+        return moved
+
+    def pose(self, k: int, p_base: Vector3, p_target: Vector3) -> RigidTransform:
+        """One as a transform, by where `carry` puts a point."""
+        R = self.rotations[k]
+        return RigidTransform.from_components(p_base - R @ p_target, Rotation.from_matrix(R))
+
+
+HYPOTHESES = record(Hypotheses, "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1]")

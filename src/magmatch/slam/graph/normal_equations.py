@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What odometry, closures, fixed points, gravity and the floor say of small changes of all poses.
+
+A node's perturbation is ``T Exp(xi)`` with the turn and the shift apart: R Exp(phi), p + R rho.
+"""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.spatial.transform import Rotation
+
+from magmatch.geometry import skew
+from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph, six
+from magmatch.slam.graph.ties import N_LASTING
+from magmatch.typing import Indices, Matrix, Points, Tensors
+
+# Columns, Jacobian, information and residual of many rows alike.
+Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray]:
+    """Information of all poses and lasting errors, and the gradient of half their chi^2."""
+    size = 6 * len(graph.p) + graph.lasting.size
+    e, parts = graph.edges, _alone(graph)
+    if len(e.first):
+        turn = np.einsum("eij,ej->ei", e.lasting, graph.lasting[e.log])
+        Z = Rotation.from_rotvec(turn[:, :3]).as_matrix(), e.shift + turn[:, 3:]
+        r, Ji, Jj = residual_between(graph, e.first, e.second, *Z)
+        cols = np.concatenate([six(e.first), six(e.second), _lasting_columns(graph, e.log)], axis=1)
+        parts.append((cols, np.concatenate([Ji, Jj, -e.lasting], axis=2), np.linalg.inv(e.covariance), r))
+    if graph.closures:
+        i, j, r, Ji, Jj, P = closure_rows(graph)
+        # What ties two components no more pulls at neither.
+        component = graph.component()
+        weight = np.array([c.weight for c in graph.closures]) * (component[i] == component[j])
+        cols = np.concatenate([six(i), six(j)], axis=1)
+        parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
+    rows, columns, values, v = [], [], [], np.zeros(size)
+    for cols, J, P, r in parts:
+        H = np.swapaxes(J, 1, 2) @ P @ J
+        k = cols.shape[1]
+        rows.append(np.repeat(cols, k, axis=1).ravel())
+        columns.append(np.tile(cols, (1, k)).ravel())
+        values.append(H.ravel())
+        np.add.at(v, cols.ravel(), (np.swapaxes(J, 1, 2) @ (P @ r[:, :, None])).ravel())
+    at = (np.concatenate(rows), np.concatenate(columns))
+    return coo_array((np.concatenate(values), at), shape=(size, size)), v
+
+
+def _lasting_columns(graph: PoseGraph, logs: Indices) -> np.ndarray:
+    return np.asarray(6 * len(graph.p) + N_LASTING * logs[:, None] + np.arange(N_LASTING))
+
+
+def _alone(graph: PoseGraph) -> list[Part]:
+    """What is known of single nodes: up, height, where a component begins; and of lasting errors."""
+    n, c = len(graph.p), graph.config
+    every = np.arange(n)
+    found: list[Part] = []
+    if c.is_gravity_aligned:
+        up = graph.R[:, 2, :]  # the map's vertical in the node's axes
+        J = np.concatenate([skew(up), np.zeros((n, 3, 3))], axis=2)
+        found.append((six(every), J, _alike(np.eye(3) / UPRIGHT_SD**2, n), up - [0.0, 0.0, 1.0]))
+    if c.is_planar:
+        J = np.concatenate([np.zeros((n, 3)), graph.R[:, 2, :]], axis=1)[:, None, :]
+        off = (graph.p[:, 2] - graph.level)[:, None]
+        found.append((six(every), J, _alike(np.eye(1) / LEVEL_SD**2, n), off))
+    component = graph.component()
+    names, first = np.unique(component, return_index=True)
+    k = len(first)
+    has_fixed = np.isin(names, component[graph.fixed.one] if graph.fixed is not None else names[:0])
+    sure = np.where(has_fixed, FREE, SURE)[:, None, None]
+    found.append((six(first), _alike(np.eye(6), k), np.eye(6) / sure**2, np.zeros((k, 6))))
+    if graph.fixed is not None:
+        f, columns = graph.fixed, np.concatenate([six(graph.fixed.one), six(graph.fixed.other)], axis=1)
+        seen, J = graph.seen_at_fixed()
+        found.append((columns, J, np.eye(3) / f.sd[:, None, None] ** 2, seen - f.position))
+    sd, k = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], 1e-9), len(graph.lasting)
+    columns = _lasting_columns(graph, np.arange(k))
+    found.append((columns, _alike(np.eye(2), k), _alike(np.diag(sd**-2), k), graph.lasting))
+    return found
+
+
+def closure_rows(graph: PoseGraph) -> tuple[np.ndarray, ...]:
+    """Of each closure its nodes, residual, slopes with both, and information."""
+    i, j = (np.array([getattr(c, name) for c in graph.closures]) for name in ("first", "second"))
+    Z = [c.T_first_second.as_matrix() for c in graph.closures]
+    R, t = np.stack([z[:3, :3] for z in Z]), np.stack([z[:3, 3] for z in Z])
+    r, Ji, Jj = residual_between(graph, i, j, R, t)
+    # Their covariance is stated in the second node's axes.
+    turn = np.zeros((len(i), 6, 6))
+    turn[:, :3, :3], turn[:, 3:, 3:] = np.eye(3), R
+    C = np.stack([c.covariance for c in graph.closures])
+    return i, j, r, Ji, Jj, np.linalg.inv(turn @ C @ np.swapaxes(turn, 1, 2))
+
+
+def residual_between(
+    graph: PoseGraph, i: Indices, j: Indices, R: Tensors, t: Points
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual of ``T_i^-1 T_j`` against (R, t), and its slopes with both nodes."""
+    Ri, Rj = graph.R[i], graph.R[j]
+    Rij = np.swapaxes(Ri, 1, 2) @ Rj
+    tij = np.einsum("eji,ej->ei", Ri, graph.p[j] - graph.p[i])
+    r = np.concatenate([Rotation.from_matrix(np.swapaxes(R, 1, 2) @ Rij).as_rotvec(), tij - t], axis=1)
+    bend = np.eye(3) + 0.5 * skew(r[:, :3])
+    Ji, Jj = np.zeros((len(i), 6, 6)), np.zeros((len(i), 6, 6))
+    Ji[:, :3, :3], Jj[:, :3, :3] = -bend @ np.swapaxes(Rij, 1, 2), bend
+    Ji[:, 3:, :3], Ji[:, 3:, 3:], Jj[:, 3:, 3:] = skew(tij), -np.eye(3), Rij
+    return r, Ji, Jj
+
+
+def _alike(M: Matrix, n: int) -> np.ndarray:
+    return np.broadcast_to(M, (n, *M.shape))

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Most likely poses by Gauss-Newton; closures count as much as they are likely right.
+
+That depends on a closure's own probability and on how far the rest of the graph contradicts it: a mixture of right
+and wrong, by expectation and maximisation.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.spatial.transform import Rotation
+
+from magmatch.slam.graph.normal_equations import closure_rows, normal_equations
+from magmatch.slam.graph.pose_graph import UP, PoseGraph
+from magmatch.slam.graph.ties import N_LASTING
+
+# Most steps, those before closures are doubted, and the step that ends it.
+MOST_STEPS, TRUSTING_STEPS, SMALL = 40, 5, 1e-4
+# Nobody is surer of a closure than this, nats: else none could be voted out.
+MOST_ODDS = 12.0
+
+
+def solve(graph: PoseGraph) -> None:
+    """Most likely poses; closures that the rest contradicts lose their weight."""
+    _bring_to_fixed(graph)
+    doubts_from = TRUSTING_STEPS
+    for step in range(MOST_STEPS):
+        H, v = normal_equations(graph)
+        xi = -graph.factor(csc_array(H)).solve(v)
+        n = len(graph.p)
+        turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
+        largest = np.abs(turns).max()
+        if largest > 0.3:
+            # Still on the way: what seems contradicted now need not be in the end.
+            doubts_from = step + 1 + TRUSTING_STEPS
+            turns, shifts, xi = turns * 0.3 / largest, shifts * 0.3 / largest, xi * 0.3 / largest
+        graph.p = graph.p + np.einsum("nij,nj->ni", graph.R, shifts)
+        graph.R = graph.R @ Rotation.from_rotvec(turns).as_matrix()
+        graph.lasting = graph.lasting + xi[6 * n :].reshape(-1, N_LASTING)
+        if step >= doubts_from:
+            _doubt(graph)
+        if np.abs(xi).max() < SMALL and (step > doubts_from + 1 or not graph.closures):
+            break
+    _bring_home(graph)
+
+
+def forget_closures(graph: PoseGraph) -> None:
+    """Back to odometry alone."""
+    graph.closures.clear()
+    graph.level = graph.start[:, 2].copy()
+    graph.p, graph.R = graph.start.copy(), np.tile(np.eye(3), (len(graph.p), 1, 1))
+    graph.lasting = np.zeros_like(graph.lasting)
+    solve(graph)
+
+
+def _bring_to_fixed(graph: PoseGraph) -> None:
+    """Move what closures tie, as a whole, to its fixed points: least squares must begin near its answer."""
+    if graph.fixed is None:
+        return
+    f, root = graph.fixed, graph.tied()
+    seen = graph.seen_at_fixed()[0]
+    for r, rows in graph.fixed_by(root).items():
+        w = f.sd[rows] ** -2
+        a, b = (np.average(points[rows], axis=0, weights=w) for points in (seen, f.position))
+        R = np.eye(3)
+        if graph.tell_the_frame(rows):
+            x, y = seen[rows] - a, f.position[rows] - b
+            if graph.config.is_gravity_aligned:
+                x, y = x * [1, 1, 0], y * [1, 1, 0]
+                # What holds the vertical: a pair of vectors along it that outweighs the rest.
+                x, y, w = np.vstack([x, UP]), np.vstack([y, UP]), np.append(w, np.inf)
+            R = Rotation.align_vectors(y, x, weights=w)[0].as_matrix()
+        mine = root[graph.log] == r
+        graph.R[mine], graph.p[mine] = R @ graph.R[mine], (graph.p[mine] - a) @ R.T + b
+        graph.level[mine] = graph.start[mine, 2] + np.mean(graph.p[mine, 2] - graph.start[mine, 2])
+
+
+def _doubt(graph: PoseGraph) -> None:
+    """Weigh closures by how likely they are right, now that all poses are known."""
+    if not graph.closures:
+        return
+    _, _, r, _, _, P = closure_rows(graph)
+    chi2 = np.einsum("ei,eij,ej->e", r, P, r)
+    for k, c in enumerate(graph.closures):
+        odds = min(c.log_odds, MOST_ODDS) - 0.5 * max(chi2[k] - 6.0, 0.0)
+        graph.closures[k] = replace(c, weight=float(1 / (1 + np.exp(-np.clip(odds, -60, 60)))))
+
+
+def _bring_home(graph: PoseGraph) -> None:
+    """Logs whose last closure was voted out go back to a frame of their own."""
+    component = graph.component()
+    names, first = np.unique(component, return_index=True)
+    fixed = [] if graph.fixed is None else component[graph.fixed.one].tolist()
+    for name, k in zip(names.tolist(), first.tolist(), strict=True):
+        if name not in fixed and np.abs(graph.p[k] - graph.start[k]).max() > SMALL:
+            R, mine = graph.R[k].T, component == name
+            graph.R[mine], graph.p[mine] = R @ graph.R[mine], (graph.p[mine] - graph.p[k]) @ R.T + graph.start[k]
