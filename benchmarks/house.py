@@ -140,7 +140,7 @@ def numbers(root: Path) -> int:
     """
     room = root / "src/magmatch/registration"
     fitted = [json.loads(path.read_text(encoding="utf-8")) for path in room.rglob("fitted.json")]
-    count = sum(len(law["offset"]) + ("scale" in law) + 1 for law in fitted)
+    count = sum(len(law["offset"]) + ("scale" in law) + ("saturation" in law) for law in fitted)
     for path in room.rglob("*.py"):
         if path.parent.name == "published" or path.name in ("result.py", "mapped_arrays.py"):
             continue

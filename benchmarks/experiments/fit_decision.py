@@ -1,16 +1,16 @@
 """Pairs of known truth: fit how evidence turns into probability, or report how good stated probabilities are.
 
     python benchmarks/experiments/fit_decision.py --out DIR [--first 510000] [--rooms 20] [--kinds 8] [--walks 40]
-        [--areas 20] [--pairs 1000] [--overlaps 100 75 50 30 15] [--moved 10 20 30 40] [--lengths 20 10 5] [--jobs 2]
-        [--minutes M] [--from RECORDINGS] [--fit] [--save NAME]
+        [--areas 20] [--pairs 1000] [--overlaps 100 75 50 30 15] [--moved 10 20 30 40] [--lengths 20 10 5] [--skip 0]
+        [--jobs 2] [--minutes M] [--from RECORDINGS] [--fit] [--save NAME]
 
 Registered are rooms of five overlaps (in %), rooms of which a share of the sources moved (in %), rooms and robots of
 18 further kinds, rooms that repeat, areas of a building, stretches of 20, 10 and 5 m of its second walk in the map of
 the first and in the map of the other floor, and maps of different places. Little overlap and short stretches make
-pairs that are doubtful. A pair's name decides its half: the numbers are fitted to one
-(``--fit`` prints them for ``decide/fitted.json``), all tables are of the other. Pairs of one place and of different
-places weigh alike in the fit, as do maps and walks: the prior odds are one. Maps and rows stay in DIR; a second run
-goes on where the first ended.
+pairs that are doubtful. ``--fit`` prints numbers for ``decide/fitted.json`` that are fitted to all of them; else the
+tables say how good the packaged ones are: report on seeds, or walks (``--skip``), that no fit has seen. Pairs of one
+place and of different places weigh alike, as do maps and walks: the prior odds are one. Maps and rows stay in DIR; a
+second run goes on where the first ended.
 """
 
 import os
@@ -188,7 +188,7 @@ def names(asked: Any) -> Iterator[str]:
         yield from (f"room moved{share} {asked.first + 10000 + 10 * k + j}" for j, share in enumerate(asked.moved))
     for k in range(asked.kinds):
         yield from (f"room {kind} {asked.first + 20000 + k}" for kind in KINDS)
-    for k, floor, length in product(range(asked.walks), (1, 2), asked.lengths):
+    for k, floor, length in product(range(asked.skip, asked.skip + asked.walks), (1, 2), asked.lengths):
         yield from (f"walk {base} {floor} {length} {k}" for base in ("training", f"training-floor{3 - floor}"))
     for k in range(asked.areas):
         yield from (f"area {floor} {k}" for floor in (1, 2))
@@ -226,14 +226,14 @@ def group(name: str) -> str:
     return {"area": "area of a building", "cross": "different places"}.get(what, kind)
 
 
-def is_fitted_to(name: str) -> bool:
-    """The half that the numbers may see."""
-    return zlib.crc32(name.encode()) % 2 == 0
-
-
 def cases(rows: list[Row]) -> list[tuple[str, Row]]:
-    """One case for each strategy that was tried and found poses."""
-    return [(row["name"], one) for row in rows for one in row["tried"] if one["poses"]]
+    """One case for each strategy that was tried and found another best pose than those before."""
+    found: dict[tuple[str, float], Row] = {}
+    for row in rows:
+        for one in row["tried"]:
+            if one["poses"]:
+                found.setdefault((row["name"], round(one["poses"][0]["log_evidence"], 1)), one)
+    return [(name, one) for (name, _), one in found.items()]
 
 
 def shares(one: Row, numbers: Fitted, prior_odds: float = 1.0) -> np.ndarray:
@@ -263,14 +263,15 @@ def fit(found: list[tuple[str, Row]]) -> Fitted:
     weights, truths = weights_of(found), [truth(name, one) for name, one in found]
 
     def numbers(v: np.ndarray) -> Fitted:
-        return Fitted(saturation=np.exp(v[0]), offset={"map": float(v[1]), "walk": float(v[2])})
+        offset = {"map": float(v[2]), "walk": float(v[3])}
+        return Fitted(scale=np.exp(v[0]), saturation=np.exp(v[1]), offset=offset)
 
     def loss(v: np.ndarray) -> float:
         law = numbers(v)
         stated = (0.98 * shares(one, law) + 0.01 for _, one in found)
         return -sum(w * float(t @ np.log(p)) for w, t, p in zip(weights, truths, stated, strict=True))
 
-    start = np.array([np.log(10.0), 2.0, 0.0])
+    start = np.array([np.log(8.0), np.log(20.0), 2.0, -1.0])
     return numbers(minimize(loss, start, method="Nelder-Mead", options={"maxiter": 2000, "fatol": 1e-6}).x)
 
 
@@ -311,7 +312,7 @@ BIN_COLUMNS = ("prior odds", "stated", "n", "mean stated", "right", "95 % bounds
 def main() -> None:
     asked = arguments(
         __doc__, out=Path, first=510000, rooms=20, kinds=8, walks=40, areas=20, pairs=1000,
-        overlaps=[100, 75, 50, 30, 15], moved=[10, 20, 30, 40], lengths=[20, 10, 5], jobs=os.cpu_count(),
+        overlaps=[100, 75, 50, 30, 15], moved=[10, 20, 30, 40], lengths=[20, 10, 5], skip=0, jobs=os.cpu_count(),
         minutes=np.inf, recordings=None, fit=False, save=saver, save_reliability=saver,
     )  # fmt: skip
     (asked.out / "maps").mkdir(parents=True, exist_ok=True)
@@ -325,12 +326,11 @@ def main() -> None:
     wanted += crossed(asked.out, asked.pairs // 10, asked.first, "cea-") if asked.areas else []
     found |= kept(asked.out / "pairs.jsonl", wanted, work, **how)
     everything = cases(list(found.values()))
-    law = fitted()
     print(f"{len(found)} pairs")
     if asked.fit:
-        law = fit([case for case in everything if is_fitted_to(case[0])])
-        print(law.model_dump_json(indent=1))
-    by_group, by_bin = report([case for case in everything if not is_fitted_to(case[0])], law)
+        print(fit(everything).model_dump_json(indent=1))
+        return
+    by_group, by_bin = report(everything, fitted())
     show(GROUP_COLUMNS, by_group, asked.save, found.values())
     show(BIN_COLUMNS, by_bin, asked.save_reliability, found.values())
 

@@ -28,6 +28,7 @@ evidences, misfits, kinds = st.floats(-300, 3000), st.floats(0.05, 50), st.sampl
 prior_odds = st.floats(1e-6, 1e6)
 laws = st.builds(
     Fitted,
+    scale=st.floats(0.1, 20),
     saturation=st.floats(0.1, 200),
     offset=st.fixed_dictionaries({kind: st.floats(-10, 10) for kind in KINDS}),
 )
@@ -117,9 +118,9 @@ def test_residuals_as_expected_cost_nothing_and_smaller_ones_bring_nothing(e, mi
 
 @given(e=st.floats(1, 1000), misfit=st.floats(1, 50), numbers=laws)
 def test_odds_are_those_of_the_law(e, misfit, numbers):
-    """In the law's own words: saturation * asinh(evidence / misfit^2 / saturation) - offset."""
+    """In the law's own words: scale * asinh(evidence / misfit^2 / saturation) - offset."""
     x = e / misfit**2 / numbers.saturation
-    expected = numbers.saturation * np.log(x + np.sqrt(x * x + 1)) - numbers.offset["walk"]
+    expected = numbers.scale * np.log(x + np.sqrt(x * x + 1)) - numbers.offset["walk"]
     assert log_odds(e, misfit, "walk", numbers) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
@@ -213,4 +214,4 @@ def test_what_is_fitted_knows_every_kind_and_saturates():
     for kind in KINDS:
         assert log_odds(400.0, 1.0, kind) < 2 * log_odds(200.0, 1.0, kind)
     with pytest.raises(ValueError, match="saturation"):
-        Fitted(saturation=0.0, offset={"map": 0.0, "walk": 0.0})
+        Fitted(scale=1.0, saturation=0.0, offset={"map": 0.0, "walk": 0.0})

@@ -108,7 +108,7 @@ def test_evidence_does_not_change_with_the_unit_of_the_field(pair):
     def in_unit(m):
         scale = np.append(np.full(3, unit), unit)
         posterior = replace(m.posterior, constant=unit * m.posterior.constant, linear=unit * m.posterior.linear)
-        raster = replace(m.raster, values=m.raster.values * np.where(m.raster.values[..., 3:] < 0, 1.0, scale))
+        raster = m.raster._replace(values=m.raster.values * np.where(m.raster.values[..., 3:] < 0, 1.0, scale))
         return replace(
             m, posterior=posterior, raster=raster, sample_field=unit * m.sample_field, noise_sd=unit * m.noise_sd
         )

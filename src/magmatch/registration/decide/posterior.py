@@ -4,10 +4,10 @@
 Evidence takes its models at face value: as if residuals were no larger than expected, and as if errors of the models
 were independent. Residuals that exceed the expected ones are fewer independent samples than they seem, so evidence is
 divided by their dispersion, the square of the misfit (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974).
-Errors that all samples share let evidence say less the more there is of it: little counts at face value, much by its
-logarithm. Of this law,
+Errors that all samples share let evidence say less the more there is of it, so log odds grow with its logarithm. Of
+this law,
 
-    log odds = saturation * asinh(effective evidence / saturation) - offset,
+    log odds = scale * asinh(effective evidence / saturation) - offset,
 
 the numbers are fitted to pairs of known truth; they lie in ``fitted.json`` with the script that fits them.
 """
@@ -33,6 +33,7 @@ class Fitted(BaseModel):
 
     Attributes
     ----------
+    scale : float
     saturation : float, nats
         Evidence from which on it counts by its logarithm.
     offset : dict of float
@@ -41,6 +42,7 @@ class Fitted(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
+    scale: float = Field(gt=0)
     saturation: float = Field(gt=0)
     offset: dict[Kind, float]
 
@@ -65,14 +67,14 @@ def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | N
     if not np.isfinite(log_evidence):
         return -np.inf
     effective = effective_evidence(log_evidence, misfit)
-    return float(numbers.saturation * np.arcsinh(effective / numbers.saturation) - numbers.offset.get(kind, 0.0))
+    return float(numbers.scale * np.arcsinh(effective / numbers.saturation) - numbers.offset.get(kind, 0.0))
 
 
 def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> float:
     """Effective evidence with which a pose without rivals has a probability, nats."""
     numbers = fitted()
     wanted = np.log(probability / (1 - probability)) - np.log(prior_odds) + numbers.offset[kind]
-    return float(numbers.saturation * np.sinh(wanted / numbers.saturation))
+    return float(numbers.saturation * np.sinh(wanted / numbers.scale))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

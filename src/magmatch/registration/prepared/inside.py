@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.compiled import compiled_ahead
 from magmatch.registration.prepared.pose_prior import UP, PosePrior
-from magmatch.registration.prepared.raster import Raster, find_cell
+from magmatch.registration.prepared.raster import RASTER, Raster, find_cell
 from magmatch.typing import Points, Scalars, Tensors
 
 # Poses drawn, and points of the target that are placed: log weights are good to 0.05 where one pose in 20 is inside.
@@ -57,7 +57,7 @@ def spread_inside(
         height = chosen[rows] @ prior.up_target + prior.height + prior.height_sd * normal[:, 2]
         places = places + np.outer(height - places @ prior.up_base, prior.up_base)
     shares = np.zeros(len(R))
-    _shares(raster.values, raster.origin, raster.spacing, chosen, R, rows, places, shares)
+    _shares(raster, chosen, R, rows, places, shares)
     # As if one more had been wholly inside: no sum is zero.
     inside = np.append(shares[shares > 0], 1.0)
     total = (np.exp(log_weight(inside)) / inside).sum()
@@ -83,9 +83,10 @@ def _turns(prior: PosePrior, turns: Tensors, heading: Scalars, normal: Points) -
     return np.asarray((from_up * tilt * about_up * to_up).as_matrix())
 
 
-@compiled_ahead("(f8[:,:,:,::1], f8[::1], f8, f8[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[::1])")
-def _shares(values, origin, spacing, points, R, rows, places, out):  # type: ignore[no-untyped-def]
+@compiled_ahead(RASTER, "f8[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[::1]")
+def _shares(raster, points, R, rows, places, out):  # type: ignore[no-untyped-def]
     """Share of the points inside; 0 where the placed one is not."""
+    origin, spacing, values = raster
     n = len(points)
     for h in range(len(R)):
         if find_cell(values, origin, spacing, places[h, 0], places[h, 1], places[h, 2])[0] < 0:
