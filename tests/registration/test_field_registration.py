@@ -14,7 +14,7 @@ from magmatch.registration.prepared.raster import rasterize
 from magmatch.registration.refine.refinement import RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.search.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
-from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
+from magmatch.registration.weigh.evidence import null_models_of, weigh_pose
 
 
 @dataclass(frozen=True)
@@ -122,10 +122,10 @@ def test_a_biased_sensor_is_noticed_and_taken_off(make_exact_pair):
     rng = np.random.default_rng(0)
     base, target = prepare(base_map, 4, rng), prepare(target_map, 4, rng)
     T_model = base.T_map_model.inv() * T_true * target.T_map_model
-    config, null_model = RefinementConfig(), null_model_of(base, target)
-    like = weigh_pose(base, target, refine(base, target, T_model, FLAT, config, rng), null_model, FLAT)
+    config, nulls = RefinementConfig(), null_models_of(base, target)
+    like = weigh_pose(base, target, refine(base, target, T_model, FLAT, config, rng), nulls, FLAT)
     pose = refine(base, target, T_model, FLAT, config, rng, level=3)
-    assert weigh_pose(base, target, pose, null_model, FLAT).log_evidence > like.log_evidence + config.sensor.min_gain
+    assert weigh_pose(base, target, pose, nulls, FLAT).log_evidence > like.log_evidence + config.sensor.min_gain
     np.testing.assert_allclose(target.T_map_model.rotation.apply(pose.sensor.bias), bias, atol=0.2e-6)
     np.testing.assert_allclose(pose.sensor.gain[0, 0], scale, atol=0.003)
     assert error(pose.T_base_target, T_model, target)[1] < np.radians(0.1)
@@ -141,23 +141,23 @@ def test_soft_iron_is_noticed_where_bias_and_scale_do_not_explain_it(make_exact_
     rng = np.random.default_rng(0)
     base, target = prepare(base_map, 4, rng), prepare(replace(target_map, survey=survey, posterior=posterior), 4, rng)
     T_model = base.T_map_model.inv() * T_true * target.T_map_model
-    config, null_model = RefinementConfig(), null_model_of(base, target)
+    config, nulls = RefinementConfig(), null_models_of(base, target)
     scaled, full = (refine(base, target, T_model, FLAT, config, np.random.default_rng(0), level) for level in (3, 4))
-    gain = weigh_pose(base, target, full, null_model, FLAT).log_evidence
-    assert gain > weigh_pose(base, target, scaled, null_model, FLAT).log_evidence + config.sensor.min_gain
+    gain = weigh_pose(base, target, full, nulls, FLAT).log_evidence
+    assert gain > weigh_pose(base, target, scaled, nulls, FLAT).log_evidence + config.sensor.min_gain
     assert error(full.T_base_target, T_model, target)[1] < np.radians(0.3)
     np.testing.assert_allclose(R @ full.sensor.gain @ R.T, iron, atol=0.01)
 
 
 def test_like_sensors_are_left_alike(prepared_pair):
     base, target, T_true = prepared_pair
-    config, null_model = RefinementConfig(), null_model_of(base, target)
+    config, nulls = RefinementConfig(), null_models_of(base, target)
     like, free = (
         weigh_pose(
             base,
             target,
             refine(base, target, T_true, FLAT, config, np.random.default_rng(0), level),
-            null_model,
+            nulls,
             FLAT,
         )
         for level in (0, 3)
@@ -168,10 +168,10 @@ def test_like_sensors_are_left_alike(prepared_pair):
 def test_a_right_pose_has_evidence_and_a_wrong_one_has_none(prepared_pair):
     base, target, T_true = prepared_pair
     config, rng = RefinementConfig(), np.random.default_rng(0)
-    null_model = null_model_of(base, target)
-    right = weigh_pose(base, target, refine(base, target, T_true, FLAT, config, rng), null_model, FLAT)
+    nulls = null_models_of(base, target)
+    right = weigh_pose(base, target, refine(base, target, T_true, FLAT, config, rng), nulls, FLAT)
     elsewhere = T_true * exp_se3(np.array([0, 0, 2.0, 0.4, 0.3, 0]))
-    wrong = weigh_pose(base, target, refine(base, target, elsewhere, FLAT, config, rng), null_model, FLAT)
+    wrong = weigh_pose(base, target, refine(base, target, elsewhere, FLAT, config, rng), nulls, FLAT)
     assert right.log_evidence > 100
     assert right.good_share > 0.95
     assert wrong.log_evidence < 10
@@ -206,10 +206,10 @@ def test_cells_stand_out_against_what_is_stated_or_what_is_shown_not_against_bot
     base, target, T_model = prepared_pair
     rng = np.random.default_rng(0)
     base, target = (replace(m, noise_sd=6e-6) for m in (base, target))
-    null_model = null_model_of(base, target)
+    nulls = null_models_of(base, target)
     pose = refine(base, target, T_model, FLAT, RefinementConfig(), rng)
     noisy = replace(target, sample_field=target.sample_field + 1e-6 * rng.standard_normal(target.sample_field.shape))
-    as_stated, noisier = (weigh_pose(base, t, pose, null_model, FLAT) for t in (target, noisy))
+    as_stated, noisier = (weigh_pose(base, t, pose, nulls, FLAT) for t in (target, noisy))
     assert noisier.misfit > 1.2 * as_stated.misfit
     assert noisier.misfit < 1
     assert noisier.n_informative == as_stated.n_informative > 0

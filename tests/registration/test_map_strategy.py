@@ -15,7 +15,7 @@ from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
-from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
+from magmatch.registration.weigh.evidence import null_models_of, weigh_pose
 from magmatch.registration.weigh.map_covariance import map_covariance
 
 RNG = np.random.default_rng(0)
@@ -44,7 +44,7 @@ def settled(spread=0.0, **changes):
     here = RigidTransform.identity()
     pose = refine(base, target, here, pair.prior, REFINEMENT, np.random.default_rng(0), -1)
     blocks = tuple(replace(b, drift=1e-3 * b.information**2 / np.abs(b.information).max()) for b in pose.blocks)
-    best = weigh_pose(base, target, replace(pose, blocks=blocks), null_model_of(base, target), pair.prior)
+    best = weigh_pose(base, target, replace(pose, blocks=blocks), null_models_of(base, target), pair.prior)
     return pair, strategy, replace(best, **changes)
 
 

@@ -167,10 +167,9 @@ def test_a_duplicated_sample_adds_next_to_nothing(seed):
     once, target_twice, base_twice, both_twice = (
         register(times(n, made.base), times(k, made.target), config) for n, k in ((1, 1), (1, 2), (2, 1), (2, 2))
     )
-    usual = once.evidence["log_odds"]
-    assert abs(target_twice.evidence["log_odds"] - usual) < 0.05 * usual
     for result in (target_twice, base_twice, both_twice):
         assert result.is_accepted
+        assert result.evidence["log_odds"] < 1.05 * once.evidence["log_odds"]
         assert result.evidence["effective"] < 1.05 * once.evidence["effective"]
         distance = np.linalg.norm(result.T_base_target.translation - once.T_base_target.translation)
         assert distance < 0.02

@@ -8,12 +8,14 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import EARTH, Polynomial, box, prepared_map
 from magmatch.geometry import perturbation, random_transform, rotate_vectors, transform_error, transform_points
+from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.weigh.change_search import poses_beside_changes
-from magmatch.registration.weigh.evidence import agreeing_cells, compare_cells, null_model_of, weigh_pose
+from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
+from magmatch.registration.weigh.evidence import agreeing_cells, compare_cells, null_models_of, weigh_pose
 
 FLAT = PosePrior(10.0)
 # One candidate, in a small room.
@@ -46,9 +48,9 @@ def ordinary(moved):
 @pytest.fixture(scope="module")
 def beside(moved, ordinary):
     base, target, T_model, _ = moved
-    null_model = null_model_of(base, target)
-    seen = compare_cells(base, target, T_model, target.sample_field, null_model)
-    agrees = null_model.cells.holds(agreeing_cells(seen, null_model)[0])
+    nulls = null_models_of(base, target)
+    seen = compare_cells(base, target, T_model, target.sample_field, nulls.target)
+    agrees = nulls.target.cells.holds(agreeing_cells(seen, nulls.target)[0])
     return refine_beside_changes(
         base, target, replace(ordinary, T_base_target=T_model), agrees, FLAT, CONFIG, np.random.default_rng(0)
     )
@@ -74,6 +76,24 @@ def test_the_change_is_what_the_moved_sources_make(moved, beside):
     assert beside.noise < CONFIG.max_noise
 
 
+def test_stated_drift_spreads_a_pose_beside_a_change_as_residuals_do(moved, ordinary):
+    """Each about as much more than without the change: one selection of charges answers both."""
+    base, target, T_model, _ = moved
+    n = len(target.samples)
+    drifting = replace(target, drift=Drift(0.02, 0.02, np.arange(n), np.eye(n)))
+    agrees = np.ones(n, dtype=bool)
+    found = refine_beside_changes(
+        base, drifting, replace(ordinary, T_base_target=T_model), agrees, FLAT, CONFIG, np.random.default_rng(0)
+    )
+    plain = refine(base, drifting, T_model, FLAT, REFINEMENT, np.random.default_rng(0))
+    forward = replace(plain, blocks=plain.blocks[:1])
+    by_drift, by_residuals = (
+        np.sqrt(np.trace(spread(found.pose)) / np.trace(spread(forward)))
+        for spread in (drift_covariance, lambda pose: joint_covariance(pose, 0.2)[:6, :6])
+    )
+    assert by_residuals / 3 < by_drift < 3 * by_residuals
+
+
 def test_as_many_charges_stand_for_a_change_as_may(beside):
     assert 0.9 * CONFIG.n_charges < len(beside.weights) <= CONFIG.n_charges
 
@@ -90,10 +110,10 @@ def test_a_wrong_pose_is_no_likelier_beside_a_change_than_a_field_of_its_own(mov
 
 def test_cells_that_agree_are_those_where_little_changed(moved):
     base, target, T_model, change_at = moved
-    null_model = null_model_of(base, target)
-    seen = compare_cells(base, target, T_model, target.sample_field, null_model)
-    rows, _, price = agreeing_cells(seen, null_model)
-    size = np.linalg.norm(null_model.cells.mean(change_at(target.samples)), axis=1)
+    nulls = null_models_of(base, target)
+    seen = compare_cells(base, target, T_model, target.sample_field, nulls.target)
+    rows, _, price = agreeing_cells(seen, nulls.target)
+    size = np.linalg.norm(nulls.target.cells.mean(change_at(target.samples)), axis=1)
     others = np.setdiff1d(seen.rows, rows)
     assert len(others)
     assert price > 0
@@ -102,10 +122,10 @@ def test_cells_that_agree_are_those_where_little_changed(moved):
 
 def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit(moved, ordinary):
     base, target, T_model, _ = moved
-    null_model = null_model_of(base, target)
-    whole = weigh_pose(base, target, ordinary, null_model, FLAT)
+    nulls = null_models_of(base, target)
+    whole = weigh_pose(base, target, ordinary, nulls, FLAT)
     assert whole.misfit > CONFIG.max_misfit
-    best = poses_beside_changes(base, target, [T_model], whole, ordinary, null_model, FLAT, CONFIG, 0)[0]
+    best = poses_beside_changes(base, target, [T_model], whole, ordinary, nulls, FLAT, CONFIG, 0)[0]
     assert best.is_beside_change
     assert best.misfit < 1.0
     assert best.unchanged < 1.0
@@ -116,13 +136,13 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit(move
 def found_with(moved, ordinary):
     """Log evidence of the poses beside a change, by settings; two starts, one of them rough."""
     base, target, T_model, _ = moved
-    null_model = null_model_of(base, target)
-    whole = weigh_pose(base, target, ordinary, null_model, FLAT)
+    nulls = null_models_of(base, target)
+    whole = weigh_pose(base, target, ordinary, nulls, FLAT)
     rough = T_model * perturbation(np.array([0.05, 0.02, 0.06, 0.06, 0.04, 0.02]), ordinary.center)
 
     def find(config):
         starts = [rough, T_model]
-        found = poses_beside_changes(base, target, starts, whole, ordinary, null_model, FLAT, config, 0)
+        found = poses_beside_changes(base, target, starts, whole, ordinary, nulls, FLAT, config, 0)
         return [one.log_evidence for one in found]
 
     return find
@@ -149,11 +169,11 @@ def test_each_setting_changes_what_is_found(found_with, usually_found, name):
 
 def test_more_cells_than_agree_tell_beside_the_change(moved, ordinary):
     base, target, T_model, _ = moved
-    null_model = null_model_of(base, target)
-    whole = weigh_pose(base, target, ordinary, null_model, FLAT)
-    found = poses_beside_changes(base, target, [T_model], whole, ordinary, null_model, FLAT, CONFIG, 0)[0]
-    seen = compare_cells(base, target, T_model, target.sample_field, null_model)
-    assert found.unchanged > len(agreeing_cells(seen, null_model)[0]) / len(seen.rows)
+    nulls = null_models_of(base, target)
+    whole = weigh_pose(base, target, ordinary, nulls, FLAT)
+    found = poses_beside_changes(base, target, [T_model], whole, ordinary, nulls, FLAT, CONFIG, 0)[0]
+    seen = compare_cells(base, target, T_model, target.sample_field, nulls.target)
+    assert found.unchanged > len(agreeing_cells(seen, nulls.target)[0]) / len(seen.rows)
     assert distance(found.pose.T_base_target, T_model, target) < 0.003
 
 
@@ -176,10 +196,10 @@ def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):
     rng = np.random.default_rng(0)
     base, target = (prepare(m, 4, rng) for m in make_exact_pair(5, T_base_target))
     T_model = base.T_map_model.inv() * T_base_target * target.T_map_model
-    null_model = null_model_of(base, target)
+    nulls = null_models_of(base, target)
     pose = refine(base, target, T_model, FLAT, REFINEMENT, rng)
-    best = weigh_pose(base, target, pose, null_model, FLAT)
-    assert poses_beside_changes(base, target, [T_model], best, pose, null_model, FLAT, CONFIG, 0) == []
+    best = weigh_pose(base, target, pose, nulls, FLAT)
+    assert poses_beside_changes(base, target, [T_model], best, pose, nulls, FLAT, CONFIG, 0) == []
 
 
 def test_too_few_samples_that_agree_give_no_pose(moved, ordinary):

@@ -16,8 +16,8 @@ from magmatch.registration.weigh.null_model import (
     STRENGTHS,
     CellMeans,
     NullModel,
+    UnrelatedField,
     average_cells,
-    fit_null_model,
 )
 from magmatch.threads import one_blas_thread
 
@@ -68,6 +68,10 @@ def test_of_too_many_cells_an_even_choice_is_kept_and_samples_of_the_others_belo
     assert cells.holds(np.arange(150)).sum() == 150
 
 
+def most_likely(cells, field, noise):
+    return UnrelatedField.most_likely(cells, field, noise, 0.6).over(cells, field, noise)
+
+
 def test_the_most_likely_field_is_chosen_by_its_density_about_its_most_likely_constant():
     rng = np.random.default_rng(1)
     cells, noise = cells_of(14, 2), np.full(14, 2e-14) * np.random.default_rng(3).uniform(0.5, 2, 14)
@@ -81,7 +85,7 @@ def test_the_most_likely_field_is_chosen_by_its_density_about_its_most_likely_co
         left = field - weights @ field / weights.sum()
         density = multivariate_normal(np.zeros(14), 1e12 * total).logpdf(1e6 * left.T).sum()
         tried[density] = C, rough**2 * variance
-    found = fit_null_model(cells, field, noise, 0.6)
+    found = most_likely(cells, field, noise)
     np.testing.assert_allclose(found.covariance, tried[max(tried)][0], rtol=1e-9)
     assert found.roughness == pytest.approx(tried[max(tried)][1])
 
@@ -89,7 +93,7 @@ def test_the_most_likely_field_is_chosen_by_its_density_about_its_most_likely_co
 def test_a_constant_field_more_changes_nothing():
     cells, noise = cells_of(10), np.full(10, 1e-14)
     field = 5e-6 * RNG.standard_normal((10, 3))
-    one, other = (fit_null_model(cells, field + c, noise, 0.6) for c in (0.0, 7e-5))
+    one, other = (most_likely(cells, field + c, noise) for c in (0.0, 7e-5))
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-6)
     model = replace(model_of(), roughness=1e-13)
     residual, extra, rows = 1e-7 * RNG.standard_normal((12, 3)), np.full(12, 1e-15), np.arange(12)

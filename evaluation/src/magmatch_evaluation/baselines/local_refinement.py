@@ -16,7 +16,7 @@ from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategy import Weighed
-from magmatch.registration.weigh.evidence import null_model_of, weigh_pose
+from magmatch.registration.weigh.evidence import null_models_of, weigh_pose
 from magmatch_evaluation.baselines.judged import judged
 from magmatch_evaluation.baselines.volume import level_points, magnitude_volume, shared_spacing
 
@@ -46,7 +46,7 @@ def register_by_refinement(
     found = SearchResult((Candidate(pair.T_base_model.inv() * start * pair.T_target_model, 0.0),))
     T_model, rng = found.candidates[0].T_base_target, np.random.default_rng(seed)
     pose = refine(pair.base, pair.target, T_model, pair.prior, config.refinement, rng)
-    evidence = weigh_pose(pair.base, pair.target, pose, null_model_of(pair.base, pair.target), pair.prior)
+    evidence = weigh_pose(pair.base, pair.target, pose, null_models_of(pair.base, pair.target), pair.prior)
     return settle_and_decide(Weighed(strategy, pair, found, [evidence]), config.decision, clock)
 
 

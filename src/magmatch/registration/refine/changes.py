@@ -315,5 +315,5 @@ def _residual_block(
         scores=(WJ * rest[:, None]).reshape(n, 3, k).sum(axis=1) / np.sqrt(SELECTION_INFLATION),
         positions=lookup.positions,
         residual2=(rest**2).reshape(n, 3).sum(axis=1) * samples.weight[::3],
-        drift=drift.score_covariance(WJ.reshape(n, 3, k), lookup.gradient, samples.rows),
+        drift=drift.score_covariance(WJ.reshape(n, 3, k), lookup.gradient, samples.rows) / SELECTION_INFLATION,
     )

@@ -15,12 +15,12 @@ from magmatch.registration.refine.refinement import RefinedPose, step_between
 from magmatch.registration.weigh.evidence import (
     UNCHANGED_SHARES,
     Change,
+    NullModels,
     PoseEvidence,
     agreeing_cells,
     compare_cells,
     weigh_pose,
 )
-from magmatch.registration.weigh.null_model import NullModel
 from magmatch.typing import Indices
 
 # Shares of the cells that are tried beside a change, whatever agrees without one.
@@ -33,7 +33,7 @@ def poses_beside_changes(
     starts: list[RigidTransform],
     best: PoseEvidence,
     model: RefinedPose,
-    null_model: NullModel,
+    nulls: NullModels,
     prior: PosePrior,
     config: ChangeConfig,
     seed: int,
@@ -46,13 +46,13 @@ def poses_beside_changes(
     if not config.is_enabled or not config.max_misfit < best.misfit < np.inf:
         return []
     agreements = [
-        (_agreement(base, target, replace(model, T_base_target=T), null_model)[1], T)
+        (_agreement(base, target, replace(model, T_base_target=T), nulls)[1], T)
         for T in [*starts, model.T_base_target]
     ]
     agreements.sort(key=lambda pair: -pair[0])
     tell("something may have moved; looking for poses beside changes")
     found = [
-        _best_followed(base, target, replace(model, T_base_target=T), null_model, prior, config, seed)
+        _best_followed(base, target, replace(model, T_base_target=T), nulls, prior, config, seed)
         for agreement, T in agreements[: config.n_candidates]
         if agreement > config.min_agreement
     ]
@@ -64,20 +64,20 @@ def _agreement(
     base: PreparedMap,
     target: PreparedMap,
     pose: RefinedPose,
-    null_model: NullModel,
+    nulls: NullModels,
     shares: Sequence[float] = UNCHANGED_SHARES,
 ) -> tuple[Indices, float, float, int]:
     """Cells that agree, their evidence, what choosing them costs, and how many there are to choose from."""
     field = pose.sensor.correct(target.sample_field)
-    seen = compare_cells(base, target, pose.T_base_target, field, null_model)
-    return (*agreeing_cells(seen, null_model, shares), len(seen.rows))
+    seen = compare_cells(base, target, pose.T_base_target, field, nulls.target)
+    return (*agreeing_cells(seen, nulls.target, shares), len(seen.rows))
 
 
 def _best_followed(
     base: PreparedMap,
     target: PreparedMap,
     start: RefinedPose,
-    null_model: NullModel,
+    nulls: NullModels,
     prior: PosePrior,
     config: ChangeConfig,
     seed: int,
@@ -86,12 +86,12 @@ def _best_followed(
 
     Of what changed a little, the estimated change makes up: more cells can tell than agree without it.
     """
-    best = _follow(base, target, start, null_model, prior, config, seed, UNCHANGED_SHARES)
+    best = _follow(base, target, start, nulls, prior, config, seed, UNCHANGED_SHARES)
     for share in WIDER_SHARES:
         if best is not None and best.unchanged > share - 0.05:
             continue
         pose = start if best is None else best.pose
-        wider = _follow(base, target, pose, null_model, prior, config, seed, (share,))
+        wider = _follow(base, target, pose, nulls, prior, config, seed, (share,))
         if wider is not None and (best is None or wider.log_evidence > best.log_evidence):
             best = wider
     return best
@@ -101,7 +101,7 @@ def _follow(
     base: PreparedMap,
     target: PreparedMap,
     pose: RefinedPose,
-    null_model: NullModel,
+    nulls: NullModels,
     prior: PosePrior,
     config: ChangeConfig,
     seed: int,
@@ -109,13 +109,13 @@ def _follow(
 ) -> PoseEvidence | None:
     """Refine a pose on the cells that agree, then on those that agree with what was found, until it stays."""
     for _ in range(config.n_rounds):
-        rows, _, price, n_cells = _agreement(base, target, pose, null_model, shares)
-        agrees, rng = null_model.cells.holds(rows), np.random.default_rng(seed)
+        rows, _, price, n_cells = _agreement(base, target, pose, nulls, shares)
+        agrees, rng = nulls.target.cells.holds(rows), np.random.default_rng(seed)
         found = refine_beside_changes(base, target, pose, agrees, prior, config, rng)
         if found is None:
             return None
         change = Change(found.change_at(target.samples), rows, len(rows) / n_cells, found.log_ratio - price)
-        weighed = weigh_pose(base, target, found.pose, null_model, prior, change)
+        weighed = weigh_pose(base, target, found.pose, nulls, prior, change)
         if weighed.covariance is None:
             return None
         step, pose = step_between(pose, found.pose), found.pose

@@ -9,16 +9,19 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import gammaln
 
 from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.prepared.cubes import cube_keys
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.registration.weigh.null_model import NullModel, average_cells, fit_null_model
-from magmatch.typing import Indices, Mask, Matrix, Scalars, Vector3, Vectors
+from magmatch.registration.weigh.null_model import CellMeans, NullModel, UnrelatedField, average_cells
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vector3, Vectors
 
 # Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
 CORRELATED_NOISE_SHARE = 0.1
+# Share of a cell's samples that must lie inside the other map for it to count.
+WHOLE = 0.99
 # Tried shares of cells that have not changed.
 UNCHANGED_SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.28)
 
@@ -44,7 +47,8 @@ class PoseEvidence:
     residual : float
         Robust normalised rms residual over the overlap.
     misfit : float
-        Normalised rms of the cells' mean residuals: about 1 when noise and the base's spread explain them.
+        Normalised rms of the cells' mean residuals, the larger of both surveys': about 1 when noise and the other
+        map's spread explain them.
     unchanged : float
         Share of the cells in the overlap that all but `overlap` are counted in; the others are taken as changed.
     is_beside_change : bool
@@ -93,12 +97,48 @@ def overlap_weight(share: Scalars | float) -> Scalars:
     return np.asarray(2 * np.log(share))
 
 
-def null_model_of(base: PreparedMap, target: PreparedMap) -> NullModel:
-    """Null hypothesis of a pair: what the target's cells look like on their own."""
-    cells = average_cells(target.samples, common_length(base, target))
-    noise_variance = base.noise_sd**2 + target.noise_sd**2
-    noise = noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE)
-    return fit_null_model(cells, cells.mean(target.sample_field), noise, target.correlation_length)
+@dataclass(frozen=True, eq=False, slots=True)
+class NullModels:
+    """Null hypotheses of a pair: what either survey looks like on its own.
+
+    Attributes
+    ----------
+    target : NullModel
+        Of all its cells.
+    base : UnrelatedField
+        Which of its cells lie in the overlap depends on the pose.
+    side : float, m
+        Of the cells.
+    noise_variance : float, T^2
+        Of one sample of both surveys together.
+    """
+
+    target: NullModel
+    base: UnrelatedField
+    side: float
+    noise_variance: float
+
+    def of_base(self, positions: Points, field: Vectors) -> NullModel:
+        """Of those samples of the base that a pose puts inside the target."""
+        cells = average_cells(positions, self.side)
+        return self.base.over(cells, cells.mean(field), _cell_noise(self.noise_variance, cells))
+
+
+def null_models_of(base: PreparedMap, target: PreparedMap) -> NullModels:
+    """State the null hypotheses of a pair; the numbers of either field are the most likely ones."""
+    side, noise_variance = common_length(base, target), base.noise_sd**2 + target.noise_sd**2
+
+    def alone(survey: PreparedMap) -> tuple[UnrelatedField, NullModel]:
+        cells = average_cells(survey.samples, side)
+        field, noise = cells.mean(survey.sample_field), _cell_noise(noise_variance, cells)
+        unrelated = UnrelatedField.most_likely(cells, field, noise, survey.correlation_length)
+        return unrelated, unrelated.over(cells, field, noise)
+
+    return NullModels(alone(target)[1], alone(base)[0], side, noise_variance)
+
+
+def _cell_noise(noise_variance: float, cells: CellMeans) -> Scalars:
+    return np.asarray(noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -128,21 +168,24 @@ def weigh_pose(
     base: PreparedMap,
     target: PreparedMap,
     pose: RefinedPose,
-    null_model: NullModel,
+    nulls: NullModels,
     prior: PosePrior,
     change: Change | None = None,
 ) -> PoseEvidence:
     """Count the cells for and against a pose.
 
+    Both surveys' cells are asked. That the target's are explained by the base's map, and the base's by the target's,
+    are two estimates of one number, ``log p(both | pose) / p(base) p(target)``: their mean is the better one.
+
     Parameters
     ----------
     base, target : PreparedMap
     pose : RefinedPose
-    null_model : UnrelatedField
-        Null hypothesis of this pair.
+    nulls : NullModels
+        Null hypotheses of this pair.
     prior : PosePrior
     change : Change, optional
-        What has changed between the surveys.
+        What has changed between the surveys; then the target's cells alone are asked, as it was estimated with them.
 
     Returns
     -------
@@ -151,22 +194,32 @@ def weigh_pose(
     field = pose.sensor.correct(target.sample_field)
     if change is not None:
         field = field - change.field
+    null_model = nulls.target
     seen = compare_cells(base, target, pose.T_base_target, field, null_model)
     # What the fields say alone: correlated residuals would outweigh in the curvature what is known beforehand.
-    side, alone = 2 * common_length(base, target), replace(pose, prior_information=np.zeros((6, 6)))
-    joint = joint_covariance(alone, side)
+    alone = replace(pose, prior_information=np.zeros((6, 6)))
+    joint = joint_covariance(alone, 2 * nulls.side)
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
         return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
-    log_ratio, attainable = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
+    ratios, misfits = (
+        [null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)],
+        [seen.misfit(null_model, rows)],
+    )
     if change is not None:
-        log_ratio = change.log_ratio
-    r2, variance = (seen.residual[rows] ** 2).sum(axis=1), null_model.noise[rows] + seen.map_variance[rows]
+        ratios = [(change.log_ratio, ratios[0][1])]
+    else:
+        of_base, back = compare_back(base, target, pose, nulls)
+        if len(back.rows):
+            ratios.append(of_base.log_ratio(back.residual, back.map_variance, back.rows))
+            misfits.append(back.misfit(of_base, back.rows))
+    log_ratio, attainable = np.mean(ratios, axis=0)
     # A sensor that must differ implausibly speaks against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
+    r2, variance = (seen.residual[rows] ** 2).sum(axis=1), null_model.noise[rows] + seen.map_variance[rows]
     n2 = ((null_model.field[rows] - null_model.field.mean(axis=0)) ** 2).sum(axis=1)
     # What noise and map state, or what the residuals show: both together would count one error twice.
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
@@ -180,10 +233,10 @@ def weigh_pose(
         overlap,
         int(is_informative.sum()),
         int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
-        log_ratio + price,
-        attainable + price,
+        float(log_ratio + price),
+        float(attainable + price),
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
-        float(np.sqrt(np.mean(r2 / variance) / 3)),
+        max(misfits),
         1.0 if change is None else change.unchanged,
         change is not None,
     )
@@ -213,6 +266,11 @@ class CellComparison:
     residual: Vectors
     map_variance: Scalars
 
+    def misfit(self, null_model: NullModel, rows: Indices) -> float:
+        """Normalised rms of some cells' residuals: about 1 when noise and the map's spread explain them."""
+        variance = null_model.noise[rows] + self.map_variance[rows]
+        return float(np.sqrt(np.mean((self.residual[rows] ** 2).sum(axis=1) / variance) / 3))
+
 
 def compare_cells(
     base: PreparedMap,
@@ -225,9 +283,28 @@ def compare_cells(
     cells = null_model.cells
     expected, sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
     residual = rotate_vectors(field, T_base_target) - expected
-    rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > 0.99)
+    rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > WHOLE)
     sample_chi2 = (residual**2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd**2)
     return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), cells.mean(sd[:, None] ** 2)[:, 0])
+
+
+def compare_back(
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, nulls: NullModels
+) -> tuple[NullModel, CellComparison]:
+    """Do as `compare_cells` does, from the other side: cells of the base that a pose puts inside the target."""
+    T = pose.T_base_target
+    expected, sd, _, is_known = target.raster.lookup(transform_points(base.samples, T.inv()))
+    _, cell = np.unique(cube_keys(base.samples, nulls.side), return_inverse=True)
+    inside = (np.bincount(cell, is_known) / np.bincount(cell) > WHOLE)[cell]
+    field, sd = base.sample_field[inside], sd[inside]
+    residual = field - rotate_vectors(pose.sensor.correct(expected[inside]), T)
+    null_model = nulls.of_base(base.samples[inside], field)
+    cells = null_model.cells
+    sample_chi2 = (residual**2).sum(axis=1) / (nulls.noise_variance + sd**2)
+    rows = np.arange(len(cells.counts))
+    return null_model, CellComparison(
+        is_known, sample_chi2, rows, cells.mean(residual), cells.mean(sd[:, None] ** 2)[:, 0]
+    )
 
 
 def agreeing_cells(

@@ -143,19 +143,42 @@ def average_cells(positions: Points, side: float) -> CellMeans:
     return CellMeans(means.cell, means.counts, means.mean(positions))
 
 
-def fit_null_model(cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> NullModel:
-    """Most likely smooth random field for the target's cells."""
-    distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
-    variance = max(float(field.var(axis=0).mean()), float(noise.min()))
-    best, covariance = -np.inf, np.zeros_like(distance2)
-    rough = 0.0
-    for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS):
-        # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-        K = strength**2 * variance / (1 + distance2 / (2 * (factor * lengthscale) ** 2))
-        log_likelihood = _with_free_constant(field, K, noise + roughness**2 * variance)
-        if log_likelihood > best:
-            best, covariance, rough = log_likelihood, K, roughness**2 * variance
-    return NullModel(cells, field, covariance, noise, rough)
+@dataclass(frozen=True, slots=True)
+class UnrelatedField:
+    """A smooth random field with a rational-quadratic covariance, a mixture of lengthscales.
+
+    Attributes
+    ----------
+    lengthscale : float, m
+    variance : float, T^2
+        Of one component.
+    roughness : float, T^2
+        Further variance that follows no smooth field.
+    """
+
+    lengthscale: float
+    variance: float
+    roughness: float
+
+    @classmethod
+    def most_likely(cls, cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> "UnrelatedField":
+        """The one that explains a survey's cells best."""
+        distance2 = cdist(cells.centers, cells.centers, "sqeuclidean")
+        variance = max(float(field.var(axis=0).mean()), float(noise.min()))
+        tried = [
+            cls(factor * lengthscale, strength**2 * variance, roughness**2 * variance)
+            for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS)
+        ]
+        return max(tried, key=lambda f: _with_free_constant(field, f.between(distance2), noise + f.roughness))
+
+    def between(self, distance2: Matrix) -> Matrix:
+        """Covariance of one component between points, of their squared distances."""
+        return np.asarray(self.variance / (1 + distance2 / (2 * self.lengthscale**2)))
+
+    def over(self, cells: CellMeans, field: Vectors, noise: Scalars) -> NullModel:
+        """Make it the null model of some cells."""
+        covariance = self.between(cdist(cells.centers, cells.centers, "sqeuclidean"))
+        return NullModel(cells, field, covariance, noise, self.roughness)
 
 
 def _with_free_constant(values: Vectors, K: Matrix, noise: Scalars) -> float:

@@ -13,7 +13,7 @@ from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
 from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
 from magmatch.registration.weigh.change_search import poses_beside_changes
-from magmatch.registration.weigh.evidence import PoseEvidence, null_model_of, weigh_pose
+from magmatch.registration.weigh.evidence import PoseEvidence, null_models_of, weigh_pose
 
 # Poses that differ by less, in standard deviations, came to rest in one optimum.
 SAME_OPTIMUM_SDS = 0.5
@@ -42,11 +42,11 @@ def rank_poses(
     seed: int,
 ) -> list[PoseEvidence]:
     """Refine candidates and order them by their evidence, best first."""
-    null_model = null_model_of(base, target)
+    nulls = null_models_of(base, target)
 
     def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
-        return weigh_pose(base, target, pose, null_model, prior)
+        return weigh_pose(base, target, pose, nulls, prior)
 
     ranked = _rank_candidates(starts, weigh, config.refinement)
     if not ranked:
@@ -54,7 +54,7 @@ def rank_poses(
     with_like_sensors = ranked[0].pose
     ranked[0] = _let_sensors_differ(ranked[0], weigh, config.refinement)
     beside = poses_beside_changes(
-        base, target, starts, ranked[0], with_like_sensors, null_model, prior, config.changes, seed
+        base, target, starts, ranked[0], with_like_sensors, nulls, prior, config.changes, seed
     )
     return beside or _finish(ranked, weigh, config.refinement)
 
