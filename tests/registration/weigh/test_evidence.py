@@ -254,6 +254,24 @@ def test_cells_are_counted_by_what_stands_out_agrees_and_disagrees(pair):
     assert found.misfit == pytest.approx(np.sqrt(np.mean(r2 / (3 * (null.noise + SD**2)))), rel=1e-4)
 
 
+@pytest.mark.parametrize("of", ["base", "target"])
+def test_positions_that_are_off_by_as_much_as_is_stated_leave_no_misfit(pair, of):
+    """Each cell's positions by an error of its own: residuals that are many times the noise, and expected."""
+    base, target = pair
+    side, off = 0.5, 0.3
+    rng, drift = np.random.default_rng(4), replace(target.drift, sd=off)
+    _, cell = np.unique(np.floor(target.samples / side), axis=0, return_inverse=True)
+    errors = off * rng.standard_normal((cell.max() + 1, 3))[cell]
+    moved = replace(target, sample_field=FIELD.evaluate(target.samples + errors).field)
+    stated = (replace(base, drift=drift), moved) if of == "base" else (base, replace(moved, drift=drift))
+    silent, told = (
+        weigh_pose(*both, pose_at(*pair), null_models_of(*both), PRIOR) for both in ((base, moved), stated)
+    )
+    assert told.misfit == pytest.approx(1.0, abs=0.25)
+    assert silent.misfit > 4
+    assert told.log_evidence == silent.log_evidence
+
+
 def test_choosing_cells_costs_the_logarithm_of_how_many_choices_there_are(pair):
     base, target = pair
     nulls = null_models_of(base, target)
@@ -262,7 +280,7 @@ def test_choosing_cells_costs_the_logarithm_of_how_many_choices_there_are(pair):
     residual = 1e-8 * np.random.default_rng(7).standard_normal((n, 3))
     changed = np.random.default_rng(8).permutation(n)[: n // 3]
     residual[changed] += 20e-6
-    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.zeros(n))
+    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.zeros(n), np.zeros(n))
     rows, log_ratio, price = agreeing_cells(seen, null, (1.0, 0.7, 0.5))
     assert not set(rows) & set(changed)
     assert len(rows) in (round(0.7 * n), round(0.5 * n))
@@ -283,7 +301,7 @@ def test_of_all_shares_the_one_is_chosen_whose_odds_pay_best_for_the_choice(pair
     null = nulls.target
     n = len(null.cells.counts)
     residual = spread * np.random.default_rng(9).standard_normal((n, 3))
-    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.full(n, spread**2))
+    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.full(n, spread**2), np.zeros(n))
     shares = (1.0, 0.9, 0.7, 0.5)
     each = [agreeing_cells(seen, null, (share,)) for share in shares]
     best = agreeing_cells(seen, null, shares)

@@ -10,6 +10,7 @@ from scipy.special import gammaln
 
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.prepared.cubes import cube_keys
+from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
@@ -258,6 +259,8 @@ class CellComparison:
         Mean of each cell.
     map_variance : (c,) array, T^2
         Of the base.
+    drift_variance : (c,) array, T^2
+        Of one component, through positions that are off by as much as either survey states.
     """
 
     is_known: Mask
@@ -265,10 +268,11 @@ class CellComparison:
     rows: Indices
     residual: Vectors
     map_variance: Scalars
+    drift_variance: Scalars
 
     def misfit(self, null_model: NullModel, rows: Indices) -> float:
-        """Normalised rms of some cells' residuals: about 1 when noise and the map's spread explain them."""
-        variance = null_model.noise[rows] + self.map_variance[rows]
+        """Normalised rms of some cells' residuals: about 1 when noise, map and stated drift explain them."""
+        variance = null_model.noise[rows] + self.map_variance[rows] + self.drift_variance[rows]
         return float(np.sqrt(np.mean((self.residual[rows] ** 2).sum(axis=1) / variance) / 3))
 
 
@@ -281,11 +285,13 @@ def compare_cells(
 ) -> CellComparison:
     """Residuals of the target's cells under a pose."""
     cells = null_model.cells
-    expected, sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
+    expected, sd, G, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
     residual = rotate_vectors(field, T_base_target) - expected
     rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > WHOLE)
     sample_chi2 = (residual**2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd**2)
-    return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), cells.mean(sd[:, None] ** 2)[:, 0])
+    off = field_variance(G, base.drift.sd**2 + target.drift.sd**2)
+    map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
+    return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
 
 
 def compare_back(
@@ -293,7 +299,7 @@ def compare_back(
 ) -> tuple[NullModel, CellComparison]:
     """Do as `compare_cells` does, from the other side: cells of the base that a pose puts inside the target."""
     T = pose.T_base_target
-    expected, sd, _, is_known = target.raster.lookup(transform_points(base.samples, T.inv()))
+    expected, sd, G, is_known = target.raster.lookup(transform_points(base.samples, T.inv()))
     _, cell = np.unique(cube_keys(base.samples, nulls.side), return_inverse=True)
     inside = (np.bincount(cell, is_known) / np.bincount(cell) > WHOLE)[cell]
     field, sd = base.sample_field[inside], sd[inside]
@@ -301,10 +307,10 @@ def compare_back(
     null_model = nulls.of_base(base.samples[inside], field)
     cells = null_model.cells
     sample_chi2 = (residual**2).sum(axis=1) / (nulls.noise_variance + sd**2)
+    off = field_variance(G[inside], base.drift.sd**2 + target.drift.sd**2)
+    map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
     rows = np.arange(len(cells.counts))
-    return null_model, CellComparison(
-        is_known, sample_chi2, rows, cells.mean(residual), cells.mean(sd[:, None] ** 2)[:, 0]
-    )
+    return null_model, CellComparison(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
 
 
 def agreeing_cells(
