@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Magnetic maps: make them, register them, correct drifting odometry by them, be found in them.
+"""Build magnetic maps, register them, correct odometry drift with them, and localise in them.
 
 Names are resolved on first use, so that importing the package costs nothing until work begins.
 """

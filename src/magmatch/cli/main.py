@@ -105,4 +105,4 @@ def _program(
     verbose: Verbose = False,
     debug: Debug = False,
 ) -> None:
-    """Magnetic maps: make them, register them, correct drifting odometry by them, be found in them."""
+    """Build magnetic maps, register them, correct odometry drift with them, and localise in them."""
