@@ -46,7 +46,7 @@ REFUSED = {
     "another tangent": (["result.json", "out.g2o", "--g2o-rotation", "euler"], "--g2o-rotation"),
     "poses of a survey without orientations": (["base.csv", "out.tum"], "needs"),
     "no such folder": (["base.csv", "nowhere/out.csv"], "does not exist"),
-    "over itself": (["base.csv", "base.csv"], "over an input"),
+    "over itself": (["base.csv", "base.csv"], "overwrite an input"),
 }
 
 

@@ -73,7 +73,7 @@ def test_a_limit_that_cannot_be_is_one_line_and_code_2(words, said, place, run, 
 
 
 def test_the_published_method_refuses_limits_it_does_not_know():
-    with pytest.raises(ConfigurationError, match="knows neither"):
+    with pytest.raises(ConfigurationError, match="uses neither"):
         with_limits(PRESETS["paper"], None, "0.1,2")
     assert with_limits(PRESETS["paper"], None, None) is PRESETS["paper"]
 

@@ -27,7 +27,7 @@ EXAMPLES = (
 )
 # Where stderr is no terminal, a line of progress now and then.
 TELL_SECONDS = 30.0
-# Options that say where files lie and how long this machine was free: the same results come out without them.
+# Options for paths and computing time, on which the results do not depend.
 PLACES = ("--out", "--from", "--scheduler", "--minutes")
 
 
@@ -40,27 +40,27 @@ def evaluate(
     methods: Annotated[str | None, typer.Option(help="Only these methods, separated by commas.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Most trials of each experiment and method.")] = None,
     first: Annotated[
-        int, typer.Option(min=0, help="First seed; those below 1000 were looked at during development.")
+        int, typer.Option(min=0, help="First seed; seeds below 1000 were used during development.")
     ] = 1000,
     recordings: Annotated[
         Path | None, typer.Option("--from", help="Folder of public recordings; the cache by default.", metavar="DIR")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for rows, tables and report; go on where it has some.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for rows, tables and report; existing rows are reused.")] = Path(
         "magmatch-evaluation"
     ),
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
+        str | None, typer.Option(help="Dask scheduler whose workers run the trials instead, tcp://HOST:PORT.")
     ] = None,
     minutes: Annotated[
         float | None,
-        typer.Option(min=0, help="Begin no trial after this time and report what there is; 0 only reports."),
+        typer.Option(min=0, help="Start no trial after this time, and report on those finished; 0 only reports."),
     ] = None,
     save: Annotated[bool, typer.Option("--save", help="Also save the tables in benchmarks/results.")] = False,
 ) -> None:
     """Run the benchmark: named experiments, several methods, paired seeds.
 
-    Every finished trial is kept in the folder: a run that was interrupted, however it was, goes on where it stood.
+    Every finished trial is stored in the folder, so an interrupted run resumes where it stopped.
     """
     if names == ["list"]:
         _list()

@@ -14,7 +14,7 @@ from magmatch.errors import MagmatchError, TaskError
 
 DONE, FAULT, BAD_INPUT, NOT_ACCEPTED, INTERRUPTED, READER_LEFT = 0, 1, 2, 3, 130, 141
 
-# What the user can put right (names, permissions); all other system errors are the machine's.
+# Errors that the user can correct (names, permissions); all other system errors are the machine's.
 USER_ERRNOS = {
     errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EISDIR, errno.ENOTDIR, errno.EEXIST,
     errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL,
@@ -48,7 +48,7 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """What to say about an error, and the exit code it means."""
+    """The message for an error, and its exit code."""
     if isinstance(error, UsageError):
         return _explain_usage(error), BAD_INPUT
     if isinstance(error, MagmatchError):
@@ -59,11 +59,11 @@ def explain(error: Exception) -> tuple[str, int]:
         return words, BAD_INPUT if error.errno in USER_ERRNOS else FAULT
     if isinstance(error, MemoryError):
         return f"out of memory ({error or 'no details'}); use fewer samples or a coarser map", FAULT
-    return f"internal error, {type(error).__name__}: {error} (say --debug for details, and please report it)", FAULT
+    return f"internal error, {type(error).__name__}: {error} (use --debug for details, and please report it)", FAULT
 
 
 def one_line(text: str) -> str:
-    """Whatever an error says, on one line without control characters."""
+    """An error's message on one line, without control characters."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all subcommands share: examples in their help, common switches, and how to read the surveys they are given."""
+"""What all subcommands share: examples in their help, common switches, and options for reading surveys."""
 
 import inspect
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ LAYOUT_PANEL = "How to read the survey"
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
-    """How to read the surveys of one command: option values by (survey, setting), survey "" where given for all."""
+    """How to read the surveys of one command: option values by (survey, setting); the survey "" stands for all."""
 
     given: dict[tuple[str, str], Any]
 
@@ -32,7 +32,7 @@ class Layouts:
         return words
 
     def of(self, survey: str = "") -> SurveyFormat:
-        """Format of one survey: what is said of it alone, else of all, else the default."""
+        """Format of one survey: its own options, else those for all surveys, else the defaults."""
         general = {name: value for (of, name), value in self.given.items() if of == ""}
         own = {name: value for (of, name), value in self.given.items() if of == survey}
         try:
@@ -46,7 +46,7 @@ class Layouts:
 def command(
     name: str, examples: Sequence[str], surveys: Sequence[str] | None = None
 ) -> Callable[[Callable[..., int | None]], Callable[[typer.Typer], None]]:
-    """Make a function what adds it to the program as a subcommand, with options for how to read its surveys."""
+    """Turn a function into one that adds it to the program as a subcommand, with options for reading its surveys."""
     epilog = "\b\nExamples:\n" + "\n".join(f"  {example}" for example in examples)
     extra = {} if surveys is None else _layout_parameters(("", *surveys))
 

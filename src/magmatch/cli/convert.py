@@ -33,20 +33,20 @@ def convert(
     out: Annotated[
         Path,
         typer.Argument(
-            help="Its ending is the format. Survey: .csv .parquet .mcap .tum .ply .vtk; map: .vtk .ply .nc or its "
-            "samples; result: .tum .g2o .yaml; trajectory: .tum.",
+            help="The suffix chooses the format. Survey: .csv .parquet .mcap .tum .ply .vtk; map: .vtk .ply .nc, or "
+            "as a survey its samples; result: .tum .g2o .yaml; trajectory: .tum.",
             metavar="OUTPUT",
         ),
     ],
     layouts: Layouts,
-    spacing: Annotated[float | None, typer.Option(help="Distance of a map's grid points, metres.", min=1e-6)] = None,
+    spacing: Annotated[float | None, typer.Option(help="Grid spacing for a map, metres.", min=1e-6)] = None,
     cut: Annotated[str | None, typer.Option("--slice", help="One slice of a map, such as z=1.0 (metres).")] = None,
     frames: Annotated[str, typer.Option(help="Names of base and target in a static transform.")] = "base,target",
     g2o_rotation: Annotated[
-        str, typer.Option(help="Rotation part of a g2o edge's information: quaternion (g2o itself) or angle (GTSAM).")
+        str, typer.Option(help="Convention of a g2o edge's rotation information: quaternion (g2o) or angle (GTSAM).")
     ] = "quaternion",
 ) -> None:
-    """Write INPUT in another format, chosen by the ending of OUTPUT."""
+    """Write INPUT in another format, chosen by the suffix of OUTPUT."""
     from magmatch.data.formats.sniff import sniff
 
     check_outputs((out,), inputs=(source,))

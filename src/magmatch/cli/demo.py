@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch demo``: the main job on small packaged data, compared with the truth."""
+"""``magmatch demo``: a registration of small packaged surveys, compared with the truth."""
 
 from importlib.resources import as_file, files
 from pathlib import Path

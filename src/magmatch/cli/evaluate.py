@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch evaluate``: the benchmark, which is a package of its own beside this one."""
+"""``magmatch evaluate``: the benchmark, which is a separate package."""
 
 from importlib.util import find_spec
 

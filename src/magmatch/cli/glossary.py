@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch glossary``: what messages and reports mean by their words."""
+"""``magmatch glossary``: the terms of messages and reports."""
 
 from typing import Annotated
 
@@ -16,7 +16,7 @@ EXAMPLES = ("magmatch glossary", "magmatch glossary nat", 'magmatch glossary "nu
 def glossary(
     term: Annotated[str | None, typer.Argument(help="A term, or the beginning of one; all by default.")] = None,
 ) -> None:
-    """Explain the terms of messages and reports."""
+    """Explain the terms in messages and reports."""
     from magmatch.glossary import terms
 
     found = {name: said for name, said in terms().items() if name.lower().startswith((term or "").lower())}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch index``: compute once what every target will ask of a map."""
+"""``magmatch index``: compute once what every registration needs of a map."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,13 +19,13 @@ EXAMPLES = (
 @command("index", EXAMPLES)
 def index(
     maps: Annotated[list[Path], typer.Argument(help="Saved maps, or folders of them.", metavar="MAP")],
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the default's.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings that override the defaults.")] = None,
 ) -> None:
     """Prepare maps for many registrations.
 
-    Writes MAP.index beside each map, which spares 'magmatch register' that work for each target; 'register' itself
-    keeps there what it needed. An index that is up
-    to date is left alone; an outdated one is never used. 'register' indexes the maps of a folder itself.
+    Writes MAP.index next to each map, so that 'magmatch register' need not repeat this work for each target. An index
+    that is up to date is left alone; an outdated one is never used. 'register' itself indexes the maps of a folder,
+    and stores what it computed from a single map.
     """
     from magmatch.atlas.atlas import is_atlas, maps_in
     from magmatch.cli.inputs import read_map

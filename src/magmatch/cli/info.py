@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch info``: what a file holds."""
+"""``magmatch info``: show what a file holds."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,7 +30,7 @@ def info(
 ) -> None:
     """Show what FILE holds.
 
-    Counts, extent, units, frames, gaps and quality warnings.
+    Shows counts, extent, units, frames, gaps and quality warnings.
     """
     from magmatch.data.formats.sniff import sniff
 
@@ -48,7 +48,7 @@ def info(
 
 
 def _of_log(path: Path, layouts: Layouts) -> dict[str, Any]:
-    """Topics of a recorder log, and the survey in it where there is one."""
+    """Topics of a recorder log, and the survey in it if there is one."""
     from magmatch.data.logs.read import list_topics
 
     topics, chosen = list_topics(path, layouts.of())
@@ -56,7 +56,7 @@ def _of_log(path: Path, layouts: Layouts) -> dict[str, Any]:
 
 
 def _of_phone(path: Path, layouts: Layouts) -> dict[str, Any]:
-    """Sensors of a phone's log, and the survey that it makes with poses."""
+    """Sensors of a phone's log, and the survey that it gives with poses."""
     from magmatch.data.formats.phones.read import read_phone_log
 
     log = read_phone_log(path, recover=layouts.of().recover)
@@ -64,7 +64,7 @@ def _of_phone(path: Path, layouts: Layouts) -> dict[str, Any]:
 
 
 def _with_survey(facts: dict[str, Any], path: Path, layouts: Layouts) -> dict[str, Any]:
-    """What a log holds, with its survey or why there is none."""
+    """Contents of a log, with its survey or the reason why there is none."""
     from magmatch.errors import MagmatchError
 
     try:

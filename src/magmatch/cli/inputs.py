@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Files that commands take: a survey or a saved map, told by content."""
+"""Files that commands take: a survey or a saved map, recognised by content."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Survey | FieldMap":
-    """Read a file as what it is."""
+    """Read a file according to its content."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.data.read import read_survey
 
@@ -24,7 +24,7 @@ def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Surve
     stated = [name for of, name in layouts.given if of == survey]
     if stated and survey:
         flag = f"--{survey}-{stated[0].replace('_', '-')}"
-        msg = f"{path} is a saved map, which knows its units and frame; leave out {flag}"
+        msg = f"{path} is a saved map, whose units and frame are known; leave out {flag}"
         raise ConfigurationError(msg)
     return read_map(path)
 
@@ -46,7 +46,7 @@ def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
 
 
 def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":
-    """Read a log's poses at their own times, where they are not its samples'."""
+    """Read a log's poses at their own times, if these differ from the samples' times."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.data.read import read_poses
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How sure an answer must be, as the command line says it, as settings of a decision."""
+"""How certain an answer must be: command-line options as settings of a decision."""
 
 from math import radians
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -15,7 +15,7 @@ Config = TypeVar("Config", "RegistrationConfig", "LocalizerConfig")
 
 
 def with_limits(config: Config, min_probability: float | None, max_sd: str | None) -> Config:
-    """Put the least probability and the largest standard deviation into the settings."""
+    """Put the minimum probability and the maximum standard deviation into the settings."""
     said: dict[str, Any] = {}
     if min_probability is not None:
         if not 0 < min_probability < 1:
@@ -29,6 +29,6 @@ def with_limits(config: Config, min_probability: float | None, max_sd: str | Non
     if not said:
         return config
     if getattr(config, "search", None) == "keypoints":
-        msg = "--min-probability and --max-sd: the published method decides by its fitness, which knows neither"
+        msg = "--min-probability and --max-sd: the published method decides by its fitness and uses neither"
         raise ConfigurationError(msg)
     return type(config).model_validate(config.model_dump() | {"decision": config.decision.model_dump() | said})

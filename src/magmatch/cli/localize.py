@@ -32,31 +32,29 @@ def localize(
     place: Annotated[Path, typer.Argument(help="A saved map, its index, or a folder of maps.", metavar="MAP")],
     log: Annotated[
         Path,
-        typer.Argument(
-            help="Log with odometry and field, in a frame of its own; or a phone's raw log.", metavar="LOG"
-        ),
+        typer.Argument(help="Log with odometry and field, in its own frame; or a phone's raw log.", metavar="LOG"),
     ],
-    out: Annotated[Path, typer.Option(help="Write the poses of which it is sure here (TUM).", metavar="TRAJECTORY")],
+    out: Annotated[Path, typer.Option(help="Write the stated poses here (TUM).", metavar="TRAJECTORY")],
     layouts: Layouts,
     smooth: Annotated[
-        bool, typer.Option("--smooth", help="With hindsight, instead of as it was known live.")
+        bool, typer.Option("--smooth", help="Estimate each pose from the whole log, not only from earlier samples.")
     ] = False,
     planar: Annotated[
-        bool, typer.Option("--planar", help="All poses lie on one floor; found by itself where they show it.")
+        bool, typer.Option("--planar", help="All poses lie on one floor. Detected if the poses show it.")
     ] = False,
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of map and log is not up.")] = False,
     odometry_sd: Annotated[
         str | None,
-        typer.Option(help="How far odometry is off after a walk of 10 m: METRES,DEGREES.  [default: 0.15,2]"),
+        typer.Option(help="Standard deviation of odometry after 10 m: METRES,DEGREES.  [default: 0.15,2]"),
     ] = None,
     min_probability: Annotated[
-        float | None, typer.Option(help="State a pose that is right at least so probably.  [default: 0.99]")
+        float | None, typer.Option(help="Least probability of a stated pose.  [default: 0.99]")
     ] = None,
     max_sd: Annotated[
         str | None,
         typer.Option(
-            help="State a pose known at least so well: metres,degrees.  [default: 0.3 lengths over which the field "
-            "changes, 4.6 degrees]"
+            help="Largest standard deviation of a stated pose: metres,degrees.  [default: 0.3 correlation lengths of "
+            "the field, 4.6 degrees]"
         ),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with the path over the map here.")] = None,
@@ -65,7 +63,7 @@ def localize(
 ) -> int:
     """Find where LOG's body was in MAP's frame, from an unknown start.
 
-    A pose is written only where it is sure: known to the accuracy and probability asked for.
+    Poses are written only where they are certain, with the required probability and accuracy.
 
     Exit code 0: at least one pose is stated; 3: never localized, with the reason.
     """
@@ -104,7 +102,7 @@ def localize(
 
 
 def tell(result: "LocalizationResult") -> str:
-    """Tell a result in a line or two."""
+    """Summarise a result in a line or two."""
     level = "Taken as planar: every pose lies at one height\n" if result.is_planar else ""
     if result.first_fix is None or result.sensor is None:
         return f"{level}Never localized: {result.reason}"

@@ -41,9 +41,9 @@ Examples:
 \b
 Exit codes:
   0  done (register: accepted; slam, merge: all in one frame; localize: at least one pose)
-  1  a fault of the machine or the program
-  2  bad input or usage, one line on stderr
-  3  registered, but not accepted (slam, merge: not everything is in one frame; localize: never localized)
+  1  internal or system error
+  2  bad input or usage, explained in one line on stderr
+  3  register: not accepted; slam, merge: not everything is in one frame; localize: never localized
 """
 
 # In the order of the help page.

@@ -43,8 +43,8 @@ def build(
     surveys: Annotated[
         list[Path],
         typer.Argument(
-            help="Surveys (or saved maps) in one frame; several are merged. Where the first is a saved map and no "
-            "setting is given, the others are added to it: only the part they touch is fitted again.",
+            help="Surveys (or saved maps) in one frame; several are mapped together. If the first is a saved map and "
+            "no setting is given, the others are added to it, and only the part that they touch is fitted again.",
             metavar="SURVEY...",
         ),
     ],
@@ -54,19 +54,20 @@ def build(
     prior: Annotated[
         str | None,
         typer.Option(
-            help="Prior of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) takes the one "
+            help="Prior of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) chooses the one "
             "that predicts held-out data best."
         ),
     ] = None,
     domain: Annotated[
-        str | None, typer.Option(help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; the samples' box by default.")
+        str | None,
+        typer.Option(help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; by default the samples' bounding box."),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML file of field settings (lengthscale, noise_sd, ...).")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that fit the tiles of a large map.")] = 1,
     scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler whose workers do this instead, tcp://HOST:PORT.")
+        str | None, typer.Option(help="Dask scheduler whose workers fit the tiles instead, tcp://HOST:PORT.")
     ] = None,
 ) -> None:
     """Build a field map from surveys and save it, or add surveys to a saved map."""
@@ -111,19 +112,19 @@ def build(
 
 
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:
-    """Say so where readings turn with their sensor: what a map makes of them is no field of the place."""
+    """Warn if part of the readings turns with the sensor, since a map of them is not the field of the place."""
     from magmatch.data.diagnoses import diagnose
     from magmatch.preparation.sensor_trace import turns_with_sensor
 
     for survey in surveys:
-        # Of vectors in a wrong frame that was said, with what helps.
+        # Vectors in a wrong frame were already reported, with a remedy.
         is_wrong = any(one.is_of_frames for one in diagnose(survey))
         if not is_wrong and turns_with_sensor(survey, field_map.hyperparameters):
             log.warning("%s: its readings turn with the sensor; 'magmatch prepare' calibrates it", survey.name)
 
 
 def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", command: str) -> None:
-    """Write the map's report, where one was asked for."""
+    """Write the map's report, if one was requested."""
     if report is None:
         return
     from magmatch.viz.pages.map_page import write_map_report
@@ -133,7 +134,7 @@ def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", c
 
 
 def command_again(surveys: "Sequence[Path]", layouts: Layouts, out: Path, *, with_settings: bool = True) -> str:
-    """Command line that makes the same map, with the resolved settings in settings.yaml."""
+    """Command line that reproduces the map, with the resolved settings in settings.yaml."""
     words = ["magmatch", "map", *map(str, surveys), *layouts.words()]
     words += ["--config", "settings.yaml"] if with_settings else []
     return shlex.join([*words, "--out", str(out)])

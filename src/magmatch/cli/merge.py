@@ -24,23 +24,23 @@ EXAMPLES = (
 def merge(
     surveys: Annotated[
         list[Path],
-        typer.Argument(help="Surveys or saved maps, each rigid in a frame of its own.", metavar="SURVEY..."),
+        typer.Argument(help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY..."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for surveys, maps, graph, report and result.")],
     layouts: Layouts,
     gravity_aligned: Annotated[bool, typer.Option("--gravity-aligned", help="z points up in all surveys.")] = False,
-    planar: Annotated[bool, typer.Option("--planar", help="As --gravity-aligned, and heights are the same.")] = False,
+    planar: Annotated[bool, typer.Option("--planar", help="As --gravity-aligned, with a common height.")] = False,
     config: Annotated[
-        Path | None, typer.Option(help="YAML file of settings of the registration, or an earlier result.")
+        Path | None, typer.Option(help="YAML file of registration settings, or an earlier result.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
     """Bring SURVEYs into one frame and one map.
 
-    Every pair is registered; pairs that contradict the others are voted out. For logs whose poses drift see 'slam'.
+    Every pair is registered; pairs that contradict the others are rejected. For logs whose poses drift, see 'slam'.
 
-    Exit code 0: all are in one frame; 3: not all. What is known is written all the same.
+    Exit code 0: all are in one frame; 3: not all. The result is written in either case.
     """
     from magmatch.cli.prior import with_prior
     from magmatch.registration.maps import survey_of

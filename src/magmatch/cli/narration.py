@@ -16,7 +16,7 @@ from magmatch.progress import followed
 if TYPE_CHECKING:
     from rich.status import Status
 
-# Loggers of what reads files, and of what goes on until it is stopped.
+# Loggers of the readers, and of the service, which runs until it is stopped.
 READING, SERVING = "magmatch.data", "magmatch.serve"
 FIGURES = re.compile(r"[-+.,\d]*\d")
 
@@ -24,10 +24,10 @@ FIGURES = re.compile(r"[-+.,\d]*\d")
 class Narrator(logging.Handler):
     """Follows the library's log.
 
-    Information becomes a line that comes and goes while work is under way, where stderr is a terminal; what is above
-    it (that loops are compiled) stays. Warnings are held back while files are read, since a command that fails
-    says one thing only, what is wrong; they are said before the work begins, and those of the work at its end. Each
-    is said once for all files that it is about.
+    If stderr is a terminal, information is shown as a temporary progress line; messages above that level (that loops
+    are compiled) stay. Warnings are held back while files are read, because a command that fails should print its
+    error only. They are printed before the work begins, and those of the work at its end; each is printed once for
+    all files concerned.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Narrator(logging.Handler):
         self._known: set[tuple[str, str]] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take one message of the library."""
+        """Handle one message of the library."""
         message = record.getMessage()
         is_warning = record.levelno >= logging.WARNING
         if self.is_verbose or record.name.startswith(SERVING):
@@ -68,13 +68,13 @@ class Narrator(logging.Handler):
             self.follow(message)
 
     def rest(self) -> None:
-        """Take the progress line away."""
+        """Remove the progress line."""
         if self._status is not None:
             self._status.stop()
             self._status = None
 
     def finish(self) -> None:
-        """Say the warnings that were held back."""
+        """Print the warnings that were held back."""
         self.rest()
         for files, words in self._warnings.values():
             alike = f" (also {', '.join(in_short(files[1:]))})" if files[1:] else ""
@@ -82,7 +82,7 @@ class Narrator(logging.Handler):
         self._warnings.clear()
 
     def _hold(self, record: logging.LogRecord) -> None:
-        """Keep a warning; one that differs from another in its file and figures alone is no other."""
+        """Keep a warning; warnings that differ only in file and figures count as one."""
         files, words = "", record.getMessage()
         if record.msg.startswith("%s: ") and isinstance(record.args, tuple):
             files = str(record.args[0])
@@ -94,7 +94,7 @@ class Narrator(logging.Handler):
                 self._warnings.setdefault(kind, ([], words))[0].append(file)
 
     def follow(self, message: str, share: float | None = None) -> None:
-        """Show what is under way, where stderr is a terminal."""
+        """Show the current step, if stderr is a terminal."""
         if self.is_verbose or not sys.stderr.isatty():
             return
         if share:
@@ -112,7 +112,7 @@ class Narrator(logging.Handler):
 
 @contextmanager
 def narrated() -> Iterator[Narrator]:
-    """Follow the library's log for the time of one command."""
+    """Follow the library's log during one command."""
     logger, narrator = logging.getLogger("magmatch"), Narrator()
     level = logger.level
     logger.addHandler(narrator)

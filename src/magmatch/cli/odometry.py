@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch odometry``: poses of a walk from a phone's accelerometer and gyroscope."""
+"""``magmatch odometry``: dead reckoning of a walk from a phone's accelerometer and gyroscope."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,16 +24,16 @@ def odometry(
     ],
     out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
     step_scale: Annotated[
-        float, typer.Option(help="Your steps over those of the average walker: true length of a path over ours.")
+        float, typer.Option(help="Ratio of your step length to the average: true length of a path over ours.")
     ] = 1.0,
     recover: Annotated[
-        bool, typer.Option("--recover", help="Leave out rows that hold no numbers, instead of refusing them.")
+        bool, typer.Option("--recover", help="Skip rows without valid numbers, instead of refusing the log.")
     ] = False,
 ) -> None:
-    """Dead reckoning for a LOG without poses.
+    """Compute poses by dead reckoning for a LOG without any.
 
-    Attitude from gyroscope and accelerometer, one step after the other along the phone's heading; z = 0, from the
-    origin. It drifts: by some percent of the way in length, and in heading with the gyroscope.
+    Attitude comes from gyroscope and accelerometer; each step moves the position along the phone's heading, from the
+    origin, at z = 0. Length is wrong by a few per cent, and heading drifts with the gyroscope.
     """
     from magmatch.cli.option_values import refuse
     from magmatch.data.formats.phones.read import read_phone_log

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values of options that are more than one word, or one of a few: what is wrong with them is said with the option."""
+"""Options that take several numbers or one of a few values; errors name the option."""
 
 from collections.abc import Iterable
 from math import isfinite
@@ -9,7 +9,7 @@ from magmatch.errors import ConfigurationError
 
 
 def numbers(option: str, text: str, n: int, expected: str) -> list[float]:
-    """So many finite numbers, separated by commas."""
+    """Parse n finite numbers separated by commas."""
     try:
         found = [float(part) for part in text.split(",")]
     except ValueError:
@@ -20,7 +20,7 @@ def numbers(option: str, text: str, n: int, expected: str) -> list[float]:
 
 
 def one_of(option: str, value: str, known: Iterable[str]) -> str:
-    """A value that must be one of a few."""
+    """Check that a value is one of those known."""
     if value not in known:
         refuse(option, f"one of {', '.join(known)}", value)
     return value
@@ -29,13 +29,13 @@ def one_of(option: str, value: str, known: Iterable[str]) -> str:
 def vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:
     """Settings that ``--planar`` and ``--no-gravity`` change."""
     if planar and no_gravity:
-        refuse("--planar", "z up, as one floor needs", "--no-gravity")
+        refuse("--planar", "z up, which --planar implies", "--no-gravity")
     from magmatch.settings import of_vertical
 
     return of_vertical(planar=planar, no_gravity=no_gravity)
 
 
 def refuse(option: str, expected: str, found: str) -> NoReturn:
-    """Refuse a value that an option does not take."""
+    """Raise the error for an invalid value of an option."""
     msg = f"{option}: expected {expected}; found '{found}'"
     raise ConfigurationError(msg) from None

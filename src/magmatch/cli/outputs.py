@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Places that results go to, looked at before the work and written whole after it."""
+"""Output paths: checked before the work begins."""
 
 import json
 import os
@@ -13,14 +13,14 @@ from magmatch.errors import ConfigurationError, DataFormatError
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
-    """Make sure that results can be written where they shall go, before any work is done."""
+    """Make sure that results can be written to their paths, before any work is done."""
     taken = {real_path(path): "an input" for path in inputs}
     for path in outputs:
         if path is None:
             continue
         place = real_path(path)
         if place in taken:
-            msg = f"{path}: would be written over {taken[place]}; give it another name"
+            msg = f"{path}: would overwrite {taken[place]}; give it another name"
             raise ConfigurationError(msg)
         check_output(path)
         if not place.exists() or place.is_file():  # two results may share a device such as /dev/stdout
@@ -40,7 +40,7 @@ def check_output(path: Path) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Make sure that a folder for results is there or can be made (its parent must exist), without making it."""
+    """Make sure that a folder for results exists or can be created (its parent must exist), without creating it."""
     if path.exists() and not path.is_dir():
         raise DataFormatError(path, "is a file, expected the name of a folder to write to")
     parent = real_path(path).parent
@@ -50,12 +50,12 @@ def check_folder(path: Path) -> None:
 
 
 def as_json(content: dict[str, Any]) -> str:
-    """JSON for people and programs; NaN is a mistake, not a value."""
+    """Format content as indented JSON; NaN is an error."""
     return json.dumps(content, indent=2, allow_nan=False)
 
 
 def _try_to_write(folder: Path, path: Path) -> None:
-    """Only trying tells: permissions, read-only disks and odd file systems all look different."""
+    """Create and delete a file: only this finds missing permissions, read-only disks and odd file systems alike."""
     try:
         handle, name = tempfile.mkstemp(prefix=".magmatch-", dir=folder)
     except PermissionError:

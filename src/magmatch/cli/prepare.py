@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch prepare``: from a raw log to a survey, with a report of all that was done."""
+"""``magmatch prepare``: correct a raw log, with a report of everything that was done."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,7 +33,7 @@ def prepare(
     out: Annotated[Path, typer.Option(help="Write the survey here (CSV).")],
     layouts: Layouts,
     report: Annotated[
-        Path | None, typer.Option(help="Write the report here (JSON); beside the survey by default.")
+        Path | None, typer.Option(help="Write the report here (JSON); next to the survey by default.")
     ] = None,
     config: Annotated[
         Path | None,
@@ -43,7 +43,7 @@ def prepare(
         Path | None,
         typer.Option(
             help="Start from a known calibration: the report (JSON) of another log, or a CSV of bx,by,bz (sensor "
-            "frame) recorded while turning the sensor in one place."
+            "frame) recorded while rotating the sensor in one place."
         ),
     ] = None,
     place: Annotated[
@@ -51,17 +51,17 @@ def prepare(
     ] = None,
     date: Annotated[str | None, typer.Option(help="Day of the survey, YYYY-MM-DD; goes with --place.")] = None,
 ) -> None:
-    """Correct LOG's clock and sensor errors, and check it.
+    """Correct LOG's clock and sensor errors, and check its samples.
 
-    Each step reports what it found, before and after. Only what the data show is corrected; samples are flagged, and
-    removed only where the configuration says so.
+    Each step reports its figures before and after. Only significant errors are corrected. Bad samples are flagged,
+    and removed only if the configuration says so.
     """
     from magmatch.data.formats.load_trajectory import load_trajectory
     from magmatch.data.read import read_raw_magnetometer, read_survey_and_channels
     from magmatch.preparation.choose_magnetometer import prepare_either
     from magmatch.preparation.config import PreparationConfig
 
-    if report is None and out.parent != Path("/dev"):  # nothing lies beside a pipe
+    if report is None and out.parent != Path("/dev"):  # a pipe has no folder for the report
         report = out.with_suffix(".json")
     layout = layouts.of()
     inputs = [path for path in (log, config, sensor_from, layout.trajectory) if path is not None]
@@ -74,7 +74,9 @@ def prepare(
     survey, channels = read_survey_and_channels(log, layout)
     trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
-    raw = None if known is not None else read_raw_magnetometer(log, layout)  # a known correction is of one of them
+    raw = (
+        None if known is not None else read_raw_magnetometer(log, layout)
+    )  # a known correction belongs to one of them
     prepared, done = prepare_either(
         survey, raw, settings, trajectory=trajectory, channels=channels, place=where, sensor=known
     )
@@ -94,7 +96,7 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
     if place is None and day is None:
         return None
     if place is None or day is None:
-        msg = "--place and --date go together: the Earth's field differs from place to place and from year to year"
+        msg = "--place and --date need each other: the Earth's field depends on place and date"
         raise ConfigurationError(msg)
     latitude, longitude, height = numbers("--place", place, 3, "LAT,LON,HEIGHT in degrees and metres")
     try:
@@ -105,7 +107,7 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
-    """Known correction of the sensor, from a report or a recording of it being turned."""
+    """Known correction of the sensor, from a report or a recording made while rotating it."""
     from magmatch.data.survey_columns import FIELD_COLUMNS
     from magmatch.data.tables.table import read_table
     from magmatch.data.tables.text import read_bytes
@@ -116,7 +118,7 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     if read_bytes(path, 64).lstrip()[:1] == b"{":
         return PreparationReport.load(path).sensor
     table = read_table(path, FIELD_COLUMNS)
-    table.require(FIELD_COLUMNS, "A recording of a turning sensor needs only these")
+    table.require(FIELD_COLUMNS, "A recording of a rotating sensor needs only these")
     try:
         return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]
     except SurveyError as error:

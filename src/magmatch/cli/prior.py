@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the command line says of the pose beforehand, as settings of the registration."""
+"""The pose prior given on the command line, as settings of the registration."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ def with_prior(
     gravity_sd: float | None,
     is_planar: bool,
 ) -> "RegistrationConfig":
-    """Put what is known of the pose into the settings."""
+    """Put the pose prior into the settings."""
     from math import radians
 
     said: dict[str, Any] = {}
@@ -27,7 +27,7 @@ def with_prior(
         said["pose"] = _pose(pose)
     if pose_sd is not None:
         if pose is None and config.prior.pose is None:
-            msg = "--prior-pose-sd: there is no rough pose; say --prior-pose too"
+            msg = "--prior-pose-sd: there is no rough pose; give --prior-pose too"
             raise ConfigurationError(msg)
         metres, degrees = numbers("--prior-pose-sd", pose_sd, 2, "metres,degrees, both above 0, such as 1,10")
         if metres <= 0 or not 0 < degrees <= 180:
@@ -35,7 +35,7 @@ def with_prior(
         said |= {"sd_translation": metres, "sd_rotation": radians(degrees)}
     known = is_aligned or is_planar or config.prior.is_gravity_aligned or config.prior.is_planar
     if gravity_sd is not None and not known:
-        msg = "--gravity-sd: say --gravity-aligned or --planar too"
+        msg = "--gravity-sd: give --gravity-aligned or --planar too"
         raise ConfigurationError(msg)
     said |= {"is_gravity_aligned": True} if is_aligned else {}
     said |= {"is_planar": True} if is_planar else {}
@@ -43,13 +43,13 @@ def with_prior(
     if not said:
         return config
     if config.search == "keypoints":
-        msg = "--prior-pose, --gravity-aligned and --planar: these settings search by keypoints, which take no prior"
+        msg = "--prior-pose, --gravity-aligned and --planar: these settings search by keypoints, which use no prior"
         raise ConfigurationError(msg)
     return type(config).model_validate(config.model_dump() | {"prior": config.prior.model_dump() | said})
 
 
 def _pose(text: str) -> tuple[float, ...]:
-    """Seven numbers, given or from a result."""
+    """Seven numbers, as given or from a result."""
     if "," not in text or Path(text).is_file():
         return _pose_of(Path(text))
     x, y, z, *q = numbers("--prior-pose", text, 7, "x,y,z,qx,qy,qz,qw (m; a unit quaternion) or a result's file")
@@ -61,7 +61,7 @@ def _pose(text: str) -> tuple[float, ...]:
 
 
 def _pose_of(path: Path) -> tuple[float, ...]:
-    """Pose of a result, or its best candidate where it was not accepted."""
+    """Pose of a result, or its best candidate if it was not accepted."""
     from magmatch.cli.inputs import read_result
 
     result = read_result(path)

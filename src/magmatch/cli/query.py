@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch query``: what a map says at points."""
+"""``magmatch query``: evaluate a map at points."""
 
 from pathlib import Path
 from typing import Annotated
@@ -29,8 +29,8 @@ def query(
 ) -> None:
     """Write MAP's field at given points.
 
-    Columns x,y,z (m), bx,by,bz (T) and the standard deviations sx,sy,sz (T) of the noise-free field, in input order.
-    Points where the map does not know the field get the prior's large standard deviation.
+    The columns are x,y,z (m), bx,by,bz (T) and the standard deviations sx,sy,sz (T) of the noise-free field, in input
+    order. Points where the map does not know the field have the prior's large standard deviation.
     """
     from magmatch.data.formats.csv import read_points
     from magmatch.data.tables.table import write_table

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch register``: the main job."""
+"""``magmatch register``: find the transform between two surveys."""
 
 import shlex
 from pathlib import Path
@@ -41,7 +41,7 @@ EXAMPLES = (
 @command("register", EXAMPLES, surveys=("base", "target"))
 def register(
     base: Annotated[
-        Path, typer.Argument(help="Survey, saved map, or folder of saved maps, that gives the frame.", metavar="BASE")
+        Path, typer.Argument(help="Survey, saved map or folder of saved maps that defines the frame.", metavar="BASE")
     ],
     target: Annotated[Path, typer.Argument(help="Survey or saved map to bring into that frame.", metavar="TARGET")],
     layouts: Layouts,
@@ -51,10 +51,10 @@ def register(
         str, typer.Option(help="Settings to start from: default, or paper (as published).")
     ] = "default",
     sensor: Annotated[
-        str, typer.Option(help="What to estimate between the magnetometers: auto|none|bias|scale|full.")
+        str, typer.Option(help="Differences between the magnetometers to estimate: auto|none|bias|scale|full.")
     ] = "auto",
     prior_pose: Annotated[
-        str | None, typer.Option(help="Rough T_base_target: x,y,z,qx,qy,qz,qw (m), or the file of a result.")
+        str | None, typer.Option(help="Rough T_base_target: x,y,z,qx,qy,qz,qw (m), or a result file.")
     ] = None,
     prior_pose_sd: Annotated[
         str | None,
@@ -65,28 +65,24 @@ def register(
     ] = False,
     planar: Annotated[
         bool,
-        typer.Option(
-            "--planar", help="As --gravity-aligned, and heights are the same: search x, y and heading only."
-        ),
+        typer.Option("--planar", help="As --gravity-aligned, with a common height: search x, y and heading only."),
     ] = False,
     gravity_sd: Annotated[
-        float | None, typer.Option(help="Accuracy of that, degrees.  [default: 0.6]", min=0.001, max=45)
+        float | None, typer.Option(help="Accuracy of the vertical, degrees.  [default: 0.6]", min=0.001, max=45)
     ] = None,
     min_probability: Annotated[
-        float | None, typer.Option(help="Accept a pose that is right at least so probably.  [default: 0.99]")
+        float | None, typer.Option(help="Least probability of an accepted pose.  [default: 0.99]")
     ] = None,
     max_sd: Annotated[
         str | None,
         typer.Option(
-            help="Accept a pose known at least so well, as a standard deviation: metres,degrees.  "
-            "[default: 0.3 lengths over which the field changes, 4.6 degrees]"
+            help="Largest standard deviation of an accepted pose: metres,degrees.  "
+            "[default: 0.3 correlation lengths of the field, 4.6 degrees]"
         ),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings that replace the preset's.")] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings that override the preset's.")] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
-    keep_index: Annotated[
-        bool, typer.Option(help="Keep what is prepared of a saved map beside it, for later targets.")
-    ] = True,
+    keep_index: Annotated[bool, typer.Option(help="Store a saved map's index next to it, for later targets.")] = True,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
     """Find the transform from TARGET to BASE.
@@ -115,7 +111,7 @@ def register(
         from magmatch.registration.maps import as_map
         from magmatch.viz.pages.registration_page import write_report
 
-        # Of a folder where no map fits there is nothing to draw, but all the words.
+        # If no map of a folder fits, there is nothing to draw; the report then has text only.
         target_map = None if base_map is None else as_map(mapped, settings.field)
         write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
     if json:
@@ -125,7 +121,7 @@ def register(
 
 
 def command_again(base: Path, target: Path, layouts: Layouts, seed: int) -> str:
-    """Command line that gives the same result, with the resolved settings in settings.yaml."""
+    """Command line that reproduces the result, with the resolved settings in settings.yaml."""
     words = ["magmatch", "register", str(base), str(target), *layouts.words()]
     return shlex.join([*words, "--config", "settings.yaml", "--seed", str(seed)])
 
@@ -138,7 +134,7 @@ def _register(
     seed: int,
     keep: bool,
 ) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
-    """Register against a file or a folder; the maps that the answer speaks of (no base where it speaks of none)."""
+    """Register against a file or a folder; gives the maps of the answer (no base if no map of a folder fits)."""
     from magmatch.atlas.atlas import is_atlas
     from magmatch.atlas.register import register_anywhere
     from magmatch.registration.maps import map_of

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `register` calls beside the library's verb: a folder of maps as the base, and a saved map with its index."""
+"""What `register` needs besides the library's function: compilation in advance, timing, and a base with its index."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 def with_help() -> None:
-    """Where loops must be compiled first: those of the search by another process, while this one makes the maps."""
+    """If loops must be compiled first, let another process compile those of the search while this one makes maps."""
     from magmatch.compiled import FIRST_USE
 
     FIRST_USE.next_module = "magmatch.registration.search.invariant_search"
 
 
 def with_wait(result: "RegistrationResult", loaded: float) -> "RegistrationResult":
-    """State what a user waited for besides: the program's start until it was loaded, and the reading of files."""
+    """Add the user's further waiting time to the result: loading the program and reading files."""
     now, seconds = perf_counter(), dict(result.seconds)
     reading = now - loaded - seconds.pop("total")
     return replace(result, seconds={"start": loaded - STARTED, "read": reading, **seconds, "total": now - STARTED})
@@ -35,12 +35,12 @@ def with_wait(result: "RegistrationResult", loaded: float) -> "RegistrationResul
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReadBase:
-    """A base as it was read, with its index where there is one beside it.
+    """A base as it was read, with its index if there is one.
 
     Attributes
     ----------
     key : str
-        Of `index_key`, before a saved map was read; empty where there is nothing to keep.
+        From `index_key`, before a saved map was read; empty if there is nothing to store.
     """
 
     path: Path
@@ -48,7 +48,7 @@ class ReadBase:
     key: str = ""
 
     def keep(self, used: "FieldMap | MapIndex | None", settings: "RegistrationConfig") -> None:
-        """Keep beside a saved map what was prepared of it, and say once what spares the rest."""
+        """Store what was computed from a saved map next to it, and say once how to compute the rest in advance."""
         from magmatch.registration.index.map_index import MapIndex, index_path, keep_index
 
         had = self.base if isinstance(self.base, MapIndex) else None
@@ -58,12 +58,12 @@ class ReadBase:
             return
         is_kept = keep_index(self.path, settings, used, self.key)
         if not had and not (is_kept and used.is_whole):
-            kept = f"Kept what was prepared of the map in {index_path(self.path)}; " if is_kept else ""
-            say(f"{kept}'magmatch index {self.path}' spares later targets the rest")
+            kept = f"Stored an index of the map in {index_path(self.path)}; " if is_kept else ""
+            say(f"{kept}'magmatch index {self.path}' makes later registrations faster")
 
 
 def read_base(path: Path, layouts: Layouts, settings: "RegistrationConfig", *, keep: bool) -> ReadBase:
-    """Read the base: a survey, or a saved map with its index where there is one beside it."""
+    """Read the base: a survey, or a saved map with its index if there is one."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.data.survey import Survey
     from magmatch.errors import DataFormatError
@@ -76,5 +76,5 @@ def read_base(path: Path, layouts: Layouts, settings: "RegistrationConfig", *, k
         return ReadBase(path, base, key)
     try:
         return ReadBase(path, index.load(base), "" if index.is_whole else key)
-    except DataFormatError:  # an index is a cache: without it the answer only takes longer
+    except DataFormatError:  # an index is a cache: without it, registration only takes longer
         return ReadBase(path, base, key)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch replay``: a log sent through the live door."""
+"""``magmatch replay``: send a log to a running service."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,13 +28,13 @@ EXAMPLES = (
 @command("replay", EXAMPLES, surveys=())
 def replay(
     log: Annotated[Path, typer.Argument(help="Log with odometry and field; or a phone's raw log.", metavar="LOG")],
-    url: Annotated[str, typer.Option(help="Address of the service, as 'magmatch serve' says it.")],
+    url: Annotated[str, typer.Option(help="Address of the service, as printed by 'magmatch serve'.")],
     layouts: Layouts,
-    speed: Annotated[float, typer.Option(help="Times faster than it was walked.")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Speed relative to the recording.")] = 1.0,
     token_file: Annotated[Path | None, typer.Option(help="File with the service's token.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the poses that were stated here (TUM).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the stated poses here (TUM).")] = None,
 ) -> int:
-    """Send LOG to a service as if it were walked now.
+    """Send LOG to a service as if it were recorded now.
 
     Exit code 0: at least one pose was stated; 3: none was.
     """
@@ -65,6 +65,6 @@ def replay(
 
 
 def tell(found: "Replayed") -> str:
-    """Tell in a line what came back."""
+    """Summarise the answers in a line."""
     refused = f", {found.n_errors} samples refused" if found.n_errors else ""
     return f"{found.n_answers} answers, {len(found.times)} with a pose{refused}"

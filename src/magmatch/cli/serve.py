@@ -25,34 +25,32 @@ DASK = "dask://"
 @command("serve", EXAMPLES)
 def serve(
     place: Annotated[Path, typer.Argument(help="A saved map, or a folder of maps.", metavar="MAP|FOLDER")],
-    host: Annotated[str, typer.Option(help="Address to listen at; others than this machine's own need a token.")] = (
+    host: Annotated[str, typer.Option(help="Address to listen on; any but this machine's own needs a token.")] = (
         "127.0.0.1"
     ),
-    port: Annotated[int, typer.Option(help="Port to listen at; 0 takes any that is free.")] = 8123,
-    token_file: Annotated[
-        Path | None, typer.Option(help="File with the token that all who ask have to know.")
-    ] = None,
+    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes any free one.")] = 8123,
+    token_file: Annotated[Path | None, typer.Option(help="File with the token that every client must send.")] = None,
     origin: Annotated[
-        list[str] | None, typer.Option(help="Origin of web pages that may ask, such as a reverse proxy's.")
+        list[str] | None, typer.Option(help="Origin of web pages that may connect, such as a reverse proxy's.")
     ] = None,
     states: Annotated[
         Path | None,
-        typer.Option(help="Folder for what is known of each client.  [default: MAP.clients, or .clients in FOLDER]"),
+        typer.Option(help="Folder for the clients' states.  [default: MAP.clients, or .clients in FOLDER]"),
     ] = None,
     workers: Annotated[
         str | None,
-        typer.Option(help="Processes for whole logs, or the Dask cluster that does them: dask://SCHEDULER."),
+        typer.Option(help="Number of processes for whole logs, or a Dask cluster: dask://SCHEDULER."),
     ] = None,
     foxglove: Annotated[int | None, typer.Option(help="Port for Foxglove on this machine.")] = None,
     planar: Annotated[bool, typer.Option("--planar", help="All poses lie on one floor.")] = False,
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of map and odometry is not up.")] = False,
     config: Annotated[
-        Path | None, typer.Option(help="YAML file of settings: limits, and how poses are found.")
+        Path | None, typer.Option(help="YAML file of settings: limits, and those of the localizer.")
     ] = None,
 ) -> None:
-    """Serve MAP: samples in by a WebSocket, poses out; whole logs by POST; a page to watch.
+    """Serve MAP: samples in and poses out over a WebSocket, whole logs by POST, and a page to watch.
 
-    Ctrl-C ends it; clients go on where they were when it is started again.
+    Ctrl-C ends the service; when it is started again, clients continue where they were.
     """
     for package in ("uvicorn", "starlette", "websockets", "prometheus_client"):
         import_extra(package, "the service", "serve")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `slam` and `merge` do with their session: write the folder, tell, and give the exit code."""
+"""What `slam` and `merge` do with their session: write the folder, print a summary, and give the exit code."""
 
 import shlex
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def require_pictures(rerun: Path | None = None) -> None:
-    """Ask for what draws the report and the recording before the work, not after."""
+    """Require the packages that draw the report and the recording, before the work begins."""
     from magmatch.viz.figures.plotting import require_plotly
 
     require_plotly()
@@ -37,7 +37,7 @@ def deliver(
     json: bool,
     rerun: Path | None = None,
 ) -> int:
-    """Write the folder, tell what is in it, and say whether all logs are in one frame."""
+    """Write the folder, print a summary, and give the exit code: whether all logs are in one frame."""
     from magmatch.slam.output.folder import write_folder
     from magmatch.viz.pages.session_page import write_session_report
 
@@ -59,14 +59,14 @@ def deliver(
 
 
 def tell(result: "SlamResult") -> str:
-    """Tell a session in a line, and one for each log."""
+    """Summarise a session in a line, and each log in another."""
     status = result.status.replace("_", " ").capitalize()
     lines = [f"{status}: {result.reason}"]
     width = max(len(log.name) for log in result.logs)
     for log in result.logs:
         place, turn = log.sd
         known = f"known to {place:.2g} m, {degrees(turn):.2g} degrees"
-        # Rigid surveys have no odometry, and are not moved but as a whole.
+        # Rigid surveys have no odometry and are moved as a whole.
         walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
         lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")
     return "\n".join(lines)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Configuration from a preset and a YAML file; mistakes name the setting."""
+"""Configuration from a preset and a YAML file; errors name the setting."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Config = TypeVar("Config", bound=BaseModel)
 # Schemas of results, which hold the settings they were made with.
 RESULTS = ("magmatch.registration/", "magmatch.slam/", "magmatch.localization/")
-# Bytes of settings, and of a result that is taken for its settings; stated in docs/formats.md.
+# Bytes of a settings file, and of a result used as settings; stated in docs/formats.md.
 MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
 
 
@@ -39,17 +39,17 @@ SENSORS = ("auto", "none", "bias", "scale", "full")
 
 
 def with_sensor(config: "RegistrationConfig", sensor: str) -> "RegistrationConfig":
-    """State what to estimate between the two magnetometers, where it is not left to the configuration."""
+    """Set what to estimate between the two magnetometers, unless it is left to the configuration."""
     if sensor == "auto":
         return config
     if config.search == "keypoints" and sensor != "none":
-        msg = f"--sensor {sensor}: these settings do not refine the pose, so none is estimated; say auto or none"
+        msg = f"--sensor {sensor}: these settings do not refine the pose, so none is estimated; use auto or none"
         raise ConfigurationError(msg)
     return type(config).model_validate(_over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))
 
 
 def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
-    """Put settings over a configuration."""
+    """Override a configuration with settings."""
     try:
         return type(config).model_validate(_over(config.model_dump(), settings))
     except ValidationError as error:
@@ -61,7 +61,7 @@ def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read a YAML file of settings, or take those of an earlier result."""
+    """Read settings from a YAML file or an earlier result."""
     content = _parsed(path)
     if isinstance(content, dict) and str(content.get("schema", "")).startswith(RESULTS):
         content = content.get("config")
@@ -74,7 +74,7 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def _parsed(path: Path) -> Any:
-    """Content of a YAML file, or of a result, which is JSON: for that a YAML parser takes a hundred times longer."""
+    """Content of a YAML file, or of a result, which is JSON: a YAML parser would take a hundred times longer."""
     import yaml
 
     from magmatch.data.tables.text import read_bytes, text_lines
@@ -98,7 +98,7 @@ def _parsed(path: Path) -> Any:
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge nested settings; those above win."""
+    """Merge nested settings; those above take precedence."""
     result = dict(below)
     for key, value in above.items():
         inner = result.get(key)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch simulate``: two surveys of a known place and the truth between them."""
+"""``magmatch simulate``: two surveys of a simulated place, and the true transform between them."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,13 +18,15 @@ EXAMPLES = (
 
 @command("simulate", EXAMPLES)
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario; a wrong name lists all.", metavar="SCENARIO")],
+    scenario: Annotated[
+        str, typer.Argument(help="Name of a scenario; an unknown name lists all.", metavar="SCENARIO")
+    ],
     out: Annotated[Path, typer.Option(help="Folder to write base.csv, target.csv and truth.json to.")],
     seed: Annotated[int, typer.Option(help="Same scenario and seed give the same surveys.", min=0)] = 0,
 ) -> None:
     """Simulate two surveys of one place.
 
-    The folder gets base.csv, target.csv and truth.json of a named SCENARIO.
+    Writes base.csv, target.csv and truth.json of the SCENARIO into a folder.
     """
     from magmatch.errors import ConfigurationError
     from magmatch.simulation.scenarios import SCENARIOS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch slam``: logs whose poses drift, corrected and in one frame."""
+"""``magmatch slam``: correct logs whose poses drift, and bring them into one frame."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,42 +32,44 @@ SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
 @command("slam", EXAMPLES, surveys=())
 def slam(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs with odometry and field, each in a frame of its own.", metavar="LOG...")
+        list[Path], typer.Argument(help="Logs with odometry and field, each in its own frame.", metavar="LOG...")
     ],
     out: Annotated[Path, typer.Option(help="Folder for trajectories, surveys, maps, graph, report and result.")],
     layouts: Layouts,
     odometry_sd: Annotated[
         list[str] | None,
         typer.Option(
-            help="How far odometry is off after a walk of 10 m, as standard deviations: METRES,DEGREES, or "
-            "NAME:METRES,DEGREES for one log.  [default: what nav_msgs/Odometry states where that can be, else 0.3,4]"
+            help="Standard deviation of odometry after 10 m: METRES,DEGREES, or NAME:METRES,DEGREES for one log.  "
+            "[default: from the covariance in nav_msgs/Odometry if it is plausible, else 0.3,4]"
         ),
     ] = None,
     planar: Annotated[
-        bool, typer.Option("--planar", help="All poses lie on one floor; found by itself where they show it.")
+        bool, typer.Option("--planar", help="All poses lie on one floor. Detected if the poses show it.")
     ] = False,
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of the logs is not up.")] = False,
     anchors: Annotated[
         Path | None,
-        typer.Option(help="Surveyors' fixed points: a table log,t,x,y,z,sd of where logs were when (s and m)."),
+        typer.Option(help="Known positions of logs at given times: a table log,t,x,y,z,sd (s and m)."),
     ] = None,
     is_more: Annotated[
         bool,
-        typer.Option("--continue", help="Add the LOGs that the result in the folder is not of, and keep the others."),
+        typer.Option(
+            "--continue", help="Add those LOGs that are not yet in the folder's result, and keep the others."
+        ),
     ] = False,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
     rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
-    """Correct the drift of LOGs by the field, and bring them into one frame with one map.
+    """Correct the drift of LOGs with the field, and bring them into one frame with one map.
 
-    Where a log passes a place again, its field shows it: such closures correct the poses, and tie logs to each other.
+    Where a log revisits a place, the field shows it. Such closures correct the poses and tie logs to each other.
 
-    Cut off in the middle, the same command goes on where it was. With --anchors the frame is that of the fixed
-    points, where they tell it.
+    If interrupted, the same command resumes where it stopped. With --anchors the frame is that of the fixed points,
+    if they determine it.
 
-    Exit code 0: every log is in one frame (a single log: corrected); 3: not all, or nothing to correct. What is known
-    is written all the same.
+    Exit code 0: all logs are in one frame (a single log: corrected); 3: not all, or nothing to correct. The result is
+    written in either case.
     """
     from magmatch.data.logs.drift import read_drift
     from magmatch.slam.config import SlamConfig
@@ -78,7 +80,7 @@ def slam(
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):
-        refuse("--continue", "the settings of the session that it goes on with", "others")
+        refuse("--continue", "the settings of the session that it continues", "others")
     check_folder(out)
     check_outputs([rerun], logs)
     require_pictures(rerun)
@@ -94,14 +96,14 @@ def slam(
     poses = [read_poses_of(path, layouts) for path in logs]
     session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
     session.add_logs(new, fixed, keep=unfinished(out))
-    # A session has its logs in the order in which they came.
+    # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
     words = ["slam", *map(str, logs), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
     return deliver(session, out, words, poses, json=json, rerun=rerun)
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":
-    """Put the stated drift into the settings: of all logs, or of those of a name."""
+    """Put the stated drift into the settings: of all logs, or of those with a given name."""
     for text in said:
         name, _, pair = text.rpartition(":")
         sd = tuple(numbers("--odometry-sd", pair, 2, SD))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a result and a file say, in words for people."""
+"""Summaries of results and files as text."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def tell_result(result: "RegistrationResult", out: Path | None = None, report: Path | None = None) -> str:
-    """Tell a registration in a few lines."""
+    """Summarise a registration in a few lines."""
     from magmatch.glossary import terms_in
     from magmatch.registration.sensor_calibration import in_words as calibration_words
 
@@ -34,13 +34,13 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
 
 
 def info_table(facts: Mapping[str, Any]) -> str:
-    """Lay nested facts out as aligned lines."""
+    """Format nested facts as aligned lines."""
     rows = list(_rows(facts))
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:{width}}  {text}" for name, text in rows)
 
 
-# Units of what `info` shows, by name of the fact.
+# Units of the facts that `info` shows, by name.
 UNITS = {
     "pose_sd": "m", "low": "m", "high": "m", "extent": "m", "path_length": "m", "median_step": "m",
     "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
@@ -88,7 +88,7 @@ def _text(value: Any, unit: str) -> str:
 
 
 def _motion(result: "RegistrationResult") -> str:
-    """Size of the motion, with its standard deviation where known."""
+    """Size of the motion, with its standard deviation if known."""
     import numpy as np
 
     T = result.T_base_target
@@ -102,7 +102,7 @@ def _motion(result: "RegistrationResult") -> str:
 
 
 def _figures(result: "RegistrationResult") -> str:
-    """Certainty, overlap, residual and counts on one line."""
+    """Probability, overlap, residual and counts on one line."""
     parts = [] if result.probability is None else [f"probability {_probability(result.probability)}"]
     parts += [f"overlap {result.overlap:.0%}"]
     parts += [] if result.residual is None else [f"normalised residual {result.residual:.2f}"]

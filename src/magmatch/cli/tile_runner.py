@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Who fits the tiles of a large map."""
+"""Where the tiles of a large map are fitted."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def runner(jobs: int, scheduler: str | None) -> "Iterator[Runner]":
-    """Give what runs the tasks of a map in tiles: this process, others on this machine, or a cluster."""
+    """Give the runner for the tasks of a tiled map: this process, others on this machine, or a cluster."""
     if jobs == 1 and scheduler is None:
         yield map
         return

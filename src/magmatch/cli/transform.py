@@ -22,12 +22,13 @@ EXAMPLES = (
 def transform(
     target: Annotated[Path, typer.Argument(help="Survey or saved map.", metavar="TARGET")],
     by: Annotated[Path, typer.Option(help="Result of 'magmatch register' (JSON).")],
-    out: Annotated[Path, typer.Option(help="Write here: CSV in tesla and metre, or a map where TARGET is one.")],
+    out: Annotated[Path, typer.Option(help="Write here: CSV in tesla and metre, or a map if TARGET is one.")],
     layouts: Layouts,
 ) -> None:
     """Write TARGET in the base's frame.
 
-    Positions move, field vectors turn. A saved map stays a map; where OUT ends in .csv, its samples are written.
+    Positions are transformed, field vectors rotated. A saved map stays a map, unless OUT ends in .csv: then its
+    samples are written.
     """
     from magmatch.data.survey import Survey
 

@@ -37,21 +37,21 @@ def view(
     ],
     layouts: Layouts,
     out: Annotated[
-        Path | None, typer.Option(help="Write here (HTML); by default named after the first file, in this folder.")
+        Path | None, typer.Option(help="Write here (HTML); by default in this folder, named after the first file.")
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Open a 3-D viewer for the browser on this machine, until Ctrl-C.")
     ] = False,
     port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Of the viewer; the next free one where it is taken.")
+        int, typer.Option(min=1, max=65535, help="Port of the viewer; if it is taken, the next free one is used.")
     ] = 8080,
     rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
 ) -> None:
     """Draw surveys, maps or a registration.
 
-    One HTML page that works offline; its path goes to stdout. With --live a 3-D viewer instead, whose address goes to
-    stdout; with --rerun a recording. With --out as well, both. Surveys that come with a result are mapped as its
-    settings say.
+    Writes one HTML page that works offline, and prints its path on stdout. With --live, starts a 3-D viewer instead
+    and prints its address; with --rerun, writes a recording. With --out as well, does both. Surveys given with a
+    result are mapped with the result's settings.
     """
     from magmatch.data.formats.sniff import sniff
 
@@ -83,7 +83,7 @@ def view(
 
 
 def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
-    """Say what is missing before any work is done."""
+    """Require the packages needed, before any work is done."""
     if page is not None:
         from magmatch.viz.figures.plotting import require_plotly
 
@@ -99,7 +99,7 @@ def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
 
 
 def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
-    """A survey's map as the registration made it, since residuals and cuts need one; the survey where none can be."""
+    """A survey's map as the registration made it, for residuals and cuts; the survey if it cannot be mapped."""
     from magmatch.errors import SurveyError
     from magmatch.registration.config import RegistrationConfig
     from magmatch.registration.maps import as_map, survey_of
@@ -132,7 +132,7 @@ def _record(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationR
 
 
 def _serve(drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None", port: int) -> None:
-    """Show it until the user has seen enough."""
+    """Run the viewer until it is interrupted."""
     from magmatch.viz.viewers.exhibit import exhibit
     from magmatch.viz.viewers.live_viewer import address_of, serve
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log with odometry, as `localize` and `replay` take it: a phone's without poses is dead reckoned."""
+"""A log with odometry for `localize` and `replay`; dead reckoning for a phone's log without poses."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def read_walk(path: Path, layouts: Layouts) -> "Survey":
-    """Read a log; a phone's has no poses of its own: they are dead reckoned, as by `odometry`."""
+    """Read a log; poses of a phone's log are computed by dead reckoning, as by `odometry`."""
     from magmatch.data.formats.phones.read import read_phone_log
     from magmatch.data.formats.sniff import sniff
     from magmatch.data.read import read_survey

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a survey file means where it does not say so itself: units, frames, poses from elsewhere."""
+"""What a survey file does not say itself: units, frames, poses from another file."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -20,38 +20,38 @@ class SurveyFormat(Settings):
     length_unit: LengthUnit = Field(default="m", description="Unit of the positions (in a trajectory file too).")
     field_frame: Literal["survey", "sensor"] = Field(
         default="survey",
-        description="Frame of the field vectors: the survey's, or the sensor's, which needs orientations. Bags, MCAP "
-        "and phone logs: sensor, unless they name the survey's frame.",
+        description="Frame of the field vectors: the survey's, or the sensor's, which needs orientations. Default "
+        "for bags, MCAP and phone logs: sensor, unless they name the survey's frame.",
     )
     time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
     columns: str | None = Field(
-        default=None, description="Names of a table's columns where they differ: x=pos_x,bx=mag_x,..."
+        default=None, description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,..."
     )
     trajectory: Path | None = Field(
         default=None,
         description="Take the poses from this TUM (t x y z qx qy qz qw) or EuRoC file, interpolated in time.",
     )
-    mag_topic: str | None = Field(default=None, description="Topic of the field, where a log has several.")
-    pose_topic: str | None = Field(default=None, description="Topic of the poses, where a log has several.")
+    mag_topic: str | None = Field(default=None, description="Topic of the field, if a log has several.")
+    pose_topic: str | None = Field(default=None, description="Topic of the poses, if a log has several.")
     pose_frames: str | None = Field(
         default=None, description="Take the poses from tf: of the second frame in the first, such as map,base_link."
     )
     extrinsic: str | None = Field(
         default=None,
-        description="Where the magnetometer sits on the body whose poses are known: 'x y z qx qy qz qw' (metres; "
-        "takes sensor to body coordinates) or a YAML file with translation and rotation. Default: what "
-        "tf_static says, else no offset.",
+        description="Pose of the magnetometer on the body whose poses are given: 'x y z qx qy qz qw' (metres; "
+        "takes sensor to body coordinates) or a YAML file with translation and rotation. Default: from "
+        "tf_static, else no offset.",
     )
     recover: bool = Field(
-        default=False, description="Read what is intact of a damaged log or survey CSV, and report what was lost."
+        default=False, description="Read the intact part of a damaged log or survey CSV, and report what was lost."
     )
-    # None: what the file says (files written by this package do), else 0, that is unknown or exact.
+    # None: the file's value (files written by this package have one), else 0, which means unknown or exact.
     pose_sd: float | None = Field(
         default=None, ge=0, description="Standard deviation of the survey's own positions, metres."
     )
 
     def settled(self, **found: Any) -> "SurveyFormat":
-        """Return this format with what the file itself says, where nothing was stated."""
+        """Return this format with the file's own values for all settings that were not given."""
         return self.model_copy(
             update={key: value for key, value in found.items() if key not in self.model_fields_set}
         )
