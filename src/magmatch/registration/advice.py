@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What to try where two surveys do not seem to match: the likeliest remedy first."""
+"""What to try if two surveys do not seem to match: the most likely remedy first."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,7 +18,7 @@ FLAT = 0.1
 def with_advice(
     answer: RegistrationResult, surveys: Mapping[str, Survey], prior: PosePriorConfig
 ) -> RegistrationResult:
-    """A refusal that begins with what is wrong with a survey; else with a remedy where they seem to be two places."""
+    """A refusal, its reason extended by a survey's fault or, if the places seem to differ, by a remedy."""
     if answer.is_accepted:
         return answer
     if wrong := diagnosis(surveys) or contradiction(surveys, prior):
@@ -29,7 +29,7 @@ def with_advice(
 
 
 def diagnosis(surveys: Mapping[str, Survey]) -> str:
-    """In one clause, what is wrong with the surveys: of one kind, what comes first; empty where nothing is."""
+    """In one clause, the first fault of the surveys; empty if there is none."""
     found = {side: diagnoses[0] for side, survey in surveys.items() if (diagnoses := diagnose(survey))}
     if not found:
         return ""
@@ -40,20 +40,20 @@ def diagnosis(surveys: Mapping[str, Survey]) -> str:
 
 
 def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
-    """In one clause, how the surveys' fields contradict that both are upright; empty where they do not."""
+    """In one clause, how the surveys' fields contradict that z is up in both; empty if they do not."""
     if len(surveys) < 2 or not (prior.is_gravity_aligned or prior.is_planar):
         return ""
     return "; ".join(str(one) for one in of_verticals(*surveys.values()))
 
 
 def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
-    """In one clause, what would help most if the surveys are of one place."""
+    """In one clause, the most helpful remedy if the surveys are of the same place."""
     is_known = prior.is_gravity_aligned or prior.is_planar
     if not is_known and len(surveys) == 2 and all(_is_flat(survey) for survey in surveys.values()):
         return (
-            "both surveys are flat: if z is up in both, say --gravity-aligned (--planar if heights are the same too)"
+            "both surveys are flat: if z is up in both, use --gravity-aligned (--planar if their heights agree too)"
         )
-    return "if they do share a region, survey more of it, or say what is known of the pose (--gravity-aligned)"
+    return "if they do share a region, survey more of it, or state what is known of the pose (--gravity-aligned)"
 
 
 def _is_flat(survey: Survey) -> bool:

@@ -15,7 +15,7 @@ class Clock:
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Add the time of what runs inside to a stage."""
+        """Add the time spent in the block to a stage."""
         start = perf_counter()
         try:
             yield

@@ -28,15 +28,15 @@ class WalkConfig(Settings):
 class RegistrationConfig(Settings):
     """Everything that shapes a registration, stage by stage."""
 
-    # How the two maps are made, where surveys are given.
+    # How surveys are mapped.
     field: FieldConfig = Field(default_factory=FieldConfig)
-    # 'invariants': a frame and a descriptor at every point; 'pairs': pairs of points, for a walk that is a line and
-    # has no gradient across itself; 'auto': pairs for short lines, invariants otherwise and where pairs refuse;
-    # 'keypoints': the published method, which reads `field` and `keypoints` alone.
+    # 'invariants': a frame and a descriptor at every point; 'pairs': pairs of points, for a walk, along which the
+    # gradient across it is unknown; 'auto': pairs for short lines, invariants otherwise and if pairs refuse;
+    # 'keypoints': the published method, which uses only `field` and `keypoints`.
     search: Literal["auto", "invariants", "pairs", "keypoints"] = "auto"
     invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
-    # Where readings turn with their sensor, calibrate it as `magmatch prepare` does, register once more, and keep
-    # what is surer.
+    # If readings turn with their sensor, calibrate it as `magmatch prepare` does, register again, and keep the better
+    # answer.
     calibrate: bool = True
     # What is known of the pose beforehand.
     prior: PosePriorConfig = Field(default_factory=PosePriorConfig)
@@ -60,7 +60,7 @@ PRESETS: dict[str, RegistrationConfig] = {
 
 
 def settings_of(config: RegistrationConfig | None) -> RegistrationConfig:
-    """Settings as they were given, the preset ``default`` where they were not."""
+    """The settings given, or the preset ``default``."""
     if config is None:
         return PRESETS["default"]
     expect_kind(config, "config", (RegistrationConfig,), f"PRESETS holds some: {', '.join(PRESETS)}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether a refused walk drifts: its halves each fit the base, but not by one pose."""
+"""Whether a refused walk drifts: each half fits the base, but not with the same pose."""
 
 from dataclasses import replace
 from functools import partial
@@ -23,10 +23,10 @@ from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
 def naming_drift(
     answer: RegistrationResult, index: MapIndex, samples: Survey, config: RegistrationConfig
 ) -> RegistrationResult:
-    """A refusal that says so where the halves of a walk have poses of their own, which differ.
+    """A refusal whose reason names drift, if the halves of the walk have different poses.
 
-    Both must have the evidence that an answer needs, and together as much more than the whole walk by one pose: two
-    poses are dearer than one, so what is left shows that they are not the same.
+    Both halves must have the evidence that an answer needs, and together exceed the evidence of a single pose by as
+    much. The evidence of two poses includes two search penalties, so the excess shows that they differ.
     """
     is_told = answer.is_accepted or DRIFTS in answer.reason
     if is_told or answer.best_pose is None or config.search not in ("auto", "pairs"):

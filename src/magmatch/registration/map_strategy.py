@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The target as a map: invariants find poses, both maps refine them, independent cells weigh them."""
+"""The target as a map: poses are found by invariants, refined against both maps and weighed by independent cells."""
 
 from dataclasses import dataclass, replace
 
@@ -31,7 +31,7 @@ WeighedMap = Weighed[PreparedMap, PreparedMap, PoseEvidence]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MapStrategy:
-    """Fills `Strategy` for a target that a map was made of."""
+    """Implements `Strategy` for a target that can be mapped."""
 
     prepared: PreparedMap
     config: RegistrationConfig
@@ -39,7 +39,7 @@ class MapStrategy:
 
     @classmethod
     def of(cls, target: Survey | FieldMap, config: RegistrationConfig, seed: int, clock: Clock) -> "MapStrategy":
-        """Map the target, and evaluate all that a search asks of it."""
+        """Map the target, and evaluate everything that a search needs of it."""
         with clock("maps"):
             target_map = as_map(target, config.field)
         with clock("prepare"):
@@ -56,7 +56,7 @@ class MapStrategy:
         return self.pair_with(index.base, index.base.raster.volume if volume is None else volume)
 
     def pair_with(self, base: PreparedMap, volume: float) -> MapPair:
-        """Pair the target with a base that was prepared; the prior covers a volume, m^3."""
+        """Pair the target with a prepared base; the prior covers a volume, m^3."""
         frames = base.T_map_model, self.prepared.T_map_model
         prior = pose_prior(self.config.prior, *frames, volume, height_range(base))
         prior = spread_inside(prior, base.raster, self.prepared.points, overlap_weight)
@@ -68,14 +68,14 @@ class MapStrategy:
         return invariant_search(pair.base, pair.target, pair.prior, self.config.invariants, rng)
 
     def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> WeighedMap:
-        """Refine against both maps; each cell of the target adds evidence for or against."""
+        """Refine poses against both maps, and weigh them; each cell of the target is evidence for or against."""
         tell("refining the best poses")
         starts = [c.T_base_target for c in found.candidates]
         ranked = rank_poses(pair.base, pair.target, starts, pair.prior, self.config, self.seed)
         return Weighed(self, pair, found, ranked)
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:
-        """As its cells show it, and what is known beforehand."""
+        """Combine what its cells show with the pose prior."""
         estimate = pair.estimate(pose)
         if pose.covariance is not None and not pair.prior.is_flat:
             T, covariance = pair.prior.combined(pose.T_base_target, pose.center, pose.covariance)
@@ -84,12 +84,12 @@ class MapStrategy:
         return estimate, support_of_map(pair.base, pair.target, pose, estimate.T_base_target)
 
     def settle(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:
-        """Widen the covariance by what the maps do not know between their samples, and by the surveys' drift.
+        """Widen the covariance by the maps' uncertainty between their samples, and by the surveys' drift.
 
-        Far from a map's samples its error is alike everywhere: the pose follows it, and no residual tells. Where
-        residuals do tell of it, both say the same: the larger is taken, not the sum.
+        Far from a map's samples its error is nearly uniform: the pose follows it, and no residual shows it. If
+        residuals do show it, both covariances describe the same error, so the larger is used, not the sum.
         """
-        assert pose.covariance is not None  # else it is not probable
+        assert pose.covariance is not None  # otherwise it is not probable
         covariance = pose.covariance
         # Where a change was estimated, its covariance already covers this.
         if not pose.is_beside_change:

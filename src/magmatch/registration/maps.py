@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Surveys, maps and indexes are all taken: the samples of each, and the map of each."""
+"""Surveys, maps and indexes are accepted alike: the samples of each, and the map of each."""
 
 from typing import Any
 
@@ -14,14 +14,14 @@ from magmatch.threads import side_by_side
 
 
 def require_base(base: Any) -> None:
-    """Refuse what cannot be the base of a registration."""
+    """Raise an error unless this can be the base of a registration."""
     expect_kind(base, "base", (Survey, FieldMap, MapIndex), ADVICE)
     if isinstance(base, Survey):
         require_survey(base)
 
 
 def require_target(target: Any) -> None:
-    """Refuse what cannot be the target of a registration."""
+    """Raise an error unless this can be the target of a registration."""
     expect_kind(target, "target", (Survey, FieldMap), ADVICE | {"MapIndex": "its map is in .field_map"})
     if isinstance(target, Survey):
         require_survey(target)
@@ -40,14 +40,14 @@ def map_of(base: FieldMap | MapIndex) -> FieldMap:
 
 
 def as_map(survey_or_map: Survey | FieldMap, config: FieldConfig) -> FieldMap:
-    """Map a survey; a map is taken as it is."""
+    """Map a survey; return a map unchanged."""
     return survey_or_map if isinstance(survey_or_map, FieldMap) else build_map(survey_or_map, config)
 
 
 def map_base(
     base: Survey | FieldMap | MapIndex, target: Survey | FieldMap, config: FieldConfig
 ) -> tuple[FieldMap | MapIndex, Survey | FieldMap]:
-    """Map a base that is a survey, and the target beside it: one alone would leave a core idle."""
+    """Map a base that is a survey, and the target in parallel: one alone would leave a core idle."""
     if not isinstance(base, Survey):
         return base, target
     base_map, target_map = side_by_side(lambda side: as_map(side, config), (base, target))

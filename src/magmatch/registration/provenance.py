@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a result says of how it came about: enough to run it again and get the same numbers."""
+"""The provenance in a result: enough to repeat the run and get the same numbers."""
 
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: two surveys (or maps) in, one transform or a reasoned refusal out."""
+"""`register`: two surveys (or maps) in, one transform or a refusal with a reason out."""
 
 from magmatch.arguments import whole_number_of
 from magmatch.data.diagnoses import warn
@@ -22,8 +22,8 @@ def register(
     Parameters
     ----------
     base, target : Survey or FieldMap
-        Each in its own frame; surveys are mapped first. A base that serves many targets is best given as its
-        `MapIndex`, which keeps what would otherwise be computed again for each target.
+        Each in its own frame; surveys are mapped first. For many targets, pass the base as a `MapIndex`, which stores
+        what would otherwise be computed again for each target.
     config : RegistrationConfig, optional
         Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method.
     seed : int
@@ -32,7 +32,7 @@ def register(
     Returns
     -------
     RegistrationResult
-        ``T_base_target`` is None unless accepted; ``reason`` says which check decided.
+        ``T_base_target`` is None unless accepted; ``reason`` says why.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def register_keeping_maps(
     diagnoses = warn((survey_of(base), samples))
     with one_blas_thread():
         outcome = register_once(base, target, samples, config, seed, clock)
-        # Vectors in a wrong frame are told at once: no calibration puts them right.
+        # Vectors in a wrong frame are reported at once: no calibration corrects them.
         if config.calibrate and not any(found.is_of_frames for found in diagnoses):
             with clock("calibrate"):
                 calibrated = calibrate_sensors(base, outcome, samples)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What registration found, how sure it is, and why it refused when it did: one typed document."""
+"""The result of a registration, its uncertainty, and the reason for a refusal: one typed document."""
 
 import json
 import math
@@ -44,12 +44,12 @@ Six = Annotated[list[T], Field(min_length=6, max_length=6)]
 
 
 def _read_as(rows: Any, then: Callable[[Any], Any]) -> GetPydanticSchema:
-    """Validate a field as lists of numbers, then make of them what the field holds."""
+    """Validate a field as lists of numbers, then convert them to the field's type."""
     return GetPydanticSchema(lambda _, handler: no_info_after_validator_function(then, handler.generate_schema(rows)))
 
 
 def _covariance(rows: list[list[float]]) -> np.ndarray:
-    """Symmetric and positive semidefinite but for rounding."""
+    """Symmetric and positive semidefinite up to rounding."""
     C = np.array(rows, dtype=np.float64)
     variance = C.diagonal()
     _expect((variance >= 0).all(), "variances that are not negative", variance.tolist())
@@ -105,7 +105,7 @@ class Alternative:
     probability, log_odds : float or None
         The log odds in nats; None where not computed.
     base : str or None
-        In which map, where the base was a folder and it is another than the result's.
+        Name of the map, if the base was a folder and the pose is in another map than the result's.
     """
 
     T_base_target: Transform
@@ -116,7 +116,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class DegenerateDirection:
-    """A direction of the tangent space that the data do not fix: unit 6-vector in target axes, and words."""
+    """A direction of the tangent space that the data do not determine: unit 6-vector in target axes, and words."""
 
     xi: Annotated[np.ndarray, _read_as(Six[Number], _unit_vector)]
     words: str
@@ -143,7 +143,7 @@ def _pairs(links: Links) -> Links:
 
 
 class Calibration(TypedDict):
-    """What was undone of a survey's own sensor: ``b_true = matrix b_read - shift``, sensor frame."""
+    """The correction of a survey's own sensor: ``b_true = matrix b_read - shift``, sensor frame."""
 
     time_offset: Number  # s, added to the magnetometer's times
     matrix: Annotated[Three[Three[Number]], AfterValidator(_near_identity)]
@@ -151,7 +151,7 @@ class Calibration(TypedDict):
 
 
 class Sensor(TypedDict, total=False):
-    """How the target's magnetometer differs from the base's, in the target's axes, and what was undone of each."""
+    """Differences of the target's magnetometer from the base's, in the target's axes, and the corrections of each."""
 
     bias: Three[NumberOrNull]  # T
     scale: NumberOrNull
@@ -162,33 +162,33 @@ class Sensor(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RegistrationResult(TypedDocument):
-    """The answer of `register`, accepted or not; fields stand in the order of the file.
+    """The answer of `register`, accepted or not; fields are in the order of the file.
 
     Attributes
     ----------
     status, reason
-        Which check decided, and in words what the user can do about it.
+        The verdict, and in words why and what the user can do.
     base : str or None
-        Which map, where the base was a folder.
+        Name of the map, if the base was a folder.
     T_base_target : RigidTransform or None
         ``p_base = T p_target``; None unless accepted.
     covariance : (6, 6) array or None
-        Of xi in ``T_true = T_estimate Exp(xi)``, rotation first (rad, m); None unless accepted, or not known.
+        Of xi in ``T_true = T_estimate Exp(xi)``, rotation first (rad, m); None unless accepted and known.
     probability : float or None
         Calibrated probability that the transform is right (see `registration/decide/posterior.py`); of the
-        first alternative where nothing was accepted; None with the published method.
+        first alternative if nothing was accepted; None with the published method.
     evidence : dict
-        What the probability was computed from: evidence (``log_odds``, nats) for the best pose, how much of it is
-        ``effective``, its ``lead`` over any other pose (None where there is none), and the shares that agree.
+        The figures behind the probability: evidence (``log_odds``, nats) for the best pose, how much of it is
+        ``effective``, its ``lead`` over any other pose (None if there is none), and the shares that agree.
     overlap : float
         Fraction of the target's samples that fall where the base map knows the field.
     alternatives : tuple of Alternative
-        Other poses, best first; the best candidate stands first where nothing was accepted.
+        Other poses, best first; starts with the best candidate if nothing was accepted.
     sensor : Sensor or None
-        A dict: how the magnetometers differ, where that was estimated, and what was undone of each survey's own
-        sensor first (``calibrated``), where its readings showed it.
+        A dict: the differences between the magnetometers, if estimated, and the prior correction of each survey's own
+        sensor (``calibrated``), if its readings required one.
     residual : float or None
-        Normalised rms field residual over the overlap (1 when model and noise explain everything).
+        Normalised rms field residual over the overlap (1 if model and noise explain everything).
     fitness : float or None
         Mean norm of the cross product of aligned vectors (normalised as the configuration says).
     n_inliers, n_keypoints, n_correspondences : int
@@ -196,7 +196,7 @@ class RegistrationResult(TypedDocument):
     seconds : dict
         Per stage and total.
     config, version, seed, inputs
-        Enough to run it again and get the same numbers.
+        Enough to repeat the run and get the same numbers.
     """
 
     SCHEMA = "magmatch.registration/1"
@@ -205,7 +205,7 @@ class RegistrationResult(TypedDocument):
 
     @staticmethod
     def key(name: str) -> str:
-        """Key of the file for a field: counts stand there by what they count."""
+        """Key in the file for a field: counts are named by what they count."""
         return name.removeprefix("n_")
 
     __pydantic_config__: ClassVar = ConfigDict(alias_generator=key)
@@ -263,17 +263,17 @@ class RegistrationResult(TypedDocument):
 
     @property
     def best_pose(self) -> RigidTransform | None:
-        """The accepted pose, else the best candidate of a refusal; not to be trusted unless accepted."""
+        """The accepted pose, or the best candidate of a refusal, which is not to be trusted."""
         if self.T_base_target is not None:
             return self.T_base_target
         return self.alternatives[0].T_base_target if self.alternatives else None
 
     @property
     def standard_deviations(self) -> tuple[float, float] | None:
-        """How sure the pose is: of the turn (rad) and of the place where the target lies (m); None if not known.
+        """Standard deviations of the rotation (rad) and of the target's position (m); None if not known.
 
-        The covariance is about the target frame's origin, which may be far from its samples, where every turn is a
-        large shift. The place that the data fix best is the one whose shift does not correlate with the turn.
+        The covariance is about the target frame's origin, which may be far from its samples, where every rotation is
+        a large shift. The position is that of the point whose shift does not correlate with the rotation.
         """
         if self.covariance is None:
             return None
@@ -291,7 +291,7 @@ class RegistrationResult(TypedDocument):
         return None
 
     def to_dict(self) -> dict[str, Any]:
-        """What the result says, in lists, numbers and words, keys and order as in the file."""
+        """The result as lists, numbers and strings, with keys and order as in the file."""
         is_known = self.covariance is not None and np.isfinite(self.covariance).all()
         stated = replace(self, covariance=self.covariance if is_known else None, links=self.links.few())
         document = TypedDocument.to_dict(stated)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Surveys that show their sensor, calibrated as `magmatch prepare` does: some are only found then."""
+"""Calibration of surveys whose readings show hard iron, as by `magmatch prepare`: some register only then."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -38,12 +38,12 @@ SMALLEST = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Calibrated:
-    """A survey without what was found of its sensor.
+    """A survey with its sensor's errors corrected.
 
     Attributes
     ----------
     sensor : SensorModel
-        What was undone.
+        The correction.
     """
 
     survey: Survey
@@ -56,7 +56,7 @@ class Calibrated:
 
 
 def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
-    """A survey without what a result says was undone of its sensor.
+    """Apply a result's correction of a survey's sensor.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side
     Returns
     -------
     Survey
-        The very one where nothing was undone, or there are no orientations to do it by.
+        The same object if there is no correction, or no orientations to apply it with.
     """
     model = _models(sensor).get(side)
     if model is None or survey.orientations is None:
@@ -82,7 +82,7 @@ def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side
 
 
 def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
-    """What a result says was undone of each survey's sensor, in words by side; empty where nothing was.
+    """A result's correction of each survey's sensor, in words by side; empty if there was none.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _words(model: SensorModel) -> str:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CalibratedPair:
-    """What is registered once more: base, target and its samples, each side calibrated where it shows its sensor."""
+    """The input of the second registration: base, target and its samples, each side calibrated if necessary."""
 
     base: Base
     target: Target
@@ -125,7 +125,7 @@ class CalibratedPair:
 
 
 def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> CalibratedPair | None:
-    """Calibrate base and target where their readings turn with their sensor; None where neither's do.
+    """Calibrate base and target if their readings turn with their sensor; None if neither's do.
 
     Parameters
     ----------
@@ -139,13 +139,13 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
     prepared, target, _ = found
     base_map = map_of(prepared)
     asked = {"base": (base_map, base if isinstance(base, Survey) else base_map.survey)}
-    # A walk that no map was made of is too short to tell.
+    # A walk that was not mapped is too short for this test.
     asked |= {"target": (target, samples)} if isinstance(target, FieldMap) else {}
     calibrated = side_by_side(lambda side: calibrate(*asked[side]), asked)
     sides = {side: one for side, one in zip(asked, calibrated, strict=True) if one is not None}
     if not sides:
         return None
-    # What was prepared of it serves again.
+    # Its prepared map is used again.
     again: Base = prepared
     if "base" in sides:
         again = sides["base"].survey
@@ -156,14 +156,14 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
 
 
 def better_supported(as_given: Answered, calibrated: Answered | None, sides: Mapping[str, Calibrated]) -> Answered:
-    """Choose between two answers: an accepted one before a refusal, and calibrated where both are accepted.
+    """Choose between two answers: an accepted one before a refusal, and the calibrated one if both are accepted.
 
     Parameters
     ----------
     as_given, calibrated : tuple
-        The answer comes last; what was used for it, before. None where calibration failed.
+        The answer comes last, after the maps used for it. None if calibration failed.
     sides : dict of str to Calibrated
-        What was calibrated for the second: ``base``, ``target`` or both.
+        Sides calibrated for the second: ``base``, ``target`` or both.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def better_supported(as_given: Answered, calibrated: Answered | None, sides: Map
         return as_given
     first, second = as_given[-1], calibrated[-1]
     if first.is_accepted or second.is_accepted:
-        # What turns with the sensor is no place's field, however well it may agree.
+        # A field that turns with the sensor is not that of the place, however well it agrees.
         is_better = second.is_accepted
     else:
         is_better = (second.probability or 0.0) > (first.probability or 0.0)
@@ -186,26 +186,26 @@ def better_supported(as_given: Answered, calibrated: Answered | None, sides: Map
 
 
 def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
-    """Calibrate a survey where its readings turn with its sensor.
+    """Calibrate a survey if its readings turn with its sensor.
 
     Parameters
     ----------
     field_map : FieldMap
         Of the survey as it is.
     survey : Survey
-        All of it; the map leaves out what contradicts the rest, which uncalibrated readings do.
+        With all samples; the map leaves out those that contradict the rest, as uncalibrated readings do.
 
     Returns
     -------
     Calibrated or None
-        None where nothing is shown beyond doubt; also of a map of several surveys, whose sensors differ, and of one
-        for a declared box.
+        None if no error is significant; also for a map of several surveys, whose sensors differ, and for one of a
+        declared box.
     """
     if field_map.parts or field_map.config.domain is not None:
         return None
     if not turns_with_sensor(field_map.survey, field_map.hyperparameters):
         return None
-    # Imports what half of all registrations take.
+    # Imported only when needed: the import is slow.
     from magmatch.preparation.prepare import prepare
 
     log.info("%s: its readings turn with the sensor, which is calibrated", survey.name)
@@ -214,7 +214,7 @@ def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
 
 
 def attempted(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
-    """What a step towards the second answer gives; None where it fails: then the first one stands."""
+    """Result of a step towards the second answer; None if it fails: then the first answer is kept."""
     try:
         return task(*args, **kwargs)
     except (MagmatchError, np.linalg.LinAlgError) as error:

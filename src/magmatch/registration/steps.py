@@ -28,10 +28,10 @@ Outcome = tuple[FieldMap | MapIndex, Target, RegistrationResult]
 def register_once(
     base: Base, target: Target, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
 ) -> Outcome:
-    """The answer without calibrating sensors; a walk is compared with all its samples, mapped or not."""
+    """The answer without calibration of sensors; a walk is compared with all its samples, mapped or not."""
     with clock("maps"):
         base, target = map_base(base, target, config.field)
-    # The published method has steps of its own.
+    # The published method has its own steps.
     if config.search == "keypoints":
         with clock("maps"):
             target_map = as_map(target, config.field)
@@ -51,14 +51,14 @@ def register_once(
         tried.append((strategy.target, answer))
         if answer.is_accepted:
             break
-    # None accepted: the more probable refusal, the first where both are equal.
+    # None accepted: the more probable refusal, or the first if both are equal.
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
     with clock("decide"):
         return index, used, naming_drift(answer, index, samples, config)
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:
-    """Compare the poses' probabilities, settle what is uncertain of the best, decide and state the answer."""
+    """Compare the poses' probabilities, settle the best pose's covariance, decide and state the answer."""
     pair = weighed.pair
     with clock("decide"):
         posterior = posterior_over(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which strategies suit a target, in the order they are tried."""
+"""The strategies for a target, in the order they are tried."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -18,10 +18,10 @@ from magmatch.registration.walk_strategy import WalkStrategy
 def strategies(
     length: float, target: Survey | FieldMap, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
 ) -> Iterator[Strategy[Any, Any, Any]]:
-    """As a walk where the samples are a short line against the base's correlation length; else, or next, as a map.
+    """As a walk if the samples are a line, short in the base's correlation lengths; otherwise, or next, as a map.
 
-    A line that turns and crosses itself may have the breadth that maps are compared by: a long one is asked as a map
-    first, as a walk next. The target is mapped only when that strategy is asked for.
+    A long line that turns and crosses itself may cover an area, so it is tried as a map first and as a walk next.
+    The target is mapped only when that strategy is used.
     """
     search = choose_search(samples, length) if config.search == "auto" else config.search
     mapped = cache(lambda: MapStrategy.of(target, config, seed, clock))

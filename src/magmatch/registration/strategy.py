@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a target is compared with a base, as a map or as a walk: the steps that both fill, and their order."""
+"""How a target is compared with a base, as a map or as a walk: the steps that both implement, and their order."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,14 +27,14 @@ Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair(Generic[BaseSide, TargetSide]):
-    """Base and target as a strategy sees them, and what is known of the pose beforehand.
+    """Base and target prepared for a strategy, and the pose prior.
 
     Attributes
     ----------
     length : float, m
-        Over which the field changes: the scale of tolerances.
+        Correlation length of the field: the scale of tolerances.
     T_base_model, T_target_model : RigidTransform
-        Survey frames from the frames that poses are sought in.
+        Survey frames from the frames in which poses are searched.
     """
 
     base: BaseSide
@@ -56,14 +56,14 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
     Attributes
     ----------
     strategy : Strategy
-        That weighed them, and can state and settle them.
+        The one that weighed them, and can state and settle them.
     ranked : list
         In any order.
     elsewhere : float, nats
-        Log odds of the best pose in any other base; -inf where there is none.
+        Log odds of the best pose in any other base; -inf if there is none.
     bend : callable or None
-        How the target surely bends about a pose, in the surveys' frames, or None. Not given where it was not asked as
-        a walk: what that takes costs more than comparing maps.
+        Significant bend of the target about a pose, in the surveys' frames, or None. Available only for a target
+        weighed as a walk: otherwise it would cost more than comparing maps.
     """
 
     strategy: "Strategy[BaseSide, TargetSide, W]"
@@ -75,7 +75,7 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
 
     @property
     def best_log_odds(self) -> float:
-        """Of the most probable pose over unrelated surveys, nats; -inf where there is none."""
+        """Log odds of the most probable pose over unrelated surveys, nats; -inf if there is none."""
         return max((log_odds(h.log_evidence, h.misfit, h.kind) for h in self.ranked), default=-np.inf)
 
 
@@ -87,16 +87,16 @@ class Strategy(Protocol[BaseSide, TargetSide, Pose_contra]):
         """The target as it was used."""
 
     def pair(self, base: MapIndex, volume: float | None = None) -> Pair[BaseSide, TargetSide]:
-        """Both sides as they are compared; ``volume`` (m^3) is that of all regions searched, this base's if None."""
+        """Both sides prepared for comparison; ``volume`` (m^3) of all regions searched, this base's if None."""
 
     def search(self, pair: Pair[BaseSide, TargetSide]) -> SearchResult:
-        """Poses worth a look."""
+        """Find candidate poses."""
 
     def refine_and_weigh(self, pair: Pair[BaseSide, TargetSide], found: SearchResult) -> Weighed[Any, Any, Any]:
         """Refine the candidates against the field, and weigh each against the null model."""
 
     def state(self, pair: Pair[BaseSide, TargetSide], pose: Pose_contra) -> tuple[Estimate, Support]:
-        """A pose as it was weighed, and what speaks for it."""
+        """A pose as it was weighed, and its supporting figures."""
 
     def settle(self, pair: Pair[BaseSide, TargetSide], pose: Pose_contra) -> tuple[Estimate, Support]:
-        """A pose that is probable: its covariance as wide as what residuals do not show makes it."""
+        """A probable pose, its covariance widened by what residuals do not show."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A registration for other programs: a TUM pose, a g2o edge with its information, a ROS static transform."""
+"""A registration for other programs: a TUM pose, a g2o edge with its information matrix, a ROS static transform."""
 
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ RotationTangent = Literal["quaternion", "angle"]
 
 
 def accepted_transform(result: RegistrationResult) -> RigidTransform:
-    """Give the transform, or say why there is none."""
+    """Give the transform, or raise the reason why there is none."""
     if result.T_base_target is None:
         msg = f"was not accepted ({result.status}), so there is no transform to write: {result.reason}"
         raise SurveyError(msg)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The target as a walk: pairs of points find poses, least squares along the path refines and weighs them."""
+"""The target as a walk: poses are found by pairs of points, refined and weighed by least squares along the path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -33,14 +33,14 @@ WeighedWalk = Weighed[WalkIndex, Walk, LineEvidence]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WalkStrategy:
-    """Fills `Strategy` for a line of samples, in the order they were taken."""
+    """Implements `Strategy` for a line of samples, in the order they were taken."""
 
     target: Survey | FieldMap
-    # All that were given: a map leaves out what contradicts the rest.
+    # All samples given: a map leaves out those that contradict the rest.
     samples: Survey
     config: RegistrationConfig
     seed: int
-    # The target as a map, made when it is first asked for.
+    # The target as a map, made on first use.
     mapped: Callable[[], MapStrategy]
     # Correlation length (m) to bin by, the base's by default.
     length: float | None = None
@@ -62,11 +62,10 @@ class WalkStrategy:
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
     def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> Weighed[Any, Any, Any]:
-        """Generalised least squares, with residuals as this base's own stretches show them.
+        """Generalised least squares, with the covariance of residuals learned from this base's own stretches.
 
-        Where the base passed each place once, they cannot: what residuals are like is then a guess, and so is the
-        evidence. The poses are weighed as those of two maps instead, whose errors beside their own paths are of
-        opposite sense.
+        If the base passed each place once, it cannot be learned and is a guess, and so is the evidence. The poses
+        are then weighed as those of two maps instead, whose errors beside their own paths have opposite signs.
         """
         starts, walks = [c.T_base_target for c in found.candidates], pair.base
         config = self.config.walks.evidence
@@ -82,19 +81,19 @@ class WalkStrategy:
         return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
 
     def bend(self, pair: WalkPair, T_base_target: RigidTransform) -> Bend | None:
-        """How the walk bends about a pose, in the surveys' frames; None where a rigid one might seem to."""
+        """How the walk bends about a pose, in the surveys' frames; None if the bend is not significant."""
         T, walks, config = pair.T_base_model.inv() * T_base_target * pair.T_target_model, pair.base, self.config.walks
         found = bend_of(walks.base, pair.target, T, walks.noise, walks.length, pair.prior, config.evidence)
         is_sure = found is not None and found.is_sure(self.config.decision.min_probability)
         return found.seen_from(pair.T_target_model) if found is not None and is_sure else None
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
-        """As the residuals along the path show it."""
-        # The base's own stretches show how its poses drift, not how far the walk's frame is off as a whole.
+        """State a pose with the covariance from the residuals along the path."""
+        # The base's own stretches show how its poses drift, but not an error of the walk's frame as a whole.
         whole = replace(pose, covariance=pose.covariance + np.diag([0.0] * 3 + [pair.target.pose_sd**2] * 3))
         estimate = pair.estimate(whole)
         return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)
 
     def settle(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
-        """As it was weighed: along a path nothing is left to widen."""
+        """Return the pose as weighed: along a path, nothing remains to be widened."""
         return self.state(pair, pose)

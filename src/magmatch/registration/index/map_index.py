@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What registration needs of one base map, computed once for any number of targets and kept beside the map.
+"""What registration needs of one base map, computed once for any number of targets and stored next to the map.
 
-An index is a cache: it names the map, the settings and the version it was made of and with, and whatever differs
-makes it stale. Nothing is lost by deleting it.
+An index is a cache: it records the map, the settings and the version that it was made from, and is stale if any of
+them differs. Nothing is lost by deleting it.
 """
 
 import hashlib
@@ -49,7 +49,7 @@ class MapIndex:
     ----------
     base : PreparedMap
     make_walks : callable
-        Gives what walks need besides; it takes seconds where it is not read from a file.
+        Gives what walks need in addition; this takes seconds unless it is read from a file.
     """
 
     base: PreparedMap
@@ -58,14 +58,14 @@ class MapIndex:
 
     @property
     def walks(self) -> WalkIndex:
-        """What walks need besides, computed when first asked for."""
+        """What walks need in addition, computed on first use."""
         if not self._walks:
             self._walks.append(self.make_walks())
         return self._walks[0]
 
     @property
     def is_whole(self) -> bool:
-        """Whether what walks need was asked for."""
+        """Whether what walks need was computed."""
         return bool(self._walks)
 
     @property
@@ -129,7 +129,7 @@ class MapIndex:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class IndexFile:
-    """An index as it lies on the disk, opened but hardly read."""
+    """An index on disk, opened but hardly read."""
 
     content: MappedArrays
     config: RegistrationConfig
@@ -145,7 +145,7 @@ class IndexFile:
         return float(self.content.attributes["volume"])
 
     def table(self) -> PairTable:
-        """Pairs of points, read as they are asked for; of a whole index."""
+        """Pairs of points, read on demand; of a complete index."""
         arrays, scalars = self.content.arrays, self.content.attributes["table"]
         tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in ("points", "rows", "axes", "values")))
         return PairTable(
@@ -206,10 +206,10 @@ class IndexFile:
 
 
 def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapIndex:
-    """What any target will ask of a base map; whatever the seed, so that a kept index gives the same answer."""
+    """What any target needs of a base map; independent of the seed, so that a stored index gives the same answer."""
     if isinstance(base, MapIndex):
         return base
-    # With more threads sums come in another order, and an index would give other bits than the map itself.
+    # With more threads the order of sums changes, and an index would give other bits than the map itself.
     with one_blas_thread():
         prepared = prepare(base, config.invariants.n_draws, _base_rng())
     return _index_over(prepared, config)
@@ -224,18 +224,18 @@ def _base_rng() -> np.random.Generator:
 
 
 def _draws(kept: np.ndarray | None, field_map: FieldMap, n_draws: int) -> list[Any]:
-    """Posterior samples as they were kept; of a map in tiles, drawn again where they are asked for."""
+    """Posterior samples as stored; those of a tiled map are drawn again when they are needed."""
     return list(field_map.posterior.draw_weights(n_draws, _base_rng()) if kept is None else np.array(kept))
 
 
 def index_path(map_path: str | Path) -> Path:
-    """Where the index of a saved map lies: beside it, ``.index`` added to its name."""
+    """Path of the index of a saved map: next to it, with ``.index`` added to its name."""
     path = Path(map_path)
     return path.with_name(path.name + SUFFIX)
 
 
 def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
-    """What an index must have been made of and with to be of use: SHA-256 of map, settings and version."""
+    """What an index must have been made from to be valid: SHA-256 of map, settings and version."""
     made_with = {
         "map": fingerprint_archive(map_path),
         "n_draws": config.invariants.n_draws,
@@ -246,7 +246,7 @@ def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
 
 
 def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | None:
-    """Open the index beside a saved map.
+    """Open the index of a saved map.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | 
     Returns
     -------
     IndexFile or None
-        None where there is none, or it was made of another map, with other settings, by another version.
+        None if there is none, or it was made from another map, with other settings or by another version.
 
     Raises
     ------
@@ -279,16 +279,16 @@ def make_index(
     *,
     progress: Progress | None = None,
 ) -> MapIndex:
-    """Index a saved map and keep the index beside it, where the folder can be written.
+    """Index a saved map and store the index next to it, if the folder is writable.
 
     Parameters
     ----------
     map_path : path
     config : RegistrationConfig
     field_map : FieldMap, optional
-        The map, where it was read already.
+        The map, if it was read already.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
@@ -307,7 +307,7 @@ def make_index(
 
 
 def keep_index(map_path: str | Path, config: RegistrationConfig, index: MapIndex, key: str) -> bool:
-    """Keep what a registration prepared of a saved map beside it, where that can be; whether it could.
+    """Store what a registration computed from a saved map next to it; returns whether this was possible.
 
     Parameters
     ----------

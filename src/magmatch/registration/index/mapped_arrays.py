@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Arrays in one file that are mapped into memory rather than read: opening costs the same whatever their size.
+"""Memory-mapped arrays in one file: the cost of opening does not depend on their size.
 
 Layout: 16 bytes ``magmatch.arrays``, SHA-256 of the header (32 bytes), its length (8 bytes, little-endian), the
 header (JSON: schema, attributes, and dtype, shape and offset of each array), then the arrays, little-endian, each at
@@ -37,7 +37,7 @@ class MappedArrays:
     arrays : dict of arrays
         Read-only views of the file.
     sha256 : str
-        What the arrays' bytes hashed to when they were written.
+        Hash of the arrays' bytes when they were written.
     """
 
     path: Path
@@ -46,7 +46,7 @@ class MappedArrays:
     sha256: str
 
     def check(self) -> None:
-        """Raise DataFormatError unless the arrays are what was written; reads all of them."""
+        """Raise DataFormatError unless the arrays are as they were written; reads all of them."""
         if _digest(self.arrays) != self.sha256:
             raise DataFormatError(self.path, "its arrays are not what was written (damaged or changed)")
 
@@ -54,7 +54,7 @@ class MappedArrays:
 def write_mapped(
     path: str | Path, schema: str, attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
 ) -> None:
-    """Write arrays and attributes as one file, whole or not at all."""
+    """Write arrays and attributes to one file atomically."""
     held = {name: np.ascontiguousarray(a, dtype=a.dtype.newbyteorder("<")) for name, a in arrays.items()}
     listing, offset = {}, 0
     for name, array in held.items():

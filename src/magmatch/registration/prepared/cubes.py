@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Points grouped by the cubes of a lattice: thinning, and sums over what counts as one place."""
+"""Points grouped by the cubes of a lattice: thinning, and sums per cube."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ def cube_keys(points: Points, side: float) -> Indices:
 
 
 def thin(points: Points, distance: float, limit: int) -> Indices:
-    """Rows of one point per cube, the first of each: an even choice whatever the order of the points."""
+    """Rows of the first point in each cube: an even choice whatever the order of the points."""
     while True:
         _, first = np.unique(cube_keys(points, distance), return_index=True)
         if len(first) <= limit:

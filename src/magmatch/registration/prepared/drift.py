@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Positions that are off along a whole stretch of path: what they add to residuals, and to where a pose settles.
+"""Position errors correlated along the path: their effect on residuals and on the pose.
 
-A survey states how accurate its own positions are. Errors that each sample has for itself show in residuals; those
-that last along the path do not, since a pose follows them, so the covariance (`covariance.py`) has to be told.
+A survey states how accurate its own positions are. Independent errors show in the residuals; errors correlated along
+the path do not, since the pose follows them, so they must be added to the covariance (`covariance.py`).
 """
 
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from magmatch.field.values import FieldFunction, gradient_norm, gradient_of
 from magmatch.geometry import path_walked
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
-# Positions of dead reckoning wander: about their own mean they forget themselves in about this share of the path.
+# Positions of dead reckoning wander: about their own mean, their correlation length is this share of the path.
 CORRELATION_SHARE = 0.1
 # Stretches of one position error, per correlation length.
 STRETCHES_PER_LENGTH = 8
 # Neighbours that are compared.
 MOST_PAIRS = 10_000
-# In how many standard deviations it must be seen that errors are each sample's own.
+# Significance, in standard deviations, at which errors count as independent between samples.
 SURE = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drift:
-    """How the positions of a survey's samples may be off.
+    """Errors of the positions of a survey's samples.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Drift:
 
     @classmethod
     def of(cls, survey: Survey, posterior: FieldFunction) -> "Drift":
-        """What is left to last of a stated accuracy, after what samples show to be their own."""
+        """The correlated part of a stated accuracy: without the independent errors that the samples show."""
         positions, pose_sd = survey.positions, survey.pose_sd
         if not (pose_sd > 0 and has_path_order(positions)):
             return cls(pose_sd, 0.0, np.zeros(len(positions), dtype=np.int64), np.zeros((1, 1)))
@@ -76,12 +76,12 @@ class Drift:
 
 
 def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
-    """Variance of one field component through positions that are off, T^2."""
+    """Variance of one field component due to position errors, T^2."""
     return np.asarray(position_variance / 3 * gradient_norm(gradient) ** 2)
 
 
 def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) -> float:
-    """Variance of position errors that neighbours on a path do not share, where it can be seen."""
+    """Variance of position errors that neighbours on a path do not share, if it is significant."""
     n = len(positions) - 1
     first = np.unique(np.linspace(0, n - 1, min(n, MOST_PAIRS)).astype(np.int64))
     # Most samples are in two pairs.
@@ -96,7 +96,7 @@ def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) 
         return 0.0
     X, expected = X / scale, np.full(len(steps2), steps2.mean())
     for _ in range(3):
-        # A square scatters in proportion to what is expected of it.
+        # The standard deviation of a square is proportional to its expectation.
         W = X / expected[:, None] ** 2
         C = np.linalg.pinv(W.T @ X, hermitian=True)
         a = C @ (W.T @ steps2)

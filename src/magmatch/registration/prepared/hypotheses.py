@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses that a search tries, each about a point of the target whose place it states."""
+"""Poses that a search tries, each stated by where it puts one point of the target."""
 
 from typing import NamedTuple, Self
 
@@ -11,7 +11,7 @@ from magmatch.typing import Indices, Points, Tensors, Vector3
 
 
 class Hypotheses(NamedTuple):
-    """Poses that each turn about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
+    """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
 
     Attributes
     ----------
@@ -29,19 +29,19 @@ class Hypotheses(NamedTuple):
     anchors_target: Points
 
     def subset(self, rows: Indices | slice) -> Self:
-        """Some of the poses."""
+        """A subset of the poses."""
         return self._replace(
             rotations=self.rotations[rows], anchors_base=self.anchors_base[rows], anchor_rows=self.anchor_rows[rows]
         )
 
     def carry(self, p_target: Vector3) -> Points:
-        """Where each pose puts one point of the target: (h, 3), m."""
+        """Where each pose puts a given point of the target: (h, 3), m."""
         arms = p_target - self.anchors_target[self.anchor_rows]
         moved: Points = self.anchors_base + np.einsum("nij,nj->ni", self.rotations, arms)
         return moved
 
     def pose(self, k: int, p_base: Vector3, p_target: Vector3) -> RigidTransform:
-        """One as a transform, by where `carry` puts a point."""
+        """One pose as a transform, given where `carry` puts a point."""
         R = self.rotations[k]
         return RigidTransform.from_components(p_base - R @ p_target, Rotation.from_matrix(R))
 

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How many poses put a target inside a base: two surveys of one place overlap, so a prior is spread over no others.
+"""A prior restricted to poses that put the target inside the base, since two surveys of one place overlap.
 
-A target that is long or flat fits into a corridor in few ways; a prior that is spread over all the others too would
-speak against every pose that is possible. Poses are drawn that put some point of the target on some place that the
-base knows. A pose is drawn the oftener the larger the share of the target that it puts inside, so the mean of
-``weight / share`` is what the weights of all poses add up to, as a share of all turns and all places that the base
-knows.
+Only few poses put a long or flat target inside a corridor; a prior spread over all poses would penalise those that
+are possible. Poses are drawn that put some point of the target on some point that the base knows. The probability
+of drawing a pose is proportional to the share of the target that it puts inside, so the mean of ``weight / share``
+estimates the integral of the weights, as a fraction of all rotations and all positions that the base knows.
 """
 
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from magmatch.registration.prepared.pose_prior import UP, PosePrior
 from magmatch.registration.prepared.raster import RASTER, Raster, find_cell
 from magmatch.typing import Points, Scalars, Tensors
 
-# Poses drawn, and points of the target that are placed: log weights are good to 0.05 where one pose in 20 is inside.
+# Poses drawn, and points of the target that are placed: log weights are accurate to 0.05 if 1 pose in 20 is inside.
 N_POSES, N_POINTS = 8000, 40
 
 
@@ -32,7 +31,7 @@ def spread_inside(
     Parameters
     ----------
     prior : PosePrior
-        One about a rough pose stays as it is: it says where the target lies.
+        A prior about a rough pose is returned unchanged: it states where the target lies.
     raster : Raster
         Of the base.
     points : (n, 3) array, m
@@ -58,7 +57,7 @@ def spread_inside(
         places = places + np.outer(height - places @ prior.up_base, prior.up_base)
     shares = np.zeros(len(R))
     _shares(raster, chosen, R, rows, places, shares)
-    # As if one more had been wholly inside: no sum is zero.
+    # One further draw counts as entirely inside, so that the sum is never zero.
     inside = np.append(shares[shares > 0], 1.0)
     total = (np.exp(log_weight(inside)) / inside).sum()
     return replace(prior, log_share_inside=float(np.log(total / (N_POSES + 1))))
@@ -66,14 +65,14 @@ def spread_inside(
 
 @lru_cache(maxsize=1)
 def _draws() -> tuple[Tensors, Points, Points]:
-    """The same for all pairs: turns (n, 3, 3), uniform numbers (n, 6) and normal ones (n, 3)."""
+    """Random numbers, the same for all pairs: rotations (n, 3, 3), uniform (n, 6) and normal (n, 3) numbers."""
     rng = np.random.default_rng(0)
     turns = Rotation.random(N_POSES, random_state=rng).as_matrix()
     return turns, rng.random((N_POSES, 6)), rng.standard_normal((N_POSES, 3))
 
 
 def _turns(prior: PosePrior, turns: Tensors, heading: Scalars, normal: Points) -> Tensors:
-    """Any turn, or those about the vertical."""
+    """Rotations: arbitrary ones, or those about the vertical."""
     if prior.up_base is None or prior.up_target is None:
         return turns
     to_up, _ = Rotation.align_vectors(UP[None], prior.up_target[None])
@@ -85,7 +84,7 @@ def _turns(prior: PosePrior, turns: Tensors, heading: Scalars, normal: Points) -
 
 @compiled_ahead(RASTER, "f8[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], f8[::1]")
 def _shares(raster, points, R, rows, places, out):  # type: ignore[no-untyped-def]
-    """Share of the points inside; 0 where the placed one is not."""
+    """Share of the points inside; 0 if the placed point is not."""
     origin, spacing, values = raster
     n = len(points)
     for h in range(len(R)):

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What another walk's residuals against a map look like, learned from the map's own left-out stretches.
+"""The covariance of another walk's residuals against a map, learned from held-out stretches of the map.
 
-Along a path the residuals of a right pose are anything but independent: the map's error, moved iron and drifting
-poses last for metres. Stretches of the base survey are left out, predicted from the rest of it, and the parameters of
-the residuals' covariance are the most likely ones; where the base never passes a place twice, they stay near a guess.
+Along a path the residuals of a right pose are strongly correlated: the map's error, moved iron and drifting poses
+extend over metres. Stretches of the base survey are held out and predicted from the rest, and the parameters of the
+residuals' covariance maximise the likelihood under a weak prior, near which they stay if the base never passes a
+place twice.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -21,18 +22,18 @@ from magmatch.progress import tell
 from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
-# Of the base's path: length of a left-out stretch in correlation lengths; each set that is left out takes a refit.
+# Of the base's path: length of a held-out stretch in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
 # Bins per stretch and its step in correlation lengths.
 STEP_LENGTH = 0.25
 MIN_BINS = 8
 MAX_STRETCHES = 80
-# Spread (natural log) of the guess that the data correct.
+# Prior spread (natural log) of the parameters about their guesses.
 PRIOR_LOG_SD = 0.7
-# Lengths and the map's factor are told apart from the rest by little: they stay nearer.
+# The data hardly determine lengths and the map's factor: their prior is narrower.
 PRIOR_LOG_SD_LENGTH = 0.35
 PRIOR_STRETCHES = 5
-# Farther from the guess nobody need look.
+# Bounds of the search about the guess.
 MOST_PRIOR_SDS = 6.0
 N_DRAWS = 12
 # Guess of how well a hand-held or wheeled sensor knows its own orientation, rad.
@@ -41,27 +42,27 @@ ATTITUDE_SD = 0.01
 
 @dataclass(frozen=True, slots=True)
 class PathNoise:
-    """Covariance of the residuals along a path, beside the map's own spread.
+    """Covariance of the residuals along a path, in addition to the map's own.
 
     Attributes
     ----------
     misfit_sd, misfit_length : float, T and m
-        What lasts: ``sd^2 exp(-d / length)``.
+        Correlated part: ``sd^2 exp(-d / length)``.
     nugget_sd : float, T
-        What each bin has for itself.
+        Independent part of each bin.
     constant_sd : float, T
-        What is shared by the whole walk.
+        Constant of the whole walk.
     map_factor, map_length : float, and m
-        Factor on the map's own standard deviation, and distance over which its error is alike:
+        Factor on the map's own standard deviation, and correlation length of its error:
         ``exp(-d^2 / 2 length^2)``.
     attitude_sd : float, rad
         Error of the orientations that turned the field into the survey's frame, correlated like the drift.
     drift_sd, drift_length : float, m
-        Error of the positions along the path, seen through the field's gradient: ``sd^2 exp(-d / length)``.
+        Error of the positions along the path, propagated by the field's gradient: ``sd^2 exp(-d / length)``.
     spread : float
-        Natural logarithm by which the whole covariance differs from walk to walk (standard deviation).
+        Standard deviation, between walks, of the logarithm of the covariance's common factor.
     n_stretches : int
-        Left-out stretches that it was learned from.
+        Number of held-out stretches that it was learned from.
     """
 
     misfit_sd: float
@@ -78,12 +79,12 @@ class PathNoise:
 
     @property
     def is_learned(self) -> bool:
-        """Whether the base showed it; else it is a guess."""
+        """Whether it was learned from the base; otherwise it is a guess."""
         return self.n_stretches >= PRIOR_STRETCHES
 
     @property
     def total_sd(self) -> float:
-        """Standard deviation of one component between two walks through one place, drift left out, T."""
+        """Standard deviation of one component between two walks through one place, without drift, T."""
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
 
     def factor(self, chi2: Scalars, n_free: Scalars) -> tuple[Scalars, Scalars]:
@@ -116,7 +117,7 @@ class PathNoise:
         """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2."""
         n = distance.shape[-1]
         turns = skew(field.reshape(-1, 3)).reshape(*field.shape, 3)
-        # Both a shift and a turn of the walker's frame move the field linearly: one matrix per bin.
+        # A shift and a rotation of the walker's frame both change the field linearly: one matrix per bin.
         moves = np.concatenate([self.drift_sd * gradient, self.attitude_sd * turns], axis=-1)
         fades = np.exp(-distance / self.drift_length)
         flat = moves.reshape(*moves.shape[:-3], 3 * n, 6)
@@ -133,7 +134,7 @@ def _log_factors(spread: float) -> tuple[Scalars, Scalars]:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Stretch:
-    """A left-out stretch as the rest of the survey predicts it, averaged in bins."""
+    """A held-out stretch as predicted from the rest of the survey, averaged in bins."""
 
     positions: Points
     residual: Vectors
@@ -164,7 +165,7 @@ def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generato
 
 
 def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generator) -> list[Stretch]:
-    """Leave out some stretches of the survey's path at a time and predict them from the rest."""
+    """Hold out some stretches of the survey's path at a time and predict them from the rest."""
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     number = (path_walked(samples.positions) / (STRETCH_LENGTH * length)).astype(np.int64)
     found = []
@@ -177,14 +178,14 @@ def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generat
 def _predict(
     field_map: FieldMap, samples: Survey, is_left_out: Mask, number: Indices, length: float, rng: np.random.Generator
 ) -> list[Stretch]:
-    """Left-out stretches as the rest of the survey predicts them."""
+    """Held-out stretches as predicted from the rest of the survey."""
     h = field_map.hyperparameters
     rest = fit_posterior(samples.subset(~is_left_out), h, field_map.config)
     x, b, number = samples.positions[is_left_out], samples.field[is_left_out], number[is_left_out]
     values = rest.evaluate(x, order=1)
     draws = [rest.evaluate(x, 0, w).field for w in rest.draw_weights(N_DRAWS, rng)]
     sd = np.sqrt(np.mean([((d - values.field) ** 2).mean(axis=1) for d in draws], axis=0))
-    # What the rest hardly knows says little about residuals where a map does know the field.
+    # Bins that the rest hardly knows say little about residuals where a map does know the field.
     is_known = rest.knows(x) & (sd < 0.5 * h.signal_sd)
     found = []
     for k in np.unique(number):
@@ -198,8 +199,8 @@ def _predict(
 
 
 def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
-    """Parameters that explain the stretches' residuals best, held loosely near a guess."""
-    # Here, since it takes longer to import than a room to register, and only an index asks for it.
+    """Maximum-likelihood parameters for the stretches' residuals, under a weak prior about a guess."""
+    # Imported here, since the import takes longer than registering a room, and only an index needs it.
     from scipy.optimize import minimize
 
     names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches")]
@@ -229,13 +230,13 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     chi2, _ = whiten(noise)
     n_values = np.concatenate([np.full(len(stack[0]), 3 * stack[0].shape[1]) for stack in stacks])
     excess = max(float(np.mean(np.log(chi2 / n_values) ** 2 - 2 / n_values)), 0.0)
-    # As many stretches' worth of the guess as of a handful of them.
+    # The guess counts as much as a few stretches.
     spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(chi2) * excess) / (PRIOR_STRETCHES + len(chi2))
     return replace(noise, spread=float(np.sqrt(spread2)), n_stretches=len(chi2))
 
 
 def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:
-    """Stretches of equally many bins side by side: distance, map sd, gradient, field, residual."""
+    """Stretches with the same number of bins, stacked: distance, map sd, gradient, field, residual."""
     found = []
     for n in sorted({len(s.positions) for s in stretches}):
         alike = [s for s in stretches if len(s.positions) == n]

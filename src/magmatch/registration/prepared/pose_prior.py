@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of the pose before the field is looked at: nothing but the region, the vertical, or a rough pose.
+"""The pose prior: only the region, a common vertical, or a rough pose.
 
-A prior enters three times: poses that it rules out are not searched, its rows stand beside the residuals' in every
-refinement (and so in the covariance), and its density is what the evidence pays for the search: over all poses
-``1 / (volume 8 pi^2)``, over the turns about the vertical ``1 / (volume 2 pi)``, of these over the share that puts
-the target inside the base (`inside`); near a rough pose a Gaussian.
+A prior enters three times. Poses that it rules out are not searched; its rows are added to the residuals' in every
+refinement (and so to the covariance); and its density is the search penalty in the evidence: ``1 / (volume 8 pi^2)``
+over all poses, ``1 / (volume 2 pi)`` over rotations about the vertical, both divided by the share of poses that put
+the target inside the base (`inside`); about a rough pose it is a Gaussian.
 """
 
 from dataclasses import dataclass
@@ -20,27 +20,27 @@ from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors,
 
 # Standard deviations within which a pose must lie to be searched.
 REACH = 3.5
-# Poses drawn about a rough one: so many for each that is told apart by the search, within bounds; and how many more
-# neighbours are tried where a prior will leave most of them out.
+# Poses drawn about a rough one: number for each pose that the search resolves, within bounds; and factor on the
+# number of neighbours tried if a prior rules most of them out.
 N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
 MORE_NEIGHBOURS = 4
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class PosePriorConfig(Settings):
-    """What is known of the pose beforehand; by default nothing."""
+    """What is known of the pose beforehand; nothing by default."""
 
     # Rough T_base_target: x, y, z (m), then the quaternion qx, qy, qz, qw.
     pose: tuple[float, float, float, float, float, float, float] | None = None
-    # Standard deviations of the rough pose: of the place where it puts the middle of the target, per axis (m), and
-    # of its rotation about any axis (rad).
+    # Standard deviations of the rough pose: of the position of the target's centroid, per axis (m), and of its
+    # rotation about any axis (rad).
     sd_translation: float = Field(default=1.0, gt=0)
     sd_rotation: float = Field(default=0.17, gt=0)
     # Whether z points up in both surveys, so that only heading and place are unknown.
     is_gravity_aligned: bool = False
-    # How well it does, per axis (rad): a good accelerometer at rest, or a robot's floor.
+    # Standard deviation of this, per axis (rad): a good accelerometer at rest, or a robot's floor.
     gravity_sd: float = Field(default=0.01, gt=0)
-    # Whether heights are the same in both surveys' frames too, as on one floor, and how well (m).
+    # Whether both surveys also share the same height, as on one floor; and its standard deviation (m).
     is_planar: bool = False
     height_sd: float = Field(default=0.05, gt=0)
 
@@ -75,12 +75,12 @@ class PosePrior:
         The vertical in either model frame.
     gravity_sd : float, rad
     height : float or None, m
-        By how much more a point's coordinate along the vertical is in the base's model frame than in the target's,
-        where heights are the same in the surveys' frames.
+        Vertical coordinate in the base's model frame minus that in the target's, if the surveys share the same
+        height.
     height_sd, height_range : float, m
-        How well it is, and over what heights the target might lie were it not known.
+        Its standard deviation, and the range of heights that the target could have if it were unknown.
     log_share_inside : float
-        Natural logarithm of the share of these poses, each by its weight, that puts the target inside the base.
+        Natural logarithm of the weighted share of these poses that put the target inside the base.
     """
 
     volume: float
@@ -96,7 +96,7 @@ class PosePrior:
 
     @property
     def is_flat(self) -> bool:
-        """Whether any pose in the region is as likely as any other."""
+        """Whether all poses in the region are equally likely."""
         return self.T_base_target is None and self.up_base is None
 
     def log_density(self, T: RigidTransform, center: Vector3, covariance: Covariance6 | None = None) -> float:
@@ -127,12 +127,12 @@ class PosePrior:
         return float(log_norm - 0.5 * chi2)
 
     def log_densities(self, R: Tensors, moved: Points, center: Vector3) -> Scalars:
-        """`log_density` of many poses at once: they turn by R (h, 3, 3) and put the centre at ``moved`` (h, 3)."""
+        """`log_density` of many poses at once: rotations R (h, 3, 3), which put the centre at ``moved`` (h, 3)."""
         A, _, chi2 = self.rows_of_many(R, moved, center)
         return self._log_norms(A) - 0.5 * chi2
 
     def _log_norms(self, A: np.ndarray) -> Scalars:
-        """Log density where nothing contradicts it, for informations (h, 6, 6)."""
+        """Log density at the prior's mode, for information matrices (h, 6, 6)."""
         if self.T_base_target is not None:
             return np.asarray(0.5 * np.linalg.slogdet(A / (2 * np.pi))[1])
         log_norm = -np.log(max(self.volume, np.finfo(float).tiny)) - self.log_share_inside
@@ -147,7 +147,7 @@ class PosePrior:
     def combined(
         self, T: RigidTransform, center: Vector3, covariance: Covariance6
     ) -> tuple[RigidTransform, Covariance6]:
-        """A pose that the data alone give, with its covariance, and what is known beforehand: the mean of both."""
+        """Combine a pose from the data alone, with its covariance, and the prior, as two Gaussians."""
         A, v, _ = self.rows(T, center)
         both = np.linalg.solve(np.eye(6) + covariance @ A, covariance)
         both = (both + both.T) / 2
@@ -175,7 +175,7 @@ class PosePrior:
         return A[0], v[0], float(chi2[0])
 
     def rows_of_many(self, R: Tensors, moved: Points, center: Vector3) -> tuple[np.ndarray, Matrix, Scalars]:
-        """`rows` of many poses at once: they turn by R (h, 3, 3) and put the centre at ``moved`` (h, 3)."""
+        """`rows` of many poses at once: rotations R (h, 3, 3), which put the centre at ``moved`` (h, 3)."""
         h = len(R)
         A, v, chi2 = np.zeros((h, 6, 6)), np.zeros((h, 6)), np.zeros(h)
         if self.up_base is not None and self.up_target is not None:
@@ -207,7 +207,7 @@ class PosePrior:
         return A, v, chi2
 
     def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:
-        """Whether poses are worth a look.
+        """Whether the prior admits poses.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class PosePrior:
         center : (3,) array, m
             Middle of the target.
         slack : (float, float), rad and m
-            By how much the poses themselves may be off (one standard deviation).
+            Standard deviations of the poses themselves.
 
         Returns
         -------
@@ -242,7 +242,7 @@ class PosePrior:
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:
-        """Poses about the rough one, which itself comes first.
+        """Poses about the rough one, which comes first.
 
         Parameters
         ----------
@@ -255,7 +255,7 @@ class PosePrior:
         -------
         R : (n, 3, 3) array
         moved : (n, 3) array, m
-            Where each puts the middle of the target; nothing where there is no rough pose.
+            Where each puts the middle of the target; empty if there is no rough pose.
         """
         if self.T_base_target is None or self.covariance is None:
             return np.zeros((0, 3, 3)), np.zeros((0, 3))
@@ -266,7 +266,7 @@ class PosePrior:
         return R, self.T_base_target.apply(center + xi[:, 3:])
 
     def _n_drawn(self, slack: tuple[float, float]) -> int:
-        """How many poses cover the rough one's spread, each worth what a search can tell apart."""
+        """Number of poses that cover the rough one's spread at the search's resolution."""
         if self.covariance is None:
             return 0
         scale = np.repeat(slack, 3)
@@ -277,7 +277,7 @@ class PosePrior:
     def narrow(
         self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
     ) -> Hypotheses:
-        """Leave out hypotheses that the prior rules out, and add poses about a rough one.
+        """Remove hypotheses that the prior rules out, and add poses about a rough one.
 
         Parameters
         ----------
@@ -285,7 +285,7 @@ class PosePrior:
         center : (3,) array, m
             Middle of the target.
         slack : (float, float), rad and m
-            By how much the poses themselves may be off.
+            Standard deviations of the poses themselves.
         rng : numpy Generator
             Draws poses about the rough one.
 

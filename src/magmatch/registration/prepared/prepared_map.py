@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a search needs of one map, computed once and in the map's own model frame.
+"""What a search needs of one map, computed once, in the map's own model frame.
 
-Working in the model frame makes the answer follow every rigid motion of a survey: the model frame moves with it.
+The model frame moves with the survey, which makes the answer equivariant under rigid motions.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 MEDIAN_CHI2_3 = 2.366
 # Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
 MEDIAN_GRADIENT2 = 8.69
-# Of fewer samples in a declared box nothing can be told.
+# Fewest samples in a declared box.
 FEWEST_KNOWN = 10
 
 
@@ -51,13 +51,13 @@ class PreparedMap:
     invariants, invariant_sd : (k, 6) arrays
         See `magmatch.features.invariants`.
     correlation_length : float, m
-        Distance over which the field changes by as much as it varies: the scale of all steps, cells and tolerances.
-        The prior's own lengthscale says how smooth the field is, not how far it reaches.
+        Distance over which the field changes by as much as it varies overall: the scale of all steps, cells and
+        tolerances. The prior's own lengthscale measures smoothness instead.
     noise_sd : float, T
     drift : Drift
-        How its samples' positions may be off.
+        Errors of its samples' positions.
     draws : callable
-        Gives posterior samples of the map, for `posterior.evaluate`; the same ones whenever it is called.
+        Gives posterior samples of the map, for `posterior.evaluate`; the same ones at every call.
     """
 
     field_map: FieldMap
@@ -79,7 +79,7 @@ class PreparedMap:
 
 
 def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:
-    """Evaluate all that a search will ask of a map.
+    """Evaluate everything that a search needs of a map.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     survey = known_samples(field_map)
     posterior = field_map.posterior
     some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
-    # No map changes over less than its own functions do: of a constant field only rounding is left to divide.
+    # At least the scale of the map's basis: for a constant field the ratio would be rounding error only.
     correlation_length = max(
         correlation_length_of(posterior.evaluate(some, order=1)), field_map.hyperparameters.spacing
     )
@@ -131,7 +131,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
 
 
 def known_samples(field_map: FieldMap) -> Survey:
-    """The map's samples in its model frame; of a map for a declared box, those in it: elsewhere it knows no field."""
+    """The map's samples in its model frame; only those inside the box, if one was declared."""
     survey = field_map.survey
     if field_map.config.domain is not None:
         survey = survey.subset(field_map.knows(survey.positions))
@@ -142,17 +142,17 @@ def known_samples(field_map: FieldMap) -> Survey:
 
 
 def common_length(base: PreparedMap, target: PreparedMap) -> float:
-    """The shorter of two correlation lengths, m: the scale of what a pair is compared by."""
+    """The shorter of two correlation lengths, m: the scale at which a pair is compared."""
     return min(base.correlation_length, target.correlation_length)
 
 
 def height_range(base: PreparedMap) -> float:
-    """Over what heights of its survey frame a map knows the field, m."""
+    """Range of heights, in its survey frame, over which a map knows the field, m."""
     return float(np.ptp(base.T_map_model.apply(base.samples)[:, 2]) + base.correlation_length)
 
 
 def correlation_length_of(values: FieldValues) -> float:
-    """Distance over which a field changes by as much as it varies: its spread over its gradient."""
+    """Distance over which a field changes by as much as it varies overall: its spread divided by its gradient."""
     deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
     g2 = gradient_norm(_harmonic_gradient(values)) ** 2
     return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))

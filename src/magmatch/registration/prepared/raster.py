@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A map's field and its spread on a grid, for the many cheap look-ups of a search (trilinear)."""
+"""A map's field and standard deviation on a grid, for the many cheap trilinear look-ups of a search."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Self
@@ -15,8 +15,8 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 MAX_POINTS = 1_500_000
 # Least share of the map's own samples that its raster must know.
 MIN_COVERED = 0.95
-# Of the raster's cells that touch what the map knows, the share whose corners are all known: around a line most are
-# not, and half of what the map knows would be lost. Rasters are made finer for that up to so many known points.
+# Least share of the raster's partly known cells whose corners are all known. Around a line most cells fail this, and
+# half of the known region would be lost; rasters are therefore refined, up to a number of known points.
 MIN_WHOLE, FEW_POINTS = 0.7, 20_000
 
 
@@ -28,8 +28,8 @@ class Raster(NamedTuple):
     origin : (3,) array, m, model frame
     spacing : float, m
     values : (nx, ny, nz, 4) array, T
-        Field, and standard deviation of one component: negative where the map does not know the field. Side by side,
-        since whoever looks up one asks for the other.
+        Field, and standard deviation of one component (negative where the map does not know the field); stored
+        together, since both are looked up together.
     """
 
     origin: np.ndarray
@@ -40,7 +40,7 @@ class Raster(NamedTuple):
     def knowing(
         cls, origin: np.ndarray, spacing: float, shape: tuple[int, ...], rows: Indices, field: Vectors, sd: Scalars
     ) -> Self:
-        """Raster of a shape (nx, ny, nz) that knows the field at some points, rows of the flattened grid, alone."""
+        """Raster of shape (nx, ny, nz) that knows the field only at some points: rows of the flattened grid."""
         values = np.zeros((int(np.prod(shape)), 4))
         values[:, 3] = -1.0
         values[rows, :3], values[rows, 3] = field, sd
@@ -63,7 +63,7 @@ class Raster(NamedTuple):
 
     @property
     def whole_share(self) -> float:
-        """Of the cells with a known corner, the share that can be looked up."""
+        """Share of the cells with a known corner that can be looked up."""
         corners = sliding_window_view(self.sd >= 0, (2, 2, 2)).sum(axis=(3, 4, 5))
         return float((corners == 8).sum() / max((corners > 0).sum(), 1))
 
@@ -93,7 +93,7 @@ def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Rast
     while True:
         raster = _rasterize(field_map, samples, spacing, draws)
         *_, is_known = raster.lookup(samples)
-        # A thin layer of known field may fall between the points of a coarse grid, a line lose its surroundings.
+        # On a coarse grid, a thin layer may fall between the points, and a line may lose its surroundings.
         is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_POINTS / 8
         is_ragged = raster.whole_share < MIN_WHOLE and 8 * (raster.sd >= 0).sum() < FEW_POINTS
         if raster.spacing > spacing or not (is_lost or is_ragged):

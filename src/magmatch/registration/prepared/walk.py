@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A survey that is a line: averaged in short bins along its path, and the test that says so."""
+"""A survey along a line: averaged in short bins along its path, and the test for being a line."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -14,9 +14,9 @@ from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
-# Most bins; longer walks get longer bins. Costs grow with the cube.
+# Maximum number of bins; longer walks get longer bins. Cost is cubic in it.
 MAX_BINS = 150
-# A survey is a line where its samples spread across the path by less than this share of the neighbourhood's radius.
+# A survey is a line if its samples spread across the path by less than this share of the neighbourhood's radius.
 MAX_BREADTH = 0.2
 # Share of the samples that must lie on a line.
 MIN_LINE_SHARE = 0.7
@@ -24,7 +24,7 @@ MIN_LINE_SHARE = 0.7
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Walk:
-    """A line of samples as registration sees it, in its own principal frame.
+    """A line of samples in its own principal frame.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Walk:
         return self.bin_length * len(self)
 
     def part(self, rows: Indices) -> "Walk":
-        """Some of the bins."""
+        """A subset of the bins."""
         return replace(self, positions=self.positions[rows], field=self.field[rows], counts=self.counts[rows])
 
 
@@ -109,14 +109,14 @@ def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
 
 
 def bin_means(values: np.ndarray, rows: Indices) -> np.ndarray:
-    """Average rows of values (n, ...) over bins that follow each other: (b, ...)."""
+    """Average rows of values (n, ...) over consecutive bins: (b, ...)."""
     sums = np.zeros((int(rows[-1]) + 1, *values.shape[1:]))
     np.add.at(sums, rows, values)
     return np.asarray(sums / np.bincount(rows).reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def line_share(positions: Points, radius: float) -> float:
-    """Share of the samples whose neighbours within a radius lie along a line."""
+    """Share of the samples whose neighbours within a radius are collinear."""
     some = positions[np.unique(np.linspace(0, len(positions) - 1, min(len(positions), 100)).astype(np.int64))]
     is_line = []
     for near in cKDTree(positions).query_ball_point(some, radius):
@@ -127,12 +127,12 @@ def line_share(positions: Points, radius: float) -> float:
 
 
 def is_line(survey: Survey, length: float) -> bool:
-    """Whether a survey's samples lie along a line, seen at a correlation length (m)."""
+    """Whether a survey's samples lie along a line at the scale of a correlation length (m)."""
     return line_share(survey.positions, length) >= MIN_LINE_SHARE
 
 
 def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
-    """Which search suits a target: pairs of points where it is a short line, a frame at every point otherwise.
+    """Choose the search for a target: pairs of points if it is a short line, a frame at every point otherwise.
 
     Parameters
     ----------

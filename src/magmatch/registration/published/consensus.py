@@ -14,7 +14,7 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Ve
 
 # Hypothesis-correspondence pairs scored at once: bounds memory.
 _PAIRS_AT_ONCE = 1_000_000
-# Refits of one hypothesis to its inliers; the set settles within a few.
+# Refits of one hypothesis to its inliers; the set converges within a few.
 _MAX_REFITS = 20
 # Transforms nearer than this (and one inlier distance) are one candidate, rad.
 _SAME_ROTATION = 0.1
@@ -23,8 +23,8 @@ _SAME_ROTATION = 0.1
 class ConsensusConfig(Settings):
     """How hypotheses are drawn and judged."""
 
-    # Distance at which a correspondence stops counting, spacings of X*. Experiment: one spacing, what two grids that
-    # do not fall together leave, halves the error of two spacings, which let neighbours' keypoints in.
+    # Distance at which the cost of a correspondence is truncated, spacings of X*. Experiment: one spacing, the offset
+    # that two unaligned grids leave, halves the error of two spacings, which include neighbouring keypoints.
     inlier_distance: float = Field(default=1.0, gt=0)
     # What a right angle between aligned vectors costs, inlier distances; 0 is the classical MSAC (experiment).
     vector_weight: float = Field(default=10.0, ge=0)
@@ -76,7 +76,7 @@ def vector_msac(
     config: ConsensusConfig,
     rng: np.random.Generator,
 ) -> list[Consensus]:
-    """Find the transforms that align many correspondences, their points and their vectors.
+    """Find the transforms that align the points and vectors of many correspondences.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def vector_msac(
     base_field, target_field : (c, 3) arrays, T
         Field vectors there.
     inlier_distance : float, m
-        Where the cost is truncated.
+        Distance at which the cost is truncated.
     config : ConsensusConfig
     rng : numpy Generator
         Draws the samples.
@@ -93,7 +93,7 @@ def vector_msac(
     Returns
     -------
     list of Consensus
-        Distinct transforms, cheapest first; empty where none has enough inliers.
+        Distinct transforms, lowest cost first; empty if none has enough inliers.
 
     Notes
     -----
@@ -124,10 +124,10 @@ def vector_msac(
 
 
 def consistent_samples(pairs: _Pairs, config: ConsensusConfig, rng: np.random.Generator) -> np.ndarray:
-    """Draw small sets of correspondences between whose members distances agree in both maps.
+    """Draw small sets of correspondences whose mutual distances agree in both maps.
 
-    A rigid transform keeps distances, so what this drops could not have had all its members as inliers; nor could a
-    sample whose points nearly coincide have fixed a rotation.
+    A rigid transform preserves distances, so in a set that is dropped, not all members could have been inliers. Sets
+    whose points nearly coincide are dropped too, since they do not determine a rotation.
     """
     n, size = len(pairs.base), config.sample_size
     drawn = rng.integers(0, n, (config.n_samples, size))
@@ -190,7 +190,7 @@ def _mean_costs(pairs: _Pairs, R: Tensors, t: Vectors) -> Scalars:
 
 
 def _settle(pairs: _Pairs, R: np.ndarray, t: np.ndarray, inlier_distance: float) -> Consensus:
-    """Fit to the inliers until they stay the same."""
+    """Fit to the inliers until they no longer change."""
     costs = squared_costs(pairs, R[None], t[None])[0]
     is_inlier = costs < 1
     for _ in range(_MAX_REFITS):
@@ -208,5 +208,5 @@ def _settle(pairs: _Pairs, R: np.ndarray, t: np.ndarray, inlier_distance: float)
 
 
 def _distinct(R: Tensors, t: Vectors, costs: Scalars, center: Vector3, limit: int) -> Indices:
-    """Rows of the cheapest transforms, without those that nearly repeat a cheaper one."""
+    """Rows of the transforms with the lowest cost, without near-duplicates of a better one."""
     return distinct_poses(R, R @ center + t, -costs, _SAME_ROTATION, 1.0, limit)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The published decision: a consensus is accepted where the aligned vectors' fitness is below a threshold."""
+"""The published decision: a consensus is accepted if the aligned vectors' fitness is below a threshold."""
 
 from pydantic import Field
 
@@ -13,7 +13,7 @@ from magmatch.settings import Settings
 class FitnessConfig(Settings):
     """When a consensus is accepted."""
 
-    # Fewest samples' share inside the base map.
+    # Least share of the samples inside the base map.
     min_overlap: float = Field(default=0.05, ge=0, le=1)
     # Largest mean sine-weighted misalignment of aligned vectors (see fitness.py).
     max_fitness: float = Field(default=0.1, gt=0)

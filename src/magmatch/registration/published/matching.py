@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Correspondences: keypoints of two maps whose descriptors look alike."""
+"""Correspondences: keypoints of two maps with similar descriptors."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _PAIRS_AT_ONCE = 4_000_000
 
 
 class MatchingConfig(Settings):
-    """Which nearest neighbours in descriptor space are believed."""
+    """Which nearest neighbours in descriptor space are used."""
 
     # Share of the nearest neighbours, closest first, that is kept: the threshold adapts to noise and grid.
     kept_share: float = Field(default=0.5, gt=0, le=1)
@@ -23,7 +23,7 @@ class MatchingConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Correspondences:
-    """Rows that belong together.
+    """Rows of corresponding keypoints.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def match_features(base: Features, target: Features, config: MatchingConfig) -> 
 
 def _nearest(among: Matrix, wanted: Matrix) -> tuple[Scalars, Indices]:
     """Distance and row of each nearest descriptor."""
-    # Matrix products: in 90 dimensions a k-d tree looks at nearly every point, ten times slower.
+    # Matrix products: in 90 dimensions a k-d tree visits nearly every point, which is ten times slower.
     rows = np.zeros(len(wanted), dtype=np.int64)
     half_norm2 = (among**2).sum(axis=1) / 2
     step = max(_PAIRS_AT_ONCE // len(among), 1)

@@ -52,7 +52,7 @@ def keypoint_search(
 
 
 def comparable(base_map: FieldMap, target_map: FieldMap, config: FeatureConfig) -> FeatureConfig:
-    """Settings with one spacing for both maps, the coarser: supports of another size have other descriptors."""
+    """Settings with the coarser spacing for both maps, since descriptors depend on the size of the support."""
     spacing = max(grid_spacing(m, config) for m in (base_map, target_map))
     return config.model_copy(update={"spacing": spacing})
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A candidate, refined against the field, with what may differ between the surveys."""
+"""Refinement of a candidate against the field, with estimated differences between the surveys."""

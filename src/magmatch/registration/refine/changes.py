@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses beside what has changed: iron that was moved between two surveys is estimated with the pose.
+"""Joint estimation of a pose and a change of the field: iron that was moved between two surveys.
 
-What a moved source changes is itself a field without sources in the surveyed region, strong where the source stood
-and stands, and falling off from there: a few charges on a layer around the samples say it. Each charge has a prior
-variance of its own, the most likely one, which is nearly zero for most (sparse Bayesian learning, Tipping 2001).
+The change due to a moved source is itself a field without sources in the surveyed region, strongest near the source's
+old and new positions, so a few charges on a layer around the samples describe it. Each charge has its own
+maximum-likelihood prior variance, which is nearly zero for most (sparse Bayesian learning, Tipping 2001).
 """
 
 from dataclasses import dataclass, replace
@@ -37,9 +37,9 @@ CLOSE = 0.1
 FAINTEST = 1e-10
 # Charges whose prior variance has fallen below this share of the strongest one's are left out from then on.
 FADED = 1e-5
-# The charges that are left were chosen by the same data: what the pose's covariance must grow by for that (measured).
+# Factor on the pose's covariance because the same data selected the remaining charges (measured).
 SELECTION_INFLATION = 16.0
-# Updates of the strengths of a field that the base has nothing to do with, and how little its constant is known, T.
+# Updates of the strengths of a field unrelated to the base, and prior standard deviation of its constant, T.
 N_NULL = 20
 CONSTANT_SD = 1e-4
 # Updates of the charges' strengths per step of the pose.
@@ -47,26 +47,26 @@ N_STRENGTHS = 4
 
 
 class ChangeConfig(Settings):
-    """When and how a pose is looked for beside moved sources."""
+    """When and how a pose is estimated together with moved sources."""
 
     is_enabled: bool = True
-    # Misfit of the best pose's cells above which something may have moved, and which a change must bring them under;
+    # Misfit of the best pose's cells above which something may have moved, and below which a change must bring it;
     # right poses without changes stay below it.
     max_misfit: float = Field(default=2.0, ge=0)
-    # Largest variance of what a change leaves, in units of what is stated: where more is left, it explains nothing.
+    # Largest residual variance with a change, in units of the stated one; above it, the change is no explanation.
     max_noise: float = Field(default=1.1, ge=1)
-    # Poses that are tried, the least evidence of the cells that agree for one to be (nats; other places reach 31),
-    # and in how many rounds each must come to rest on the cells that agree with it: one that wanders is wrong.
+    # Poses that are tried, the least evidence of the agreeing cells for a pose to be tried (nats; other places reach
+    # 31), and the rounds within which each must converge on the cells that agree with it; otherwise it is wrong.
     n_candidates: int = Field(default=2, ge=1)
     min_agreement: float = 35.0
     n_rounds: int = Field(default=6, ge=1)
-    # Samples compared, and most charges that stand for the change: with half as many of both, fields of the target's
-    # own are described so badly that wrong poses win.
+    # Samples compared, and maximum number of charges for the change: with half as many of both, the target's own
+    # field is described so badly that wrong poses win.
     n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
     n_charges: int = Field(default=400, ge=100)
     # Distance of the charges from the samples, in correlation lengths.
     distance: float = Field(default=0.6, gt=0)
-    # Most steps of the pose in a round.
+    # Maximum number of steps of the pose in a round.
     n_steps: int = Field(default=10, ge=1)
 
 
@@ -77,11 +77,11 @@ class ChangedPose:
     Attributes
     ----------
     log_ratio : float, nats
-        How much likelier the samples are as the base's field and this change than as a sparse field of their own.
+        Log-likelihood ratio of the base's field with this change to an independent sparse field.
     noise : float
-        Variance of what both leave, in units of what noise and the base's spread state; at least 1.
+        Variance of the residuals, in units of the variance stated by noise and the base's spread; at least 1.
     weights : (m,) array
-        Charges that stand for what changed.
+        Charges that describe the change.
     """
 
     pose: RefinedPose
@@ -91,13 +91,13 @@ class ChangedPose:
     weights: np.ndarray
 
     def change_at(self, points: Points) -> Vectors:
-        """What the target's field has more than the base's, target's model frame."""
+        """The target's field minus the base's, target's model frame."""
         return self.shell.evaluate(points, self.weights, 0, np.zeros(3)).field
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Samples:
-    """The target's samples that are compared, and what charges of unit weight do there.
+    """The target's samples that are compared, and the field of unit charges there.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class _Samples:
         Target's model frame; the base's spread there.
     charges : (3 n, m) array, T
     weight : (3 n,) array, 1/T^2
-        One over the variance that noise and the base's spread state.
+        Inverse of the variance stated by noise and the base's spread.
     """
 
     rows: Indices
@@ -121,18 +121,18 @@ class _Samples:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Estimate:
-    """What one linear step says of pose and sensor (steps, then charges).
+    """Result of one linear step: steps of pose and sensor, then charges.
 
     Attributes
     ----------
     charges : (m,) int array
-        Those that are left; the others have faded.
+        The remaining ones; the variance of the others has vanished.
     values : (k + m,) array
     covariance : (k + m, k + m) array
     strengths : (m,) array
-        Prior variance of each charge, the more likely ones after this step.
+        Prior variance of each charge, updated by this step.
     noise : float
-        Variance of the residuals that are left, in units of what is stated; at least 1.
+        Variance of the remaining residuals, in units of the stated variance; at least 1.
     """
 
     charges: Indices
@@ -219,7 +219,7 @@ def _solve(
     prior: PosePrior,
     last: _Estimate | None = None,
 ) -> _Estimate:
-    """Step of pose and sensor with the charges, whose strengths become more likely as they are solved for."""
+    """Solve for a step of pose and sensor together with the charges, and update the charges' strengths."""
     k, r = 6 + len(pose.sensor_sd), lookup.residual.ravel()
     start = max(float(np.median((lookup.residual**2).sum(axis=1))) / MEDIAN_CHI2_3, 1 / samples.weight.max())
     left, strengths, noise = np.arange(len(gram)), np.full(len(gram), start), 4.0
@@ -249,7 +249,7 @@ def _update(
     power: float,
     n_rows: int,
 ) -> tuple[np.ndarray, Matrix, Scalars, float]:
-    """Solve for all unknowns, then take the strengths and the noise that are more likely with what was found."""
+    """Solve for all unknowns, then update strengths and noise towards their maximum likelihood."""
     k = len(before)
     C = np.linalg.inv(A / noise + block_diag(before, np.diag(1 / strengths)))
     z = C @ (v / noise + pull)
@@ -266,7 +266,7 @@ def _update(
 def _log_likelihood(
     A: Matrix, v: np.ndarray, before: Matrix, strengths: Scalars, noise: float, power: float, n_rows: int
 ) -> float:
-    """Log density of the data, all unknowns integrated out, less what the stated noise alone contributes."""
+    """Log marginal likelihood of the data, minus that of the stated noise alone."""
     P = A / noise + block_diag(before, np.diag(1 / strengths))
     fit = float(v @ np.linalg.solve(P, v)) / noise**2
     log_det = np.linalg.slogdet(P)[1] + float(np.log(strengths).sum()) - np.linalg.slogdet(before)[1]
@@ -299,7 +299,7 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
 def _residual_block(
     lookup: Lookup, samples: _Samples, gram: Matrix, pose: RefinedPose, estimate: _Estimate, drift: Drift
 ) -> ResidualBlock:
-    """What the samples say of pose and sensor when the charges are free to answer every change of them."""
+    """Information of the samples on pose and sensor, marginalised over the charges."""
     n, k, left = len(lookup.positions), 6 + len(pose.sensor_sd), estimate.charges
     charges = samples.charges[:, left]
     J = residual_jacobian(lookup, pose.center, pose.sensor).reshape(3 * n, k)

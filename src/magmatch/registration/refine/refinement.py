@@ -4,9 +4,9 @@
 Residuals are taken in target axes, ``r = b - R^T B_base(T y)`` at the target's samples y and
 ``r = B_target(T^-1 x) - R^T b`` at the base's samples x. With the pose perturbed about a centre c of the target,
 ``T Exp(xi)``, both have the same Jacobian, ``-[b]x theta + G ([y - c]x theta - rho)``, G the gradient of the map
-that is looked up, in target axes. Bias and scale of the target's magnetometer are further columns (`sensors.py`);
-residuals are taken half-way between the two gains: in the base's own, a smaller target would always fit better, and
-base and target could not be swapped.
+that is looked up, in target axes. Bias and scale of the target's magnetometer are further columns (`sensors.py`).
+Residuals are taken half-way between the two gains: with the base's gain, a target scaled down would always fit
+better, and base and target could not be swapped.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from magmatch.registration.refine.sensors import SensorConfig, SensorModel, iden
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
-# Fewer samples than this in one direction say too little to be used.
+# Fewest samples for a direction of comparison to be used.
 MIN_SAMPLES = 20
 # Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
@@ -37,12 +37,12 @@ MAX_TURN, MAX_SHIFT = 0.1, 0.3
 class RefinementConfig(Settings):
     """Settings of the dense refinement."""
 
-    # Samples per survey. A room's 3,000 all tell: with 1,200 of them errors grow by a fifth, at 15 % overlap by half.
+    # Samples per survey. All 3,000 of a room help: with 1,200 errors grow by a fifth, at 15 % overlap by half.
     n_samples: int = Field(default=4000, ge=MIN_SAMPLES)
     # Most Newton steps; they end when one moves the estimate by less than this many of its standard deviations.
     n_steps: int = Field(default=20, ge=1)
     tolerance: float = Field(default=1e-3, gt=0)
-    # The same while candidates are only ranked: wrong ones wander, and an evidence is known well before its pose is.
+    # The same while candidates are only ranked: wrong ones wander, and the evidence converges before the pose does.
     n_ranking_samples: int = Field(default=600, ge=MIN_SAMPLES)
     n_ranking_steps: int = Field(default=8, ge=1)
     ranking_tolerance: float = Field(default=0.1, gt=0)
@@ -73,8 +73,8 @@ class ResidualBlock:
     information : (6 + k, 6 + k) array
         Weighted ``J^T J`` of the pose and the k sensor parameters.
     curvature : (6 + k, 6 + k) array
-        Of the log-likelihood, which a large residual bends less than its weight says: what the scatter of an estimate
-        follows from.
+        Of the log-likelihood, which is less than the weighted information if residuals are large; the scatter of an
+        estimate follows from it.
     scores : (n, 6 + k) array
         Each sample's weighted gradient.
     positions : (n, 3) array, m
@@ -82,7 +82,7 @@ class ResidualBlock:
     residual2 : (n,) array
         Squared norm of each residual over its expected variance.
     drift : (6 + k, 6 + k) array
-        Covariance of the gradients' sum through the drift of the samples' own poses.
+        Covariance of the gradients' sum due to the drift of the samples' own poses.
     """
 
     information: Matrix
@@ -108,9 +108,9 @@ class RefinedPose:
     sensor_sd : (k,) array
         Prior standard deviations that the sensor's parameters were given.
     prior_information : (6, 6) array
-        What was known of the pose beforehand, about the centre.
-    blocks : tuple of Direction
-        What each direction of comparison says; empty where the maps hardly overlap.
+        Information of the pose prior, about the centre.
+    blocks : tuple of ResidualBlock
+        One for each direction of comparison; empty if the maps hardly overlap.
     """
 
     T_base_target: RigidTransform
@@ -136,17 +136,17 @@ def refine(
     rng: np.random.Generator,
     level: int = 0,
 ) -> RefinedPose:
-    """Minimise the field residual of both directions, of Student-t likelihood, by Newton's steps.
+    """Minimise the field residuals of both directions, with Student-t likelihood, by Newton's steps.
 
     Parameters
     ----------
     base, target : PreparedMap
     start : RigidTransform or RefinedPose
-        ``T_base_target``, model frame to model frame; a refined pose goes on with its own sensor model and level.
+        ``T_base_target``, model frame to model frame; a refined pose keeps its own sensor model and level.
     prior : PosePrior
     config : RefinementConfig
     rng : numpy Generator
-        Picks the samples where there are more than needed.
+        Picks the samples if there are more than needed.
     level : int
         How far the two magnetometers may differ, see `magmatch.registration.refine.sensors.prior_sd`.
 
@@ -167,7 +167,7 @@ def refine(
         if not blocks:
             break
         v = -np.sum([d.scores.sum(axis=0) for d in blocks], axis=0)
-        # What the likelihood bends by: with the weights alone in its place, steps fall short by a third.
+        # The likelihood's curvature: with the weighted information in its place, steps would be too short by a third.
         A = np.sum([d.curvature for d in blocks], axis=0)
         # Neighbouring residuals are not independent; unscaled they would override any prior.
         excess = overdispersion(blocks, 2 * lengthscale)
@@ -198,7 +198,7 @@ def information_of(blocks: tuple[ResidualBlock, ...]) -> Matrix:
 
 
 def overdispersion(blocks: tuple[ResidualBlock, ...], side: float) -> float:
-    """By how much cell-wise sums of the gradient scatter more than independent samples would (at least 1)."""
+    """Variance of cell-wise sums of the gradient relative to that of independent samples (at least 1)."""
     A = information_of(blocks)
     clusters = np.concatenate([sum_by_cube(d.scores, d.positions, side) for d in blocks])
     meat = clusters.T @ clusters
@@ -218,7 +218,7 @@ def compare(
 
     Returns
     -------
-    tuple of Direction
+    tuple of ResidualBlock
         Directions with at least `MIN_SAMPLES` samples inside the other map.
     """
     forward, backward = look_up(base, target, T_base_target, sensor, rows)
@@ -280,7 +280,7 @@ def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> n
 
 
 def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
-    """Weight of each residual, and by how much its part of the likelihood bends less than that.
+    """Weight of each residual, and the ratio of its curvature of the likelihood to that weight.
 
     Returns
     -------
@@ -288,7 +288,7 @@ def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tup
     bend : (n,) array
         The weight falls as its residual grows, in one direction of three: between 1/3 and 1.
     """
-    # What the residuals themselves show beyond the map's own spread, never less than a share of the noise.
+    # Variance of the residuals beyond the map's own spread, never less than a share of the noise.
     map_variance = map_sd**2
     excess = max(float(np.median(residual2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
     variance = excess + map_variance
@@ -316,7 +316,7 @@ def _residual_block(
 
 
 def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -> np.ndarray:
-    """Bounded Newton step; of minimum norm, so a direction that the data do not fix stays where it was."""
+    """Bounded minimum-norm Newton step, so that a direction that the data do not determine does not change."""
     scale = np.concatenate([np.full(3, MAX_TURN), np.full(3, MAX_SHIFT * lengthscale), sensor_sd])
     xi: np.ndarray = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
     return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))

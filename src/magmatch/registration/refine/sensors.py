@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two magnetometers rarely agree: the target's bias and scale, estimated with the pose where the data ask for it.
+"""Differences between two magnetometers: the target's bias and scale, estimated with the pose if the data require it.
 
 The target's readings are corrected as ``b' = (I + D)^-1 (b - c)``, c the bias and D the scale (``s I``) or the full
-soft-iron matrix. Both are constant in the target's survey frame, which is exact for a sensor that kept its attitude
-and an approximation otherwise. A free bias would let correlated map error pose as bias, so its prior is one of a few
-levels, and the tightest is left only for clear evidence.
+soft-iron matrix. Both are constant in the target's survey frame, which is exact for a sensor with constant attitude
+and an approximation otherwise. With a free bias, correlated map error would be mistaken for bias. Its prior is
+therefore one of a few levels, and a wider one than the tightest needs clear evidence.
 """
 
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ TIED_SD = 1e-12
 class SensorConfig(Settings):
     """What may differ between the two magnetometers."""
 
-    # 'auto': bias and scale at the level the evidence asks for, and soft iron where it asks for that; 'none':
-    # identical sensors; 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
+    # 'auto': bias and scale, and soft iron, at the level that the evidence supports; 'none': identical sensors;
+    # 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
     mode: SensorMode = "auto"
     # Prior standard deviations of bias (T) and scale, tightest first: same sensor, the same on another day, of one
     # kind, uncalibrated.
     bias_levels: tuple[float, ...] = (0.05e-6, 0.2e-6, 0.7e-6, 3e-6)
     scale_levels: tuple[float, ...] = (0.0005, 0.002, 0.007, 0.03)
-    # How much more log evidence (nats) a wider level must bring to be taken.
+    # Gain in log evidence (nats) required for a wider level.
     min_gain: float = Field(default=15.0, ge=0)
 
 
@@ -72,7 +72,7 @@ class SensorModel:
         return corrected
 
     def half_way(self, residual: Vectors) -> Vectors:
-        """Differences in the base's readings as a sensor half-way between the two shows them: ``(I + D / 2) r``."""
+        """Differences of readings as measured by a sensor half-way between the two: ``(I + D / 2) r``."""
         halved: Vectors = residual @ (np.eye(3) + self.gain).T / 2
         return halved
 
@@ -94,9 +94,9 @@ class SensorModel:
 
 
 def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
-    """Prior levels in the order they are tried; a later one must explain the data better by ``min_gain``.
+    """Prior levels in the order they are tried; a later one must gain ``min_gain`` in evidence.
 
-    Beyond the widest level of bias and scale lies soft iron, for 'auto' to try where the sensors differ at all.
+    With 'auto', soft iron follows the widest level of bias and scale, if the sensors differ at all.
     """
     n = len(config.bias_levels)
     return {"auto": tuple(range(n + 1)), "none": (-1,)}.get(config.mode, (n - 1,))
@@ -108,7 +108,7 @@ def is_soft_iron(config: SensorConfig, level: int) -> bool:
 
 
 def identical_sensors(config: SensorConfig, level: int) -> SensorModel:
-    """Start of the estimation: no difference, with the parameters that a level may move."""
+    """Start of the estimation: no difference, with the parameters that a level may change."""
     shapes = np.zeros((0, 3, 3))
     if is_soft_iron(config, level):
         shapes = np.eye(9).reshape(9, 3, 3)

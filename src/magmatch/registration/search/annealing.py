@@ -14,12 +14,12 @@ from magmatch.registration.search.scoring import EVIDENCE, Evidence, expected_va
 from magmatch.threads import side_by_side, slices
 from magmatch.typing import Scalars
 
-# Inaccuracy that is granted at each step, as a share of a candidate's own.
+# Pose error allowed at each step, as a share of a candidate's own.
 COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
 
 
 class Room(NamedTuple):
-    """Where the loops put what they work on."""
+    """Working arrays of the loops."""
 
     A: np.ndarray  # (6, 6), normal equations
     dx: np.ndarray  # (6,), their right side, then the step
@@ -40,14 +40,14 @@ def anneal_poses(
     outlier_share: float,
     damping: float,
 ) -> tuple[Hypotheses, Scalars]:
-    """Refine poses while the inaccuracy that is granted to them, a row (rad, m) of the schedule a step, shrinks.
+    """Refine poses while the pose error allowed shrinks: one row (rad, m) of the schedule per step.
 
     Returns
     -------
     Hypotheses
         h poses, about the same anchors.
     (h,) array
-        Their scores at the last row's inaccuracy.
+        Their scores at the last row of the schedule.
     """
     found = poses._replace(rotations=poses.rotations.copy(), anchors_base=poses.anchors_base.copy())
     scores, schedule = np.zeros(len(found.rotations)), np.ascontiguousarray(schedule)
@@ -83,7 +83,7 @@ def _anneal(poses, rows, evidence, raster, schedule, eps, damping, scores, room)
 
 @compiled
 def _step(h, R, pb, dx, most_turn, most_shift, turns):  # type: ignore[no-untyped-def]
-    """Move a pose, by at most so much: its rotation by that of a rotation vector (Rodrigues)."""
+    """Apply a bounded step to a pose; its rotation by that of a rotation vector (Rodrigues)."""
     turn2, shift2 = 0.0, 0.0
     for c in range(3):
         turn2 += dx[c] * dx[c]

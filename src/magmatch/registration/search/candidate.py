@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a search hands to refinement: poses worth looking at, best first."""
+"""The output of a search: candidate poses for refinement, best first."""
 
 from dataclasses import dataclass, field
 
@@ -32,7 +32,7 @@ class SearchResult:
     Attributes
     ----------
     candidates : tuple of Candidate
-        Distinct poses, best first; empty where nothing was found.
+        Distinct poses, best first; empty if nothing was found.
     n_keypoints, n_correspondences, n_inliers : int
         Counts; ``n_inliers`` is of the best candidate.
     links : Links

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Global search without a guess: every point carries a frame, so one pair of points gives a whole pose."""
+"""Global search without an initial guess: every point has a frame, so one pair of points gives a complete pose."""
 
 import numpy as np
 from pydantic import Field
@@ -22,16 +22,16 @@ from magmatch.typing import Indices, Points, Scalars, Tensors
 class InvariantSearchConfig(Settings):
     """Counts and scales of the search; the defaults found every pair of the development set."""
 
-    # Target points that vote, drawn in proportion to how well their gradient is known.
+    # Target points used as anchors, drawn in proportion to how well their gradient is known.
     n_anchors: int = Field(default=400, ge=10)
     # Base points with the most similar invariants that each anchor is tried on.
     n_neighbours: int = Field(default=30, ge=1)
-    # Samples that every pose is judged by at first, and how many of the best poses go on to all of them.
+    # Samples for the first scoring of every pose, and number of best poses that are scored on all of them.
     n_first_samples: int = Field(default=40, ge=10)
     n_second: int = Field(default=2000, ge=1)
-    # Samples that judge a pose: half near its anchor, half anywhere.
+    # Samples for scoring a pose: half near its anchor, half anywhere.
     n_score_samples: int = Field(default=160, ge=20)
-    # Samples that judge the few poses left.
+    # Samples for scoring the last few poses.
     n_fine_samples: int = Field(default=600, ge=20)
     # Poses that are refined coarsely, and distinct ones that are refined further.
     n_coarse: int = Field(default=600, ge=1)
@@ -45,11 +45,11 @@ class InvariantSearchConfig(Settings):
     sd_translation: float = Field(default=0.2, gt=0)
     # Floor of the invariants' whitening, as a share of their spread over both maps.
     whitening_floor: float = Field(default=0.1, gt=0)
-    # Posterior samples that give the spread of invariants and field, and what maps do not know of an accepted pose.
+    # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
     n_draws: int = Field(default=8, ge=2)
 
 
-# As `COARSE_SCHEDULE`, from poses that went through that.
+# As `COARSE_SCHEDULE`, for poses already refined with it.
 FINE_SCHEDULE = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
 
 
@@ -74,12 +74,12 @@ def invariant_search(
     poses = prior.narrow(poses, center, sd, rng)
     if not len(poses.rotations):
         return SearchResult()
-    # Most hypotheses are wrong, and a few samples say so.
+    # Most hypotheses are wrong, which a few samples show.
     few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
     scores = score_poses(poses, few, evidence, base, *sd, config.outlier_share)
     poses = poses.subset(np.argsort(-scores, kind="stable")[: config.n_second])
     scores = score_poses(poses, rows, evidence, base, *sd, config.outlier_share)
-    # A pose that fits a strong corner of the base comes in hundreds of copies, which would leave no room for others.
+    # A strong corner of the base attracts hundreds of near-duplicates, which would displace other poses.
     best = distinct_poses(poses.rotations, poses.carry(center), scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
     poses = poses.subset(best)
 
@@ -145,7 +145,7 @@ def similar_points(
 
 
 def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Which samples judge each anchor's poses: half within two lengthscales, the rest anywhere.
+    """Choose samples for scoring each anchor's poses: half within two lengthscales, the rest anywhere.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: n
 
 @compiled_ahead("f8[:,::1], f8[:,::1], i8[::1], f8, i8, i8[:,::1]")
 def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: ignore[no-untyped-def]
-    """Put samples near each anchor into the first places of its row, as many as there are; each starts elsewhere."""
+    """Fill the beginning of each anchor's row with samples near it, as far as there are; each starts elsewhere."""
     n = len(shuffled)
     for a in range(len(anchors)):
         found, start = 0, a * n // len(anchors)
@@ -182,7 +182,7 @@ def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: i
 def distinct_poses(
     rotations: Tensors, centers: Points, scores: Scalars, angle: float, distance: float, limit: int
 ) -> Indices:
-    """Best poses that differ from every better one by an angle (rad) or by the place of the centre (m)."""
+    """Best poses that differ from every better one by an angle (rad) or by the position of the centre (m)."""
     order = np.argsort(-scores, kind="stable")
     kept = np.zeros(min(limit, len(order)), dtype=np.int64)
     n = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, kept)
@@ -216,7 +216,7 @@ def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[n
 
 
 def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:
-    """Poses that put each anchor on each of its neighbours, and the frame of one onto that of the other.
+    """Poses that map each anchor and its frame onto each of its neighbours and their frames.
 
     Parameters
     ----------

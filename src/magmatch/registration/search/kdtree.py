@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Nearest neighbours among many points, by a balanced k-d tree that is nothing but arrays.
+"""Nearest neighbours among many points, by a balanced k-d tree stored in arrays.
 
-Arrays can be kept in a file and mapped into memory, so that a table of a hundred thousand pairs is ready at once,
-and a query reads only the leaves that it visits.
+The arrays can be memory-mapped from a file, so that a table of a hundred thousand pairs is ready at once, and a query
+reads only the leaves that it visits.
 """
 
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ class NeighbourTree:
     points : (n, d) float32 array
         Leaf by leaf.
     rows : (n,) int32 array
-        Where each of them stood among the points given.
+        Row of each among the points given.
     axes : (m,) int32 array
-        Axis that each inner node divides; node k has children 2 k + 1 and 2 k + 2.
+        Axis that each inner node splits; node k has children 2 k + 1 and 2 k + 2.
     values : (m,) float32 array
-        Where it divides it.
+        Coordinate of each split.
     """
 
     points: np.ndarray

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Global search for a short walk: a line has no gradient across itself, so hypotheses come from pairs of points."""
+"""Global search for a short walk by pairs of points, since the gradient across a line is unknown."""
 
 from dataclasses import dataclass
 
@@ -30,20 +30,20 @@ class PairSearchConfig(Settings):
     point_distance: float = Field(default=0.25, gt=0)
     min_distance: float = Field(default=0.8, gt=0)
     max_distance: float = Field(default=6.2, gt=0)
-    # Most pairs in the table; more points than that need are thinned further.
+    # Most pairs in the table; points that would give more are thinned further.
     max_pairs: int = Field(default=600_000, ge=1000)
-    # Pairs of the target that vote, and base pairs with the most similar invariants that each is tried on.
+    # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
     n_pairs: int = Field(default=60, ge=1)
     n_neighbours: int = Field(default=8, ge=1)
-    # Bins that judge a pose.
+    # Bins for scoring a pose.
     n_score_bins: int = Field(default=60, ge=10)
-    # Poses that are refined coarsely, of these at most so many in one place, and distinct ones handed on.
+    # Poses that are refined coarsely, the most of these in one place, and distinct ones handed on.
     n_coarse: int = Field(default=120, ge=1)
     n_per_place: int = Field(default=6, ge=1)
     n_candidates: int = Field(default=10, ge=1)
     # Share of bins that may match nothing.
     outlier_share: float = Field(default=0.3, gt=0, lt=1)
-    # Where another walk passes a base point, per axis.
+    # Offset of another walk from a base point, per axis.
     sd_position: float = Field(default=0.12, gt=0)
     # Inaccuracy of a pose from one pair: rad, and in correlation lengths.
     sd_rotation: float = Field(default=0.07, gt=0)
@@ -65,7 +65,7 @@ class PairTable:
     length : float, m
         The base's correlation length.
     sd_position, sd_field : float, m and T
-        Uncertainty of a point and of its field when another walk passes; whitening and alignment use it.
+        Expected differences in position and field when another walk passes a point; for whitening and alignment.
     field_norm, gradient_rms : float, T and T/m
         Typical strength of the field, and rms of one component of its gradient.
     """
@@ -189,7 +189,7 @@ def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: In
     Returns
     -------
     Hypotheses
-        n k of them, each about the middle of one of the walk's n pairs.
+        n k hypotheses, each about the middle of one of the walk's n pairs.
     """
     middles = (walk.positions[i] + walk.positions[j]) / 2
     a, b = table.first[similar.ravel()], table.second[similar.ravel()]
@@ -225,10 +225,10 @@ def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices,
 
 
 def _evidence(base: PreparedMap, table: PairTable, walk: Walk) -> Evidence:
-    """Bins of the walk as the score sees them; 'unrelated' expects each bin to miss by the field's own spread.
+    """Bins of the walk for scoring; under 'unrelated', each bin is expected to differ by the field's own spread.
 
-    Counting every bin alike makes agreement with the walk's mean field evidence too: on a short walk that is much
-    of what there is.
+    All bins have the same deviation, so that agreement with the walk's mean field counts as evidence too: on a short
+    walk it is much of what there is.
     """
     deviation = walk.field - np.median(walk.field, axis=0)
     base_deviation = table.field - np.median(table.field, axis=0)
@@ -245,7 +245,7 @@ def _evidence(base: PreparedMap, table: PairTable, walk: Walk) -> Evidence:
 
 
 def _best_by_place(centers: Points, scores: Scalars, length: float, config: PairSearchConfig) -> Indices:
-    """Best hypotheses, not more than a few in one place, so that one corridor does not fill the list."""
+    """Best hypotheses, at most a few in one place, so that one corridor does not fill the list."""
     places = np.floor(centers / length).astype(np.int64)
     order = np.argsort(-scores, kind="stable")
     counts: dict[tuple[int, ...], int] = {}

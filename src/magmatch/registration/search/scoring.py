@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How well a pose explains the target's samples by the base's field, against 'an unrelated field'.
+"""How well the base's field explains the target's samples under a pose, compared with an unrelated field.
 
 Each sample contributes ``log(eps + (1 - eps) exp(L))`` with
 ``L = b^2 / 2 V0 - r^2 / 2 V + 3/2 ln(V0 / V)``: r is the residual against the base field, V its expected variance,
 b the sample's deviation from the target's median field and V0 that deviation's variance. Samples that the base does
-not cover say nothing.
+not cover contribute nothing.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from magmatch.typing import Points, Scalars, Vectors
 
 
 class Evidence(NamedTuple):
-    """The target's samples as a search sees them, with what 'unrelated' means for each.
+    """The target's samples for a search, with the likelihood of an unrelated field for each.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Evidence(NamedTuple):
     noise_variance : float, T^2
         Both surveys' noise, per component.
     field_rms, gradient_rms : float
-        Per component, T and T/m: how a pose error turns into a field error.
+        Per component, T and T/m: by these, a pose error causes a field error.
     """
 
     positions: Points
@@ -49,7 +49,7 @@ EVIDENCE = record(Evidence, "f8[:,::1], f8[:,::1], f8[::1], f8, f8, f8, f8")
 
 
 def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> Evidence:
-    """Gather the target's samples and the scales by which a pose is judged.
+    """Collect the target's samples and the scales for scoring a pose.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> E
         deviation2=np.minimum(deviation2, cap * deviation_variance),
         deviation_variance=deviation_variance,
         noise_variance=noise_variance,
-        # A turn by dth about a random axis moves B by |B| dth sqrt(2/3) in norm.
+        # A rotation by dth about a random axis changes B by |B| dth sqrt(2/3) in norm.
         field_rms=float(np.sqrt((target.sample_field**2).sum(axis=1).mean() * 2 / 3)),
         gradient_rms=float(1.3 * np.median(g) / np.sqrt(3)),
     )
@@ -97,7 +97,7 @@ def score_poses(
     evidence : Evidence
     base : PreparedMap
     sd_rotation, sd_translation : float, rad and m
-        How inaccurate the poses still are; widens the expected residual.
+        Remaining pose error; widens the expected residual.
     outlier_share : float
         eps, share of samples that may match nothing.
 
