@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of the nouns: draws what others computed. Needs the extra 'viz'."""
+"""Pictures of surveys, maps and results; computes nothing itself. Needs the extra 'viz'."""

@@ -21,13 +21,13 @@ def view(
     base: Survey | FieldMap | None = None,
     target: Survey | FieldMap | None = None,
 ) -> "Figure":
-    """Draw a survey, a map, or a result with what it registered; a notebook shows what a cell ends with.
+    """Draw a survey, a map, or a result with its surveys; a notebook displays the figure.
 
     Parameters
     ----------
     thing : Survey, FieldMap or RegistrationResult
     base, target : Survey or FieldMap, optional
-        Of a result: what was registered, drawn in the base's frame. Without them, the points that belong together.
+        Of a result: drawn in the base's frame. Without them, only corresponding points are drawn.
 
     Returns
     -------

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of the nouns, and what is computed for them alone."""
+"""Pictures of surveys, maps and results, and what is computed only for them."""

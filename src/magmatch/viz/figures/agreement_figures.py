@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of whether the base map explains the target's samples: overlap, residuals, and the field along the way."""
+"""Pictures of how well the base map explains the target: overlap, residuals, and the field along the path."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -112,7 +112,7 @@ def residual_figure(compared: Comparison) -> "Figure":
 
 
 def histogram_figure(compared: Comparison) -> "Figure":
-    """How residuals are distributed, and how they would be if model and noise explained all."""
+    """Distribution of the residuals, and the distribution expected if model and noise explain all."""
     values = np.minimum(compared.normalised[compared.is_known], TOP_RESIDUAL)
     edges = np.linspace(0, TOP_RESIDUAL, 33)
     share = np.histogram(values, edges)[0] / len(values)
@@ -137,7 +137,7 @@ def histogram_figure(compared: Comparison) -> "Figure":
 
 
 def along_figure(compared: Comparison) -> "Figure":
-    """Field components along the target: measured, and what the base map says there."""
+    """Field components along the target: measured, and predicted by the base map."""
     from plotly.subplots import make_subplots
 
     go, known = require_plotly(), compared.is_known

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of how sure a pose is: ellipsoids of place and turn, what the data leave free, and rival poses."""
+"""Pictures of a pose's uncertainty: ellipsoids of position and rotation, free directions, and rival poses."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -62,7 +62,7 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
 
 
 def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection) -> "Figure":
-    """Draw what the data leave free: the target moved both ways along a free direction."""
+    """Draw a free direction: the target moved both ways along it."""
     p_target = target.positions[thinned(len(target), MAX_SWEPT)]
     reach = SWEEP * float(np.ptp(p_target, axis=0).max())
     here = transform_points(p_target, T_base_target)

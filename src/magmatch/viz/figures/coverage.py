@@ -9,13 +9,13 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.typing import Mask, Points, Scalars
 
-# Points of the box that are asked.
+# Points of the box at which the map is evaluated.
 N_ASKED = 6000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Coverage:
-    """A map asked at points all over the box around its samples.
+    """A map evaluated at points throughout the box around its samples.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Coverage:
     sd : (n,) array, T
         Standard deviation of one component of the field at the known points, increasing.
     variation : float, T
-        Standard deviation of one component over the samples: what a map without structure would miss by.
+        Standard deviation of one component over the samples: the error of a map without structure.
     """
 
     known_share: float
@@ -35,11 +35,11 @@ class Coverage:
     variation: float
 
     def share_below(self, sd: float) -> float:
-        """Share of the known part that is at least this sure."""
+        """Share of the known part with at most this standard deviation."""
         return float((self.sd <= sd).mean()) if len(self.sd) else 0.0
 
     def quantile(self, share: float) -> float | None:
-        """Standard deviation that this share of the known part stays below; None where nothing is known."""
+        """Quantile of the standard deviation over the known part; None if nothing is known."""
         return float(np.quantile(self.sd, share)) if len(self.sd) else None
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A pose's covariance where people care about it: at the target's place, in the base's axes, as ellipsoids and words.
+"""A pose's covariance at the target's position, in the base's axes, as ellipsoids and words.
 
-The covariance of a result is about the target frame's origin, which may be far from the samples; a small turn is a
-large shift there. At the centroid c of the samples ``xi = (theta, rho)`` moves a point by ``R (rho + theta x c)``.
+The covariance of a result is about the target frame's origin, which may be far from the samples; a small rotation is
+a large shift there. At the centroid c of the samples ``xi = (theta, rho)`` moves a point by ``R (rho + theta x c)``.
 """
 
 from dataclasses import dataclass
@@ -51,21 +51,21 @@ class Ellipsoid:
 
 
 def ellipsoids_at(covariance: Matrix, T_base_target: RigidTransform, center: Vector3) -> tuple[Ellipsoid, Ellipsoid]:
-    """Where a point of the target may lie (m), and how the target may be turned (rad), in base axes."""
+    """Ellipsoids of the position of a point of the target (m) and of the target's rotation (rad), in base axes."""
     R = rotation_matrix(T_base_target)
     J = np.hstack([-skew(np.asarray(center)[None])[0], np.eye(3)])
     return _ellipsoid(R @ J @ covariance @ J.T @ R.T), _ellipsoid(R @ covariance[:3, :3] @ R.T)
 
 
 def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirection, reach: float) -> Points:
-    """Where points would lie had the pose moved along a free direction, so far that the farthest goes `reach`."""
+    """Points moved along a free direction of the pose, the farthest by `reach`."""
     theta, rho = free.xi[:3], free.xi[3:]
     longest = float(np.linalg.norm(np.cross(theta, p_target) + rho, axis=1).max())
     return transform_points(p_target, T_base_target * exp_se3(free.xi * (reach / max(longest, 1e-300))))
 
 
 def length_text(metres: float) -> str:
-    """A length in the unit that a reader can picture."""
+    """A length in a convenient unit."""
     return f"{1e3 * metres:.3g} mm" if metres < 0.9995 else f"{metres:.3g} m"
 
 
@@ -75,7 +75,7 @@ def angle_text(radians: float) -> str:
 
 
 def direction_words(v: Vector3) -> str:
-    """Name a direction of the base: an axis where it is near one, else its components."""
+    """Name a direction of the base: an axis if it is near one, else its components."""
     v = v / np.linalg.norm(v)
     k = int(np.argmax(np.abs(v)))
     if abs(v[k]) > 0.97:

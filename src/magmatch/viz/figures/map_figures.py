@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of one map: the field on cuts, how sure it is, and which prior predicted best."""
+"""Pictures of one map: the field on cuts, its standard deviation, and the comparison of priors."""
 
 from typing import TYPE_CHECKING
 
@@ -75,7 +75,7 @@ def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
 
 
 def coverage_figure(coverage: Coverage) -> "Figure":
-    """How much of the known part is how sure."""
+    """Cumulative distribution of the standard deviation over the known part."""
     sd = UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
     share = np.linspace(0, 1, len(sd))
     go = require_plotly()

@@ -57,7 +57,7 @@ MAX_SCENE_SAMPLES = 3000
 
 
 def shown_pose(result: RegistrationResult) -> RigidTransform | None:
-    """Pose that pictures show: the accepted one, else the best candidate in the base, else none."""
+    """Pose shown in pictures: the accepted one, else the best candidate in the base, else none."""
     if result.T_base_target is not None:
         return result.T_base_target
     # Poses in other maps of a folder cannot be drawn in this one.
@@ -65,7 +65,7 @@ def shown_pose(result: RegistrationResult) -> RigidTransform | None:
 
 
 def links_figure(result: RegistrationResult) -> "Figure":
-    """Points of both sides that belong together, in the frame of the base: what a result alone can show."""
+    """Corresponding points of both sides in the frame of the base: all that a result alone can show."""
     T_base_target, links = shown_pose(result), result.links
     if T_base_target is None or not len(links.base):
         msg = "view: expected a result with pose and matching points, got one without; say view(result, base, target)"
@@ -73,14 +73,14 @@ def links_figure(result: RegistrationResult) -> "Figure":
     moved = transform_points(links.target, T_base_target)
     base = points3d(links.base, name="base", marker={"size": 5, "color": BASE_COLOR, "symbol": BASE_MARKER})
     target = points3d(moved, name="target", marker={"size": 4, "color": TARGET_COLOR, "symbol": TARGET_MARKER})
-    words = "Points that belong together" if result.is_accepted else "Best candidate, NOT accepted"
+    words = "Corresponding points" if result.is_accepted else "Best candidate, NOT accepted"
     return described(
         new_scene(words, [base, target], "frame of the base"), f"{len(moved)} points of base and target in space."
     )
 
 
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
-    """Both surveys in one frame: as they came, and with the target brought to the base."""
+    """Both surveys in one picture: as recorded, and with the target in the base's frame."""
     links = result.links
     before = new_scene(
         "Before: as recorded",

@@ -31,7 +31,7 @@ class Comparison:
     measured : (n, 3) array, T
         The target's vectors, turned, and corrected for the sensor where that was estimated.
     expected, expected_sd : (n, 3) arrays, T
-        What the base map says there, and how sure it is.
+        The base map's prediction there, and its standard deviation.
     normalised : (n,) array
         Length of the residual in its standard deviations: rms over samples is 1 where model and noise explain all.
     is_known : (n,) array

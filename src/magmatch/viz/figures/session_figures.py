@@ -61,7 +61,7 @@ def session_figures(session: Session, component: int) -> "list[Figure]":
 
 
 def weakness_figure(session: Session) -> "Figure":
-    """Standard deviation of the place along each log, against the first node of its frame."""
+    """Standard deviation of the position along each log, relative to the first node of its frame."""
     traces, worst = [], 0.0
     go = require_plotly()
     for k, path in enumerate(session.paths):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of a log in a map: the stated path over its field, and how sure it was."""
+"""Pictures of a log in a map: the stated path over the field, and its probability."""
 
 from typing import TYPE_CHECKING
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report of a map: what it was made from, the field, how sure it is, and how it came to be."""
+"""The report of a map: its surveys, the field, its uncertainty, and how to reproduce it."""
 
 import shlex
 from collections.abc import Sequence
@@ -36,12 +36,12 @@ MAX_LISTED = 12
 MEANINGS = {
     "lengthscale": "distance over which the field changes",
     "signal_sd": "how much a component of the field varies, by the prior",
-    "noise_sd": "sensor noise and what the model cannot follow",
+    "noise_sd": "sensor noise and what the model cannot represent",
     "spacing": "spacing of the basis nodes",
     "stiffness": "weight of div B = 0 (0: not imposed, or exact)",
     "looseness": "standard deviation of the prior relative to signal_sd",
     "inflation": "factor on standard deviations, from the error on held-out data",
-    "reach": "how far the map reaches beyond samples, in spacings",
+    "reach": "how far the map extends beyond samples, in spacings",
 }
 
 
@@ -50,7 +50,7 @@ def write_map_report(
 ) -> None:
     """Write one HTML page about a map; it works offline and on a phone.
 
-    `read` holds the surveys as read (map frame), to show which samples were left out; `command` makes the map again.
+    `read` holds the surveys as read (map frame), to show which samples were left out; `command` reproduces the map.
     """
     again = _again(field_map, command)
     write_page(path, f"magmatch: map of {field_map.survey.name}", [*map_sections(field_map, read), again])
@@ -133,7 +133,7 @@ def _samples(field_map: FieldMap, out: Sequence[Survey]) -> Section:
 
 def _left_out_words(n_out: int) -> str:
     if not n_out:
-        return "No sample contradicts those around it; all were used."
+        return "No sample contradicts its neighbours; all were used."
     return (
         f"{n_out} samples contradict their neighbours (a ringing phone, passing metal?) and were not used; crosses "
         "mark them. The setting leave_out_outliers: false keeps them."

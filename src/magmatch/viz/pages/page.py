@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One self-contained HTML page: words, tables and figures, with the plotting script packed inside.
+"""One self-contained HTML page: text, tables and figures, with the plotting script included.
 
 Plotly's script alone is near 5 MB. It is stored compressed and unpacked by the browser (`DecompressionStream`, in all
 browsers since 2023), which keeps a page at about 2 MB and still needs no network.
@@ -50,7 +50,7 @@ class Section:
 
 
 def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> None:
-    """Write a page, whole or not at all; sections with a title are listed at the top, terms explained at the end."""
+    """Write a page atomically; sections with a title are listed at the top, terms explained at the end."""
     require_plotly()
     sections = [*sections, *_terms_of(sections)]
     page = Template(files("magmatch.viz.pages").joinpath("page.html").read_text(encoding="utf-8"))
@@ -140,7 +140,7 @@ def _terms_of(sections: Sequence[Section]) -> list[Section]:
     told = "".join(
         f'<dt id="{_anchor(term)}">{escape(term)}</dt><dd>{escape(said)}</dd>' for term, said in used.items()
     )
-    return [Section("Terms", [details("What the words mean", f"<dl>{told}</dl>")])] if used else []
+    return [Section("Terms", [details("Glossary", f"<dl>{told}</dl>")])] if used else []
 
 
 def _anchor(term: str) -> str:

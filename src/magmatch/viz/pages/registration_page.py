@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report of a registration: the verdict in words, the pictures, and what it takes to run it again."""
+"""The report of a registration: the verdict in words, the pictures, and how to reproduce it."""
 
 from pathlib import Path
 
@@ -50,7 +50,7 @@ def write_report(
 ) -> None:
     """Write one HTML page about a registration; it works offline and on a phone.
 
-    Maps add slices and residuals; without base or target nothing is drawn. `command` gives the result again, with
+    Maps add slices and residuals; without base or target nothing is drawn. `command` reproduces the result, with
     the settings in ``settings.yaml``.
     """
     sections = [_answer(result)]

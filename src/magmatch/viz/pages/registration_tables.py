@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sections of a report that are mostly numbers: key figures, certainty, other poses, how to run it again."""
+"""Sections of a report that are mostly numbers: key figures, uncertainty, other poses, how to reproduce it."""
 
 import shlex
 
@@ -20,23 +20,23 @@ from magmatch.viz.verdict import percent
 
 # Other poses that are listed, and samples that give their numbers.
 MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500
-# What the numbers of a result's evidence are called; others by their own names.
+# Labels of the numbers in a result's evidence; the others have their own names.
 EVIDENCE = {
     "log_odds": "evidence for the best pose over unrelated surveys (nats)",
-    "effective": "of that, independent (nats)",
+    "effective": "effective evidence, reduced for overdispersion (nats)",
     "lead": "log odds over the best other pose (nats)",
-    "misfit": "residuals over what noise and maps explain",
+    "misfit": "misfit: residuals relative to what noise and maps explain",
     "probability_elsewhere": "probability of all other poses",
     "probability_unrelated": "probability of unrelated surveys",
     "agreeing_share": "share of informative cells that agree",
     "n_informative": "informative cells",
-    "unchanged": "share of cells taken as unchanged",
+    "unchanged": "share of cells assumed unchanged",
 }
 MM, DEG = 1e3, 180 / np.pi
 
 
 def answer_words(result: RegistrationResult) -> str:
-    """The transform in a line, and how sure it is; nothing where there is none."""
+    """The transform in a line, with its standard deviations; empty if there is none."""
     T = result.T_base_target
     if T is None:
         return ""
@@ -46,7 +46,7 @@ def answer_words(result: RegistrationResult) -> str:
 
 
 def figures_table(result: RegistrationResult) -> str:
-    """Key figures; what only a specialist asks for is folded."""
+    """Key figures; those for specialists are collapsed."""
     rows = [["Probability", "not computed" if result.probability is None else percent(result.probability)]]
     if result.base is not None:
         rows.insert(0, ["In map", result.base])
@@ -76,7 +76,7 @@ def transform_table(result: RegistrationResult) -> str:
 
 
 def certainty(result: RegistrationResult, target: Survey | None) -> list[Section]:
-    """Ellipsoids of place and turn, in words, pictures and numbers; nothing where there is no covariance."""
+    """Ellipsoids of position and rotation, in words, pictures and numbers; empty if there is no covariance."""
     T = result.T_base_target
     title = "Uncertainty"
     if T is None:
@@ -107,7 +107,7 @@ def certainty(result: RegistrationResult, target: Survey | None) -> list[Section
 
 
 def free_directions(result: RegistrationResult, base: Survey, target: Survey) -> list[Section]:
-    """What the data leave free, drawn."""
+    """Pictures of the free directions."""
     T = shown_pose(result)
     if T is None or not result.degenerate_directions:
         return []
@@ -119,7 +119,7 @@ def free_directions(result: RegistrationResult, base: Survey, target: Survey) ->
 def other_poses(
     result: RegistrationResult, base: Survey | FieldMap | None, target: Survey | FieldMap | None
 ) -> list[Section]:
-    """Rival poses with their numbers; the best candidate first where nothing was accepted."""
+    """Rival poses with their numbers; the best candidate first if nothing was accepted."""
     if not result.alternatives:
         return []
     survey = target.survey if isinstance(target, FieldMap) else target
@@ -159,7 +159,7 @@ def other_poses(
 
 
 def again(result: RegistrationResult, command: str | None) -> Section:
-    """Command, inputs and settings that give the same result."""
+    """Command, inputs and settings that reproduce the result."""
     names = [str(entry.get("name", "?")) for entry in result.inputs]
     if command is None:
         names = names if len(names) == 2 else ["BASE", "TARGET"]
@@ -214,7 +214,7 @@ def _deviations(result: RegistrationResult) -> list[list[str]]:
 
 
 def _weighed(result: RegistrationResult) -> list[list[str]]:
-    """What the probability was computed from, as far as there is a number."""
+    """The figures from which the probability was computed."""
     return [
         [EVIDENCE.get(name, name.replace("_", " ")), f"{value:.4g}"]
         for name, value in result.evidence.items()
@@ -234,7 +234,7 @@ def _listed(words: list[str]) -> str:
 
 
 def _sensor(sensor: Sensor) -> list[list[str]]:
-    """What differs between the two magnetometers, where it was estimated."""
+    """Differences between the two magnetometers, if they were estimated."""
     rows = []
     if sensor.get("bias") is not None:
         rows.append(["Sensor bias", ", ".join(f"{1e9 * b:.0f}" for b in sensor["bias"]) + " nT"])

@@ -29,7 +29,7 @@ MAX_LISTED = 40
 NEXT_STEPS = {
     SlamStatus.CONNECTED: (
         "Use it: the .tum files hold the corrected poses, map.map the field, graph.g2o the graph for other programs.",
-        "Look at where the graph is weak below: walk there again, across what is known, to tie it.",
+        "See below where the graph is weak: walk there again, across known places, to tie it.",
     ),
     SlamStatus.PARTLY_CONNECTED: (
         "Logs of other places belong apart. If they are of one place, let them share some stretches: a few lengths "
@@ -37,8 +37,8 @@ NEXT_STEPS = {
         "Check units and --field-frame of a log that is tied to none; calibrate raw logs with 'magmatch prepare'.",
     ),
     SlamStatus.UNCHANGED: (
-        "Pass some stretches twice. A corridor once there and back is enough.",
-        "If places were passed twice, check --field-frame and units, and say how far odometry drifts: --odometry-sd.",
+        "Pass some stretches twice. Walking a corridor there and back is enough.",
+        "If places were passed twice, check --field-frame and units, and state the odometry's drift: --odometry-sd.",
     ),
 }
 
@@ -83,7 +83,7 @@ def _answer(result: SlamResult) -> Section:
 
 
 def _closures(result: SlamResult) -> Section:
-    """The doubtful first."""
+    """Table of the closures, the least certain first."""
     listed = sorted(result.closures, key=lambda c: (c.weight, c.probability))[:MAX_LISTED]
     rows = [
         [
@@ -106,7 +106,9 @@ def _anchors(result: SlamResult) -> Section:
         [result.anchors[k].log, f"{result.anchors[k].t:.9g} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
         for k in order
     ]
-    words = "Farthest off first. Far beyond its standard deviation one is a wrong number, time or log."
+    words = (
+        "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log."
+    )
     return Section("Fixed points", [note(words), table(rows, ["log", "at", "off by", "stated sd"])])
 
 

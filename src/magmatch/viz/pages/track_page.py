@@ -15,13 +15,13 @@ MAX_LISTED = 40
 NEXT_STEPS = {
     LocalizationStatus.LOCALIZED: ("Use it: the TUM file holds the stated poses, in the map's frame.",),
     LocalizationStatus.LOST: (
-        "Look below where it was lost: the body left the map, or the place has changed. Map it again there.",
-        "Walk on: a few lengths over which the field changes are enough to be found again.",
+        "See below where it was lost: either the body left the map, or the place has changed. Map it again there.",
+        "Keep moving: a few correlation lengths of the field are enough to be found again.",
     ),
     LocalizationStatus.NEVER: (
         "Check units and --field-frame, and that map and log are of one place; calibrate raw logs with "
         "'magmatch prepare'.",
-        "Walk farther, with turns; say how far the odometry drifts (--odometry-sd), and --planar on one floor.",
+        "Walk farther, with turns; state how far the odometry drifts (--odometry-sd), and use --planar on one floor.",
     ),
 }
 

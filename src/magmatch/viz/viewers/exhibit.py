@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the 3-D viewers show, whichever of them: surveys and maps, each in its frame, and where that frame stands."""
+"""What all 3-D viewers show: surveys and maps, each in its frame, and the pose of that frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Exhibit:
     parts : tuple of Part
         With a registration: base and target.
     T_base_target : RigidTransform or None
-        Where the target's frame stands in the base's once registered; the best candidate where none was accepted.
+        Pose of the target's frame in the base's; the best candidate if none was accepted.
     limits : (float, float), uT
         Range of the colour scale of field magnitudes, common to all parts.
     """
@@ -72,7 +72,7 @@ class Exhibit:
 
     @property
     def words(self) -> list[str]:
-        """What is seen, in words."""
+        """Description of the picture."""
         said = [] if self.result is None else [headline(self.result) + ".", self.result.reason + "."]
         said += [f"{part.name}: {_described(part)}." for part in self.parts]
         low, high = self.limits
@@ -96,7 +96,7 @@ class Exhibit:
 
 
 def exhibit(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> Exhibit:
-    """Put together what a viewer shows; with a result, its base and its target."""
+    """Assemble what a viewer shows; with a result, its base and its target."""
     surveys = [item.survey if isinstance(item, FieldMap) else item for item in drawn]
     names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
     colors = np.array([[0, 54, 95], [213, 94, 0], [87, 96, 106], [0, 158, 115], [204, 121, 167]])

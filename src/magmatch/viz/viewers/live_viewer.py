@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A live 3-D viewer in the browser (viser): surveys, cuts through maps that move, and a target that moves too."""
+"""A live 3-D viewer in the browser (viser): surveys, movable cuts through maps, and a movable target."""
 
 import io
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ def require_viser() -> ModuleType:
 def serve(shown: Exhibit, port: int = 8080, host: str = "127.0.0.1") -> Iterator[Any]:
     """Show an exhibit at a web address while the block runs, by default to this machine only.
 
-    The next free port is taken where `port` is in use; `address_of` gives the address.
+    If `port` is in use, the next free one is taken; `address_of` gives the address.
     """
     viser = require_viser()
     with redirect_stdout(io.StringIO()):  # it prints a table of addresses, and a word when it stops
@@ -49,7 +49,7 @@ def address_of(server: Any) -> str:
 
 
 def _furnish(server: Any, shown: Exhibit) -> None:
-    """Put everything into the scene, and what moves it beside it."""
+    """Put everything into the scene, with its controls."""
     # The button would send the scene to a server elsewhere.
     server.gui.configure_theme(show_share_button=False, show_logo=False)
     server.scene.set_up_direction("+z")
@@ -102,7 +102,7 @@ def _add_samples(server: Any, shown: Exhibit, point_size: float) -> None:
 
 
 def _add_links(server: Any, shown: Exhibit, target: Any, size: float) -> None:
-    """A slider that moves the target, and lines between keypoints that belong together, which follow it."""
+    """A slider that moves the target, and lines between corresponding keypoints, which follow it."""
     lines = None
     if len(shown.links[0]):
         lines = server.scene.add_line_segments(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording for the Rerun viewer: surveys, cuts through maps, the target on its way to where it belongs."""
+"""A recording for the Rerun viewer: surveys, cuts through maps, and the target moving into place."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
