@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is believed of a body in one map: hypotheses, the last bins that weighed them, and which is trusted."""
+"""The belief about a body in one map: hypotheses, the latest bins as their evidence, and which one is trusted."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -38,14 +38,14 @@ NOTHING: Posterior[Weighed] = Posterior((), (), 0.0, 1.0)
 
 
 class Belief:
-    """Grows by one bin at a time.
+    """The belief, updated bin by bin.
 
     Attributes
     ----------
     is_sure : bool
         Whether its first hypothesis is trusted: probable enough, and known well enough.
     log_odds : float, nats
-        Of the likeliest hypothesis over a place that is not the map.
+        Of the most likely hypothesis over the null model that the body is not in the map.
     """
 
     def __init__(self, known: KnownMap, config: LocalizerConfig) -> None:
@@ -63,7 +63,7 @@ class Belief:
         self._prior_odds = config.decision.prior_odds
 
     def follow(self, new: Bin) -> None:
-        """Take all hypotheses on by one bin."""
+        """Update all hypotheses with one bin."""
         window = self._window
         if len(window) == self._most:
             self._forget_first()
@@ -75,12 +75,12 @@ class Belief:
         self._null.follow(steps, window.null[-1:])
 
     def _forget_first(self) -> None:
-        """What is older counts up to the odds that nothing has ended since; of a body outside the map, all of it."""
+        """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
         config, window = self._config, self._window
         forget(window.steps, window.fit, window.null, self._toll, -np.log(config.end_probability), self._bank)
         window.forget_first()
         if self._since == 0 and not self.is_sure:
-            # A whole window did not find it in the map: now it must have come there since, at the same odds.
+            # A whole window did not find it in the map: it must have entered since, at the same prior odds.
             self._prior_odds = config.decision.prior_odds**2
         self._since = max(self._since - 1, 0)
 
@@ -101,7 +101,7 @@ class Belief:
         return window.steps[since:], window.fit[since:], window.null[since:]
 
     def doubt(self) -> None:
-        """Trust none; only evidence from where the contradiction began counts from now on."""
+        """Trust no hypothesis; from now on, evidence counts only from where the contradiction began."""
         window, recent = self._window, len(self._trail)
         last = max(len(window) - recent, 0)
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
@@ -110,7 +110,7 @@ class Belief:
         self.is_sure, self._searched_at, self._trail = False, -np.inf, []
 
     def _with_another_bias(self, recent: int) -> tuple[np.ndarray, np.ndarray]:
-        """The trusted hypothesis, had the sensor's bias jumped at one of the latest bins: the likeliest of them."""
+        """The trusted hypothesis with a jump of the sensor's bias at the most likely of the latest bins."""
         window = self._window
         bank, fit = hypotheses(0), np.zeros((len(window), 0), FIT)
         for back in range(recent, 1, -1):
@@ -137,18 +137,18 @@ class Belief:
         return bool(is_long and walked[-1] - self._searched_at >= self._config.search_every * length)
 
     def search(self) -> None:
-        """Look for hypotheses from nowhere, by the bins that count."""
+        """Search for hypotheses without a prior, using the bins that count."""
         steps, *_ = self._parts(self._since)
         self._searched_at = steps[-1]["walked"]
         self._join(*search(self._known, self._model, steps, self._config))
 
     def weigh(self) -> float:
-        """Weigh all hypotheses and keep distinct ones, likeliest first; log odds of the first, nats."""
+        """Weigh all hypotheses and keep distinct ones, most likely first; returns the first one's log odds, nats."""
         same = self._config.decision.tolerance(self._known.length)
         weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
         ranked = sorted(((log_odds(w.log_evidence, w.misfit, w.kind), w) for w in weighed), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
-        # What has no chance is forgotten: it would be found again.
+        # Improbable hypotheses are dropped: a search would find them again.
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
         rows = [w.row for w in self._weighed]
         if not rows or rows[0] != 0:
@@ -159,7 +159,7 @@ class Belief:
         return self.log_odds
 
     def judge(self, elsewhere: float) -> None:
-        """Trust the likeliest where it is probable enough, other maps' hypotheses (log odds) considered too."""
+        """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
         decision = self._config.decision
         self._found = posterior_of(self._weighed, self._prior_odds, elsewhere)
         self.is_sure = self._found.best >= decision.min_probability and self._is_known_well(self._found.poses[0])
@@ -177,7 +177,7 @@ class Belief:
         )
 
     def estimate(self, T: Matrix) -> Estimate:
-        """What is known now, at a pose in the odometry's frame, (4, 4)."""
+        """The present estimate, at a pose in the odometry's frame, (4, 4)."""
         if not self.is_sure:
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             return Estimate(status, self._why(), probability=self._found.best)
@@ -192,7 +192,7 @@ class Belief:
         )  # fmt: skip
 
     def hypotheses(self) -> list[Hypothesis]:
-        """What is weighed, likeliest first, at the last bin."""
+        """Hypotheses at the last bin, most likely first."""
         T_map_model = RigidTransform.from_matrix(self._known.T_map_model)
         found = zip(self._found.poses, self._found.probabilities, strict=True)
         return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
@@ -200,11 +200,9 @@ class Belief:
     def _why(self) -> str:
         found = self._found
         if not found.poses:
-            return "too little was walked, or nothing in the map resembles it"
+            return "the body has moved too little, or nothing in the map resembles its path"
         if found.best >= self._config.decision.min_probability:
-            return "the place is found, but not to the accuracy asked for"
+            return "the place is found, but not to the required accuracy"
         if found.rivals > found.null:
             return f"the best pose has probability {found.best:.2g}, others {found.rivals:.2g} together"
-        return (
-            f"the best pose has probability {found.best:.2g}: another place than the map's, or too little was walked"
-        )
+        return f"the best pose has probability {found.best:.2g}: the body is not in the map, or has moved too little"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Samples as they come, averaged in short bins along the path: what is not independent counts once."""
+"""Samples averaged in short bins along the path as they arrive: dependent samples count once."""
 
 from dataclasses import dataclass, field
 
@@ -23,9 +23,9 @@ class Bin:
     R, p : (3, 3) and (3,) arrays
         Mean pose of the body in the odometry's frame.
     z : (3,) array, T
-        Mean field, in the mean body's axes.
+        Mean field, in the axes of the mean body orientation.
     M : (3, 3) array
-        How a bias of the sensor enters it.
+        Derivative of the mean field with respect to the sensor's bias.
     """
 
     t: float
@@ -44,7 +44,7 @@ class Binning:
     _sums: np.ndarray = field(default_factory=lambda: np.zeros(2, SUMS))
 
     def add(self, sample: np.ndarray) -> Bin | None:
-        """Take a sample, (1,) of `samples.SAMPLE`; gives the bin before it where that is complete."""
+        """Add a sample, (1,) of `samples.SAMPLE`; returns the previous bin if the sample completes it."""
         return self._close() if _add(self._sums, sample, self.side) else None
 
     def _close(self) -> Bin:

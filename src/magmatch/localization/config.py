@@ -11,7 +11,7 @@ from magmatch.slam.config import OdometryConfig
 class LocalizerConfig(Settings):
     """Everything that shapes a localisation, stage by stage."""
 
-    # How the odometry drifts; steps of people are up to a tenth longer or shorter than an average walker's.
+    # Drift of the odometry; pedestrians' steps are up to a tenth longer or shorter than the average.
     odometry: OdometryConfig = Field(default_factory=lambda: OdometryConfig(sd=(0.15, 2.0), scale_sd=0.05))
     # Whether z is up in the map's frame and the odometry's, and whether the body keeps one height, the map's, too.
     is_gravity_aligned: bool = True
@@ -27,15 +27,15 @@ class LocalizerConfig(Settings):
     window: float = Field(default=8.0, gt=0)
     min_window: float = Field(default=1.5, gt=0)
     search_every: float = Field(default=0.75, gt=0)
-    # Path of latest evidence that may turn against what was believed.
+    # Path of the latest evidence, by which a trusted hypothesis may be doubted.
     recent: float = Field(default=2.5, gt=0)
     # Distinct starts that a search refines, and hypotheses that are kept.
     n_starts: int = Field(default=80, ge=1)
     n_hypotheses: int = Field(default=16, ge=2)
-    # How probable it is that what was believed ends within the latest path: the body is carried off, its sensor's
+    # Prior probability that the track is lost within the latest path: the body is carried elsewhere, or its sensor's
     # bias jumps.
     end_probability: float = Field(default=0.01, gt=0, lt=1)
-    # What each field length of path outside the map costs a hypothesis that was never believed, nats.
+    # Penalty of a hypothesis that was never trusted for each field length of path outside the map, nats.
     price_outside: float = Field(default=3.0, ge=0)
-    # When a pose is stated: the decision of a registration. A body that is asked for may well be elsewhere.
+    # When a pose is stated: the decision of a registration. The body may well be elsewhere, hence lower prior odds.
     decision: DecisionConfig = Field(default_factory=lambda: DecisionConfig(prior_odds=0.25))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of the body at one moment."""
+"""The estimate of the body's pose at one moment."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,11 +11,11 @@ from magmatch.typing import Covariance6, Matrix, Vector3
 
 
 class LocalizerStatus(StrEnum):
-    """How far the pose is known."""
+    """Whether the pose is known, and how."""
 
     SEARCHING = "searching"  # it was never known
-    LOCALIZED = "localized"  # by the field, to the accuracy asked for
-    DEAD_RECKONING = "dead_reckoning"  # outside what the map knows, still to the accuracy asked for
+    LOCALIZED = "localized"  # by the field, to the required accuracy
+    DEAD_RECKONING = "dead_reckoning"  # outside what the map knows, still to the required accuracy
     LOST = "lost"  # it was known, and is no longer
 
 
@@ -36,7 +36,7 @@ class Estimate:
     ----------
     status : LocalizerStatus
     reason : str
-        In words, what decided.
+        In words, why.
     matrix : (4, 4) array or None
         Of ``T_map_body``, the map's frame from the body's; None unless localized or dead reckoning.
     covariance : (6, 6) array or None
@@ -50,7 +50,7 @@ class Estimate:
     map : str or None
         Name of the map.
     gain : float or None
-        What the sensor reads of a field over what the map's sensor does.
+        Ratio of the sensor's readings to those of the map's sensor.
     """
 
     status: LocalizerStatus
@@ -71,5 +71,5 @@ class Estimate:
 
     @property
     def T_map_body(self) -> RigidTransform | None:
-        """Map's frame from the body's, made when it is asked for; None unless localized or dead reckoning."""
+        """Map's frame from the body's, computed on demand; None unless localized or dead reckoning."""
         return None if self.matrix is None else transform_from_product(self.matrix)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a localizer knows as bytes, so that another process can go on from there with the same bits.
+"""A localizer's state as bytes, so that another process can continue from there, bit for bit.
 
-The state is a tree of numbers, words and dataclasses of this room, whose arrays lie behind it; an array that two of
-them share is kept once and shared again. What follows from the maps and the settings is made anew.
+The state is a tree of numbers, strings and dataclasses of this package, followed by their arrays; an array that two
+of them share is stored once and shared again. Whatever follows from the maps and the settings is computed anew.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ MADE_ANEW = {"_known", "_config", "_model", "_start"}
 
 
 def state_of(localizer: Localizer) -> bytes:
-    """Give all that a localizer knows."""
+    """Serialise the complete state of a localizer."""
     places = localizer._places
     arrays: dict[int, tuple[int, np.ndarray]] = {}
     tree = {
@@ -57,7 +57,7 @@ def state_of(localizer: Localizer) -> bytes:
 
 
 def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: str | Path = "state") -> Localizer:
-    """Make a localizer that goes on where another was.
+    """Make a localizer that continues from another's state.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What localisation needs of one map, made once; all in the map's model frame."""
+"""What localisation needs of one map, computed once, in the map's model frame."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -33,7 +33,7 @@ class Ground(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KnownMap:
-    """A map made ready to be walked in.
+    """A map prepared for localisation.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class KnownMap:
     length : float, m
         Field length.
     noise : PathNoise
-        What residuals of another walk look like.
+        Covariance of another walk's residuals.
     anchors : (a, 3) array, m
         Where a search begins: the map's own samples, thinned.
     volume : float, m^3
@@ -53,7 +53,7 @@ class KnownMap:
     field_sd, field_rms : float, T
         Of one component over the map's samples.
     bent : (6, 6) array
-        Covariance of how its own poses are off, rotation first (rad, m).
+        Covariance of its own poses' errors, rotation first (rad, m).
     log_factors : two (f,) arrays
         `PathNoise.log_factors`, as many as a window's bins can tell apart.
     """

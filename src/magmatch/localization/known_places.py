@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A map, or a folder of maps, each made ready once for however many bodies walk in it."""
+"""A map, or a folder of maps, each prepared once for any number of bodies."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
@@ -26,7 +26,7 @@ class KnownPlaces:
     ----------
     place : FieldMap, MapIndex or Atlas
     loader : Executor, optional
-        Makes maps ready beside all else; without one, whoever needs a map first waits for it.
+        Prepares maps in the background; without one, the first body that needs a map waits for it.
     """
 
     def __init__(self, place: Place, loader: Executor | None = None) -> None:
@@ -77,7 +77,7 @@ class KnownPlaces:
 
 
 def open_place(path: Path) -> Place:
-    """Open a map, with its index where there is one beside it, or a folder of maps."""
+    """Open a map, with its index if there is one, or a folder of maps."""
     if is_folder(path):
         return open_atlas(path)
     path = path.with_suffix("") if path.suffix == SUFFIX else path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A whole log, sample by sample as it would be live; a target without a path of its own is registered to an atlas."""
+"""Localisation of a whole log, sample by sample as if live; a rigid target is registered to an atlas instead."""
 
 import logging
 from collections.abc import Sequence
@@ -50,20 +50,20 @@ def localize(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Track | RegistrationResult:
-    """Follow a log through a map; or find the map of an atlas that holds a rigid survey.
+    """Localise a log in a map, or find the map of an atlas that contains a rigid survey.
 
     Parameters
     ----------
     place : FieldMap, MapIndex or Atlas
     target : Survey or FieldMap
-        A log: a survey with times; positions and orientations from odometry, in a frame of its own, and the field in
-        that frame. Without orientations the body keeps the odometry's axes. Of an atlas, and without `config`, a
-        survey or map that is rigid: it is registered.
+        A log: a survey with times; positions and orientations from odometry, in its own frame, and the field in that
+        frame. Without orientations the body is assumed to keep the odometry's axes. With an atlas and without
+        `config`: a rigid survey or map, which is registered.
     config : LocalizerConfig, optional
     seed : int
-        Of the registration; following a log draws nothing.
+        Of the registration; localising a log uses no random numbers.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: where a body is in a known map, sample by sample."""
+"""`Localizer`: where a body is in a known map, sample by sample."""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -21,12 +21,12 @@ ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of ma
 
 
 class Localizer:
-    """Where a body is in a known map, from an unknown start, by odometry that drifts and the field it feels.
+    """Localise a body in a known map, from an unknown start, by drifting odometry and the measured field.
 
     Parameters
     ----------
     place : FieldMap, MapIndex, Atlas or KnownPlaces
-        The map, or a folder of maps, one of which holds the body. Many bodies share one `KnownPlaces`.
+        The map, or a folder of maps, one of which contains the body. Many bodies can share one `KnownPlaces`.
     config : LocalizerConfig, optional
     """
 
@@ -55,15 +55,15 @@ class Localizer:
         Raises
         ------
         ValueError, TypeError
-            Not a sample: NaN, a clock that runs backward, another unit, a jump. What is known stays as it was.
+            An invalid sample: NaN, a time before the last one, another unit, a jump. The state is unchanged.
         """
         expect_transform(T_odom_body, "T_odom_body")
         self._follow(self._samples.take(t, T_odom_body.as_matrix(), field))
 
     def update_by_row(self, row: np.ndarray, *, may_search: bool = True) -> None:
-        """Take a sample as a stream has it, a row of `samples.unit_rows`, which spares making SciPy's objects.
+        """Take a sample as a row of `samples.unit_rows`, without creating SciPy objects.
 
-        A search that may not be now is due again a bin later.
+        If a search is not allowed now, it is due again one bin later.
         """
         self._follow(self._samples.take_row(row), may_search=may_search)
 
@@ -79,12 +79,12 @@ class Localizer:
         self._places.judge()
 
     def estimate(self) -> Estimate:
-        """Tell what is known now.
+        """Give the present estimate.
 
         Returns
         -------
         Estimate
-            ``T_map_body`` is None unless it is sure.
+            ``T_map_body`` is None unless the pose is stated.
         """
         best = self._places.best
         if best is None:
@@ -92,6 +92,6 @@ class Localizer:
         return best.estimate(self._samples.T_odom_body)
 
     def hypotheses(self) -> list[Hypothesis]:
-        """List the poses that are weighed against each other, likeliest first, up to the last bin of the path."""
+        """List the competing hypotheses as of the last bin of the path, most likely first."""
         found = [one for belief in self._places.likely.values() for one in belief.hypotheses()]
         return sorted(found, key=lambda one: -one.probability)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a bin of samples says of each hypothesis: ``z = gain R^T (B(p) + g c) + M b + nugget``.
+"""The measurement update of hypotheses by a bin of samples: ``z = gain R^T (B(p) + g c) + M b + nugget``.
 
-g^2 is the variance of what does not repeat from walk to walk, the map's own spread included.
+g^2 is the variance of the field that does not repeat from walk to walk, including the map's own.
 """
 
 import math
@@ -23,13 +23,14 @@ STEP = np.dtype(
         ("R", "f8", (3, 3)), ("p", "f8", 3), ("t", "f8"), ("walked", "f8"),
     ]
 )  # fmt: skip
-# How a hypothesis foretold a bin: chi^2, half its log-determinant; does the map know the place; was it asked at all.
+# How well a hypothesis predicted a bin: chi^2, half its log-determinant; whether the map knows the place; whether the
+# bin was predicted at all.
 FIT = np.dtype([("chi2", "f8"), ("half_log_det", "f8"), ("is_known", "i8"), ("is_seen", "i8")])
 
 
 @dataclass(eq=False, slots=True)
 class Window:
-    """The last bins, and how hypotheses (k) and unrelated fields (c) fared in each.
+    """The last bins, and how well hypotheses (k) and unrelated fields (c) predicted each.
 
     Attributes
     ----------
@@ -58,16 +59,16 @@ class Window:
 
     @property
     def fit(self) -> np.ndarray:
-        """How hypotheses fared."""
+        """How well hypotheses predicted the bins."""
         return self._fit[self._first : self._end]
 
     @property
     def null(self) -> np.ndarray:
-        """How unrelated fields fared."""
+        """How well unrelated fields predicted the bins."""
         return self._null[self._first : self._end]
 
     def add(self, b: Bin) -> None:
-        """Take a bin; how it was foretold is still to be written."""
+        """Add a bin; its predictions are still to be written."""
         if self._end == len(self._steps):
             n, parts = len(self), (self.steps, self.fit, self.null)
             # Room for three times as many more, so that they are seldom moved.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How probable each hypothesis is after a stretch of path: the evidence and the decision of a registration."""
+"""The probability of each hypothesis after a stretch of path, by the evidence and decision of a registration."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -61,7 +61,7 @@ class Weighed:
 
 
 class Toll(NamedTuple):
-    """What a metre outside the map costs (nats), and how many of the first hypotheses may leave it freely."""
+    """Penalty per metre outside the map (nats), and how many of the first hypotheses are exempt from it."""
 
     per_metre: float
     n_free: int
@@ -115,7 +115,7 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, 
 
 @compiled
 def forget(steps, fit, null, toll, most, bank):  # type: ignore[no-untyped-def]
-    """What the first bin gained each hypothesis over the likeliest unrelated field counts as earlier, up to a sum."""
+    """Move each hypothesis's gain over the best unrelated field in the first bin to earlier evidence, up to a cap."""
     best, u = np.inf, steps[0].u
     for c in range(null.shape[1]):
         best = min(best, 0.5 * null[0, c].chi2 + null[0, c].half_log_det)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The field along the path as a smooth random field of its own: what a hypothesis has to beat.
+"""The null model: the field along the path is an independent smooth random field.
 
 A bank of Kalman filters along the path, in the odometry's axes: per component a Matern-3/2 field of some lengthscale
-and strength, the same misfit and nugget that a hypothesis may plead, and a constant; the sensor's bias beside them.
-The most likely of them counts.
+and strength, the same misfit and nugget as in a hypothesis, and a constant; in addition the sensor's bias. The most
+likely of them counts.
 """
 
 from itertools import product

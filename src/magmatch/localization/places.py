@@ -22,7 +22,7 @@ VOTE_EVERY = 2.0
 
 
 class Places:
-    """What is believed in each map that is likely."""
+    """The belief in each likely map."""
 
     def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
         place = known.place
@@ -31,7 +31,7 @@ class Places:
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
         self._awaited: list[AtlasEntry] = []
-        self.bin_length, self.why_none = 1.0, "too little was walked"
+        self.bin_length, self.why_none = 1.0, "the body has moved too little"
         if isinstance(place, Atlas):
             self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in place.entries]))
         elif _survey_of(place).field.std(axis=0).max() < CONSTANT_FIELD:
@@ -58,13 +58,13 @@ class Places:
         return list(self.likely.values())
 
     def judge(self) -> None:
-        """Weigh all hypotheses against each other, whatever their maps."""
+        """Weigh all hypotheses of all maps against each other."""
         odds = {key: belief.weigh() for key, belief in self.likely.items()}
         for key, belief in self.likely.items():
             belief.judge(max((o for other, o in odds.items() if other is not key), default=-np.inf))
 
     def _vote(self, atlas: Atlas) -> None:
-        """Now and then ask all maps; beliefs in those that are no longer likely are given up."""
+        """Vote for maps from time to time; beliefs in maps that are no longer likely are dropped."""
         self._n_until_vote -= 1
         if self._n_until_vote > 0:
             return
@@ -76,7 +76,7 @@ class Places:
         self._awaited = [entry for entry in voted if entry not in self.likely]
 
     def _begin(self) -> None:
-        """Believe in the maps that were voted for, as soon as each is ready."""
+        """Start beliefs in the maps that were voted for, as soon as each is ready."""
         for entry in self._awaited:
             if known := self.known.soon(entry):
                 self.likely[entry] = Belief(known, self._config)

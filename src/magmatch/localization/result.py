@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What following a log through a map came to: one typed document."""
+"""The result of localising a log in a map: one typed document."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -57,12 +57,12 @@ class OdometryResult(TypedDict):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LocalizationResult(TypedDocument):
-    """The answer of `localize`; fields stand in the order of the file.
+    """The answer of `localize`; fields are in the order of the file.
 
     Attributes
     ----------
     status, reason
-        What is known at the end, and in words why no more.
+        The state at the end, and in words why.
     map : str or None
         The map of the last stated pose.
     first_fix : (s, m) or None
@@ -75,7 +75,7 @@ class LocalizationResult(TypedDocument):
     is_planar : bool
         Whether the log was taken to keep one height.
     seconds, config, version, seed, inputs
-        Enough to run it again and get the same numbers.
+        Enough to repeat the run and get the same numbers.
     """
 
     SCHEMA = "magmatch.localization/1"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Samples as a caller hands them in: checked one by one before anything is changed."""
+"""Samples from a caller, each checked before any state is changed."""
 
 import math
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ FINE, BAD_TIME, BAD_POSE, BAD_FIELD, LARGE_FIELD, BACKWARD, JUMP = range(7)
 
 
 class OdometryJump(ValueError):
-    """The odometry says that the body moved faster than any; it goes on from where it jumped to."""
+    """The odometry jumped: it moved faster than any body; it is followed from where it jumped to."""
 
 
 def _none() -> np.ndarray:

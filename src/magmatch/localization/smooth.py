@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log with hindsight: followed to its end and, the other way round, to its beginning.
+"""Smoothing of a log: processed forward to its end and backward to its beginning.
 
-At each pose the two say what the path before it and the path behind it know. What they share, the map's errors there
-above all, is not known: their Gaussians are joined by covariance intersection, which needs no such knowledge
+At each pose, the two estimates use the path before it and the path after it. Their errors, above all the map's errors
+there, are correlated in an unknown way, so they are fused by covariance intersection, which allows any correlation
 (S. Julier and J. Uhlmann, A non-divergent estimation algorithm in the presence of unknown correlations, ACC 1997).
 """
 
@@ -26,7 +26,7 @@ CONTRADICTION = 27.9
 def smooth(
     place: Place, walk: Survey, config: LocalizerConfig | None = None, *, progress: Progress | None = None
 ) -> Track:
-    """Follow a log through a map as `localize` does, and use at each pose what came after it, too."""
+    """Localise a log in a map as `localize` does, using also the samples after each pose."""
     config = config or LocalizerConfig()
     there = localize(place, walk, config, progress=progress)
     back = localize(place, reversed_log(walk), config, progress=progress)
@@ -48,7 +48,7 @@ def reversed_log(walk: Survey) -> Survey:
 
 
 def _join(a: Estimate, b: Estimate) -> Estimate:
-    """What both know; of two that contradict each other, nothing."""
+    """Fuse both estimates; if they contradict each other, state nothing."""
     if not (a.is_stated and b.is_stated):
         return a if a.is_stated else b if b.is_stated else max(a, b, key=lambda e: e.probability)
     T_map_a, T_map_b = a.T_map_body, b.T_map_body
