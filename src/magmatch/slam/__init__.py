@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Logs whose poses drift, corrected and in one frame: stretches of path that pass one place are found and tied."""
+"""Logs whose poses drift, corrected and in one frame: loop closures between stretches of path at the same place."""
 
 import sys
 from types import ModuleType

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stretches of path as bases for windows: a small map of each, made ready for the search."""
+"""Stretches of path as bases for windows: a small map of each, prepared for the search."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ N_DRAWS = 6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Base:
-    """A stretch of path made ready for windows.
+    """A stretch of path prepared as a base for windows.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Base:
 
 @dataclass(eq=False, slots=True)
 class BaseMaker:
-    """Makes bases with numbers that are known: all logs of a place share them.
+    """Makes bases with given hyperparameters, which all logs of a place share.
 
     Attributes
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the errors of dead reckoning turn and shift the points of a path about one of them."""
+"""How the errors of dead reckoning rotate and shift the points of a path relative to one of them."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from magmatch.typing import Matrix, Points
 
 
 def bend(positions: Points, about: int, odometry: OdometryConfig, *, upright: bool, planar: bool) -> np.ndarray:
-    """What each error of unit variance does to each point of a path.
+    """Effect of each error of unit variance on each point of a path.
 
-    Between neighbouring points the heading and the place take a random step; a wrong scale and a wrong turn rate last
+    Between neighbouring points heading and position take a random step; errors of scale and turn rate are constant
     along the whole path.
 
     Parameters

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Neighbouring windows believe each other: forward and backward along a log over where each of its windows lies.
+"""Neighbouring windows support each other: the forward-backward algorithm over the poses of a log's windows.
 
-States of a window are its candidate poses and "nowhere among what was searched". A candidate that follows from the
-one before by odometry gains by how much better odometry predicts it than the prior did.
+The states of a window are its candidate poses and "nowhere among what was searched". A candidate that follows from
+the previous one by odometry gains the ratio of odometry's predicted density to that of the prior.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Placed:
 def smooth(
     windows: list[list[Placed]], log_transitions: list[Matrix], revisit: float, keeps_on: float
 ) -> list[Scalars]:
-    """Probability of each candidate of each window; what is missing to one is nowhere.
+    """Probability of each candidate of each window; the remainder to one is that of nowhere.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from magmatch.settings import Settings
 
 
 class OdometryConfig(Settings):
-    """How odometry drifts: a random walk of place and heading, and two errors that last."""
+    """How odometry drifts: a random walk of position and heading, and two constant errors."""
 
     # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
     sd: tuple[float, float] = (0.3, 4.0)
@@ -46,9 +46,9 @@ class SlamConfig(Settings):
     is_planar: bool = False
     # Length of a window, in field lengths: long against the field's changes, short against the odometry's drift.
     window_length: float = Field(default=6.0, gt=0)
-    # With what probability a closure must be right to enter the graph, which counts it by that and may vote it out.
+    # Least probability with which a closure enters the graph, which weights it accordingly and may reject it.
     min_probability: float = Field(default=0.8, gt=0.5, lt=1)
-    # How probable it is that a window passes where another has passed, and that its neighbour then does too.
+    # Probability that a window revisits a place, and that its neighbour then does too.
     revisit_share: float = Field(default=0.5, gt=0, lt=1)
     keeps_on: float = Field(default=0.8, gt=0, lt=1)
     search: PairSearchConfig = Field(default_factory=PairSearchConfig)

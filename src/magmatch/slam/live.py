@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log that is being walked: windows are finished as the path goes on, and each is looked for when it is."""
+"""A live log: windows are completed as samples arrive, and closures of each are then searched for."""
 
 from dataclasses import replace
 from typing import Any
@@ -27,13 +27,13 @@ FIRST_SAMPLES, LEAST_GROWTH = 64, 1.25
 
 
 class LiveLog:
-    """A log that grows.
+    """A log that grows sample by sample.
 
     Parameters
     ----------
     config : SlamConfig
     places : Places, optional
-        Of logs that were walked before; they are left as they are.
+        Of earlier logs, which are not changed.
     """
 
     def __init__(self, config: SlamConfig, places: Places | None) -> None:
@@ -54,12 +54,12 @@ class LiveLog:
         self._far: list[list[Candidate]] = []
 
     def add(self, t: float, T_odom_body: RigidTransform, field: Any) -> bool:
-        """Take a sample; whether poses or windows changed.
+        """Add a sample; returns whether poses or windows changed.
 
         Raises
         ------
         ValueError
-            Time does not go on, or something is not finite; the sample is not taken.
+            The time does not increase, or a number is not finite; the sample is not added.
         """
         t = float(column_of([t], "t", "s", 1)[0])
         expect_transform(T_odom_body, "T_odom_body")

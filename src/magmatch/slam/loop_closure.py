@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a window passes what was walked before: registration's search and evidence, with the graph as prior."""
+"""Loop closure of a window with earlier path: registration's search and evidence, with the graph as prior."""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ SAME_SHIFT, SAME_TURN = 0.3, 0.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Rough:
-    """Where the graph expects a window.
+    """The pose that the graph predicts for a window.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     index, walk = base.index, window.walk
     prior = _prior(window, base, config, expected)
     found = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
-    # Where the graph expects it is a pose to begin from as well.
+    # The predicted pose is a starting point too.
     starts = [c.T_base_target for c in found.candidates] + (
         [] if prior.T_base_target is None else [prior.T_base_target]
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rigid surveys into one frame: registration of all pairs, and one graph with a node for each."""
+"""Rigid surveys in one frame: registration of all pairs, and a graph with a node for each survey."""
 
 import logging
 from collections.abc import Sequence
@@ -43,9 +43,10 @@ N_TREES = 64
 def merge(
     surveys: Sequence[Survey | FieldMap], config: RegistrationConfig | None = None, *, seed: int = 0
 ) -> Session:
-    """Bring surveys of one place, each rigid in a frame of its own, into one frame.
+    """Bring surveys of one place, each rigid in its own frame, into one frame.
 
-    Every pair is registered. What is accepted ties the two; what contradicts the others loses its weight.
+    Every pair is registered. An accepted registration connects the two surveys; one that contradicts the others loses
+    its weight.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def merge(
     Returns
     -------
     Session
-        Surveys in the frame of their component; those that nothing ties stay in one of their own.
+        Surveys in the frame of their component; unconnected ones stay in their own.
 
     Raises
     ------
@@ -142,10 +143,10 @@ def _unconnected(centers: Points) -> PoseGraph:
 
 
 def _lay_out(graph: PoseGraph) -> None:
-    """Where the closures that agree put the surveys: least squares must begin near its answer.
+    """Initial poses of the surveys from closures that agree: least squares must start near the solution.
 
-    Among many trees of closures, the surest first and then in chance's order, the one is taken with which most agree.
-    From a compromise between right and wrong ones all would seem wrong.
+    Of the spanning tree of the most probable closures and many random ones, the tree with which most closures agree
+    is chosen. Starting from a compromise between right and wrong closures, all would seem wrong.
     """
     rng, n = np.random.default_rng(0), len(graph.p)
     odds = np.array([min(c.log_odds, MOST_ODDS) for c in graph.closures])

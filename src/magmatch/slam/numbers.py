@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numbers of the field that all stretches share, from short parts of the logs: long ones are bent by drift."""
+"""Hyperparameters shared by all stretches, from short parts of the logs, since drift distorts long ones."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -50,7 +50,7 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
 
 
 def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:
-    """What does not repeat from walk to walk, before any two were compared."""
+    """Guess of the field that does not repeat from walk to walk, before any two were compared."""
     return PathNoise(
         misfit_sd=0.25 * numbers.signal_sd,
         misfit_length=length,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The method on one page: numbers that logs share, windows, and rounds of search for what passes one place twice."""
+"""The method on one page: hyperparameters that logs share, windows, and rounds of search for loop closures."""
 
 import logging
 from collections.abc import Collection, Iterator, Sequence
@@ -31,14 +31,14 @@ from magmatch.typing import Vector3
 
 log = logging.getLogger(__name__)
 
-# Closures make others possible: so often at most all are looked for again.
+# Closures make others possible: maximum number of rounds of search.
 MOST_ROUNDS = 4
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
 @dataclass(eq=False, slots=True)
 class Places:
-    """Windows of logs, the graph that ties them, and the stretches that they are compared with.
+    """Windows of logs, their graph, and the stretches that they are compared with.
 
     Attributes
     ----------
@@ -46,13 +46,13 @@ class Places:
         Each without its sensor's bias.
     graph : PoseGraph
     maker : BaseMaker or None
-        Makes stretches ready; None where the field is constant, and tells nothing.
+        Prepares stretches; None if the field is constant and gives no information.
     biases : list of (bias, sd)
         Of each log's magnetometer, in its own axes, T.
     anchors : list of (Anchor, int)
         Fixed points, and the log that passed each.
     steps : Steps
-        Where what was found is kept.
+        Where intermediate results are stored.
     """
 
     paths: list[Path]
@@ -65,7 +65,7 @@ class Places:
     far: dict[tuple[int, int], Base] = field(default_factory=dict)
 
     def copied(self) -> "Places":
-        """These places, to go on from without changing them."""
+        """A copy, to continue from without changing this one."""
         graph = copy(self.graph)
         graph.closures = list(graph.closures)
         maker = None if self.maker is None else replace(self.maker)
@@ -90,13 +90,13 @@ class Places:
         solve(self.graph)
 
     def close(self, paths: Sequence[Path]) -> None:
-        """Look for closures of some logs, as long as any is found."""
+        """Search for closures of some logs until none is found."""
         for _ in range(MOST_ROUNDS):
             if not (self.close_near(paths) + self.close_far(paths)):
                 break
 
     def close_near(self, paths: Sequence[Path]) -> int:
-        """Look for closures where the graph expects them; how many were found."""
+        """Search for closures where the graph predicts them; returns how many were found."""
         found = 0
         for path in paths:
             closed = {c.second for c in self.graph.closures}
@@ -108,7 +108,7 @@ class Places:
         return found
 
     def close_far(self, paths: Sequence[Path]) -> int:
-        """Look for closures between logs that nothing ties yet, from nowhere; how many were found."""
+        """Search for closures between unconnected logs, without a prior; returns how many were found."""
         found = 0
         for path in paths:
             # Whoever came first is the base; a log that was tied since is corrected as the graph has it.
@@ -118,7 +118,7 @@ class Places:
         return found
 
     def near(self, window: Window) -> list[Candidate]:
-        """Where a window may lie on earlier path, as the graph expects it."""
+        """Where a window may lie on earlier path, as the graph predicts."""
 
         def look() -> list[Candidate]:
             component = self.graph.component()
@@ -134,7 +134,7 @@ class Places:
         return [p for p in earlier if component[p.first_node] != component[path.first_node]]
 
     def anywhere(self, window: Window, path: Path) -> list[Candidate]:
-        """Where a window may lie on other logs, from nowhere."""
+        """Where a window may lie on other logs, without a prior."""
 
         def look() -> list[Candidate]:
             bases = [self.whole(other) for other in self.others(path)]
@@ -143,7 +143,7 @@ class Places:
         return of_numbers(self.steps(lambda: numbers_of(look())))
 
     def tie(self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = ()) -> int:
-        """Tie what is sure, some windows left out, and solve; how many closures were found."""
+        """Add the certain closures, except those of some windows, and solve; returns how many were found."""
         known = {(c.first, c.second) for c in self.graph.closures}
         closures = [
             c for c in tie(path, candidates, self.graph) if (c.first, c.second) not in known and c.second not in but
@@ -171,7 +171,7 @@ class Places:
         return self.far[key]
 
     def learn_noise(self) -> None:
-        """Learn from the closures found what does not repeat."""
+        """Learn from the closures the noise that does not repeat."""
         assert self.maker is not None
         stretches = [s for s in self._repeats() if len(s.positions) >= MIN_BINS]
         if len(stretches) < PRIOR_STRETCHES:
@@ -220,7 +220,7 @@ def find(
     steps: Steps | None = None,
     clock: Clock | None = None,
 ) -> Places:
-    """All logs at once: the noise is learned from the surest closures, which are forgotten, and found again by it."""
+    """All logs at once: the noise is learned from the most certain closures; then all are searched again with it."""
     clock = clock or Clock()
     with one_blas_thread():
         with clock("numbers"):
@@ -240,7 +240,7 @@ def find(
 def go_on(
     earlier: Places, logs: Sequence[Survey], anchors: Sequence[tuple[Anchor, int]], steps: Steps, clock: Clock
 ) -> Places:
-    """More logs by the numbers that are known: what was found between those before stays."""
+    """Add logs with the known hyperparameters; closures between earlier logs are kept."""
     places = earlier.copied()
     places.steps, places.anchors = steps, [*places.anchors, *anchors]
     with one_blas_thread(), clock("closures"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What slam and merge found, how sure they are, and what was rejected: one typed document."""
+"""The result of slam and merge, with uncertainties and rejected closures: one typed document."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -22,7 +22,7 @@ class SlamStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LogResult:
-    """What became of one log.
+    """The result for one log.
 
     Attributes
     ----------
@@ -31,16 +31,16 @@ class LogResult:
     component : int
         Which frame it is in; 0 holds the longest path.
     T_map_log : RigidTransform or None
-        Corrected first pose times the inverse of the odometry's first; None where nothing ties it to any other log.
+        Corrected first pose times the inverse of the odometry's first; None if it is connected to no other log.
     length : float, m
-        Path walked.
+        Path length.
     n_closures : int
-        Closures that the graph believes, with itself or others.
+        Closures that the graph keeps, with itself or others.
     moved : float, m
-        Root mean square of how far samples were moved against the odometry, its first pose held.
+        Root mean square correction of the samples relative to the odometry, with the first pose held.
     sd : (2,) floats, m and rad
-        Standard deviation of its end, place and turn: against the beginning of its component's first log, or in the
-        frame of the fixed points. Of rigid surveys: of the whole survey.
+        Standard deviation of its end, position and rotation, relative to the beginning of its component's first log,
+        or in the frame of the fixed points. For rigid surveys: of the whole survey.
     is_fixed : bool
         Whether its frame is that of the fixed points.
     """
@@ -57,7 +57,7 @@ class LogResult:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ClosureResult:
-    """Two places of logs that the field says are near each other.
+    """A loop closure: two places of logs that coincide according to the field.
 
     Attributes
     ----------
@@ -73,9 +73,9 @@ class ClosureResult:
     covariance : (6, 6) array
         Of xi in ``T_true = T_a_b Exp(xi)``, rotation first (rad, m).
     probability : float
-        That it is right, before the graph was asked.
+        That it is right, from the field alone.
     weight : float
-        How probable the graph leaves it; 0 where the graph rejected it.
+        Probability that it is right, given the graph; 0 if the graph rejected it.
     """
 
     log_a: str
@@ -92,7 +92,7 @@ class ClosureResult:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AnchorResult:
-    """A fixed point, and how far the graph leaves the log from it.
+    """A fixed point, and the residual of the log there.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class AnchorResult:
     sd : float, m
         As stated, per coordinate.
     off : (3,) floats, m
-        From there to where the log is now.
+        From there to the log's corrected position.
     """
 
     log: str
@@ -114,7 +114,7 @@ class AnchorResult:
 
 
 class LogOdometry(TypedDict):
-    """Lasting errors of one log, as estimated."""
+    """Estimated constant errors of one log."""
 
     scale: Number  # a share, of the length of each step
     turn_rate: Number  # rad/m
@@ -123,7 +123,7 @@ class LogOdometry(TypedDict):
 
 
 class Odometry(TypedDict, total=False):
-    """How odometry was taken to drift, and its lasting errors by log."""
+    """The assumed drift of the odometry, and its constant errors by log."""
 
     sd: tuple[Number, Number]  # m and degrees, of a walk of 10 m
     logs: dict[str, LogOdometry]
@@ -131,16 +131,16 @@ class Odometry(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SlamResult(TypedDocument):
-    """The answer of `slam` or `merge`; fields stand in the order of the file.
+    """The answer of `slam` or `merge`; fields are in the order of the file.
 
     Attributes
     ----------
     status, reason
-        Whether all logs share a frame, and in words what ties them or what to do.
+        Whether all logs share a frame, and in words why, or what to do.
     logs : tuple of LogResult
         In the order given.
     closures : tuple of ClosureResult
-        Those that the graph rejected too.
+        Including those that the graph rejected.
     anchors : tuple of AnchorResult
         Fixed points that were given.
     odometry : dict
@@ -148,7 +148,7 @@ class SlamResult(TypedDocument):
     seconds : dict
         Per stage and total.
     config, version, seed, inputs
-        Enough to run it again and get the same numbers.
+        Enough to repeat the run and get the same numbers.
     """
 
     SCHEMA = "magmatch.slam/1"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: logs whose poses drift in, corrected and in one frame out."""
+"""`slam`: logs whose poses drift in, corrected logs in one frame out."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,21 +25,21 @@ def slam(
     Parameters
     ----------
     logs : Survey or sequence of Survey
-        Each with positions from odometry, in a frame of its own; the field in that frame.
+        Each with positions from odometry, in its own frame; the field in that frame.
     config : SlamConfig, optional
     anchors : sequence of Anchor, or path, optional
-        Surveyors' fixed points, or a table of them (``log,t,x,y,z,sd``). Where they tell the frame, what they fix is
-        in theirs.
+        Fixed points, or a table of them (``log,t,x,y,z,sd``). If they determine the frame, the logs that they fix are
+        in it.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
     keep : path, optional
-        Folder for what is found on the way. The same call goes on there where it was cut off, and gives the same
-        bits; it can be deleted afterwards.
+        Folder for intermediate results. After an interruption, the same call resumes from there, with the same
+        result bit for bit; it can be deleted afterwards.
 
     Returns
     -------
     Session
-        Corrected trajectories with what ties them; logs that hang on nothing stay in components of their own.
+        Corrected trajectories with their closures; unconnected logs stay in components of their own.
 
     Raises
     ------

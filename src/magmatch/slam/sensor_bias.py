@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hard iron that turns with its carrier, from a log whose poses drift.
+"""Hard iron, estimated from a log whose poses drift.
 
-Along the path the field is one constant, a smooth field of its own in each part, and the bias turned by the
-orientation: generalised least squares over all parts. What headings do not tell apart from the constant, such as the
-vertical of a carrier that stays upright, is left to the constant.
+Along the path the field is a constant, plus an independent smooth field in each part, plus the bias rotated by the
+orientation: generalised least squares over all parts. Components that the headings do not separate from the constant,
+such as the vertical of an upright carrier, are left to the constant.
 """
 
 from dataclasses import replace
@@ -46,7 +46,7 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters) -> tuple[Vector3, Vect
 
 
 def without_bias(survey: Survey, bias: Vector3) -> Survey:
-    """The survey as a magnetometer without the bias had seen it."""
+    """The survey as measured by a magnetometer without the bias."""
     if survey.orientations is None:
         return survey
     return replace(survey, field=survey.field - survey.orientations.apply(bias))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What slam and merge know of their logs."""
+"""The session of slam and merge: logs and their graph."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -36,16 +36,16 @@ from magmatch.typing import Covariance6, Indices, Vector3
 
 @dataclass(eq=False)
 class Session:
-    """Logs, the graph that ties them, and what follows from it.
+    """Logs, their pose graph, and what follows from it.
 
     Attributes
     ----------
     config : Settings
-        What was asked for: of slam (by default) or of merge.
+        Settings of slam (by default) or of merge.
     given : list of Survey
-        As they came.
+        The logs as given.
     places : Places
-        Each log without its sensor's bias, cut into windows, and the graph.
+        Each log without its sensor's bias, divided into windows, and the graph.
     seconds : dict
         Per stage and total.
     seed : int
@@ -79,12 +79,12 @@ class Session:
         progress: Progress | None = None,
         keep: str | FilePath | None = None,
     ) -> None:
-        """Add finished logs: the first ones all at once, later ones without redoing those before.
+        """Add finished logs: the first ones all at once, later ones without redoing the earlier ones.
 
         Parameters
         ----------
         logs : sequence of Survey
-            Each with positions from odometry, in a frame of its own.
+            Each with positions from odometry, in its own frame.
         anchors, progress, keep
             See `slam`.
         """
@@ -118,16 +118,16 @@ class Session:
         self._changed()
 
     def add_log(self, survey: Survey) -> None:
-        """Add one more log, without redoing those before."""
+        """Add one more log, without redoing the earlier ones."""
         self.add_logs([survey])
 
     def add(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> bool:
-        """Take one sample of a log that is being walked.
+        """Add one sample of a live log.
 
         Parameters
         ----------
         t : float, s
-            After that of the sample before.
+            Later than that of the previous sample.
         T_odom_body : RigidTransform
             Odometry's pose of the body that carries the sensor.
         field : (3,) array, T
@@ -136,12 +136,12 @@ class Session:
         Returns
         -------
         bool
-            Whether a window was finished, and with it what is known of all poses changed.
+            Whether a window was completed, and with it the estimates of all poses changed.
 
         Raises
         ------
         ValueError
-            Time does not go on, or something is not finite; the sample is not taken.
+            The time does not increase, or a number is not finite; the sample is not added.
         """
         if self._live is None:
             self._live = LiveLog(self._of_slam(), self.places)
@@ -150,16 +150,16 @@ class Session:
         return is_changed
 
     def pose(self) -> RigidTransform:
-        """Body in the frame of its component after the last sample, as corrected by now."""
+        """Corrected pose of the body after the last sample, in the frame of its component."""
         if self._live is None:
             msg = "expected samples of a log that is being walked; add(t, T_odom_body, field) takes them"
             raise ValueError(msg)
         return self._live.pose()
 
     def finish(self, name: str = "live", *, progress: Progress | None = None) -> None:
-        """End the log that is being walked: what was found sample by sample is replaced by what all of it shows.
+        """End the live log, and replace its result by that of the whole log.
 
-        Of a session without other logs this is what `slam` makes of the log, bit for bit; else what `add_log` does.
+        If the session has no other logs, this is bit for bit the result of `slam`; otherwise that of `add_log`.
         """
         if self._live is None:
             return
@@ -192,17 +192,17 @@ class Session:
 
     @property
     def paths(self) -> list[Path]:
-        """Each log cut into windows, without its sensor's bias."""
+        """Each log divided into windows, without its sensor's bias."""
         return self._now.paths
 
     @property
     def graph(self) -> PoseGraph:
-        """What ties the logs."""
+        """The pose graph."""
         return self._now.graph
 
     @cached_property
     def logs(self) -> list[Survey]:
-        """As they came; of one that is being walked, what lies in finished windows."""
+        """The logs as given; of a live one, the completed windows."""
         return [*self.given, *(path.survey for path in self.paths[len(self.given) :])]
 
     @cached_property
@@ -232,7 +232,7 @@ class Session:
         return [next(k for k, c in enumerate(self.components) if log in c) for log in range(len(self.paths))]
 
     def map(self, component: int = 0, config: FieldConfig | None = None) -> FieldMap:
-        """One map of all logs of a component; with the default settings it is made once."""
+        """One map of all logs of a component; with the default settings it is computed once."""
         if config is None and component in self._maps:
             return self._maps[component]
         made = build_map([self.trajectories[k] for k in self.components[component]], config)
@@ -241,7 +241,7 @@ class Session:
         return made
 
     def result(self) -> SlamResult:
-        """What was found, as a document."""
+        """The result as a document."""
         names, closures = self.names, self.graph.closures
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
         ties = [c for c in closures if c.is_kept]

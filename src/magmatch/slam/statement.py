@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the graph knows, in the terms of the result: closures of bodies, estimated odometry, and words."""
+"""The graph's state in the terms of the result: closures of bodies, estimated odometry, and words."""
 
 from collections.abc import Sequence
 
@@ -53,7 +53,7 @@ def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
 
 
 def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], names: Sequence[str]) -> Odometry:
-    """How odometry was taken to drift, and each log's lasting errors."""
+    """The assumed drift of the odometry, and each log's constant errors."""
     logs = zip(names, graph.lasting.tolist(), biases, strict=True)
     return Odometry(
         sd=graph.config.odometry.sd,
@@ -72,7 +72,7 @@ def explain(
     n_fixed: int = 0,
     bent: Window | None = None,
 ) -> str:
-    """In words: what ties the logs, or what would; where no window keeps its shape, one of them."""
+    """In words: how the logs are connected, or how they could be; or a window that does not keep its shape."""
     n = sum(map(len, groups))
     ties = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
     ties += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""

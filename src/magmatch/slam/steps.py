@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a search for closures has found so far, kept so that the same search goes on where it was cut off.
+"""Intermediate results of a search for closures, stored so that an interrupted search can resume.
 
-A run is the same steps in the same order, so the n-th result that was kept is that of the n-th step. They are kept as
-the numbers they are made of, and read back before use also where they were not cut off: the bits are the same.
+A run always takes the same steps in the same order, so the n-th stored result is that of the n-th step. Results are
+stored as plain numbers, and are read back before use even without an interruption, so that the bits are the same.
 """
 
 import hashlib
@@ -24,19 +24,19 @@ log = logging.getLogger(__name__)
 
 SCHEMA = "magmatch.slam.steps/1"
 MAX_BYTES = 256 * 1024**2
-# Work that a power cut may cost.
+# Seconds of work that a power cut may cost.
 KEEP_EVERY_S = 5.0
 
 
 class Steps:
-    """Results of steps, in their order; without a folder they are not kept.
+    """Results of steps, in their order; without a folder they are not stored.
 
     Parameters
     ----------
     folder : path, optional
-        Made where it is not there.
+        Created if it does not exist.
     **of
-        What the steps follow from, as JSON could hold it: results of anything else are deleted.
+        The input of the steps, in JSON's types: results for any other input are deleted.
     """
 
     def __init__(self, folder: Path | None = None, **of: Any) -> None:
@@ -51,7 +51,7 @@ class Steps:
             log.info("going on after %d steps that were kept in %s", len(self._kept), folder)
 
     def __call__(self, step: Callable[[], Matrix]) -> Matrix:
-        """Give the result of the next step: what was kept, else what it finds."""
+        """Give the result of the next step: the stored one, else a new one."""
         if self._kept:
             return np.array(self._kept.pop(0), dtype=np.float64)
         found = step()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Closures of one log: candidates of each of its windows, weighed together along the path; the sure ones are tied."""
+"""Closures of one log: candidates of all windows are weighed together along the path; certain ones are kept."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ Stretch = Callable[[int], Base]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
-    """A node at which a window may lie, and how."""
+    """A node near which a window may lie, and the relative pose."""
 
     node: int
     T_node_window: RigidTransform
@@ -109,7 +109,7 @@ def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph) -> list
     shares = smooth(placed, steps, config.revisit_share, config.keeps_on)
     closures = []
     for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
-        # Who passes a place for the third time is near both earlier passes: two nodes, but one answer.
+        # A third pass of a place is near both earlier passes: two nodes, but one answer.
         same = _same_answer(at, p, window.length)
         probability = float(p[same].sum())
         if probability >= config.min_probability:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log cut into windows: stretches of path over which odometry is nearly rigid, each a node of the graph."""
+"""A log divided into windows: stretches of path over which odometry is nearly rigid, each a node of the graph."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ class Window:
 
     @cached_property
     def bending(self) -> np.ndarray:
-        """How odometry bends it and what it is compared with, which was walked as well: see `bend`; walk's axes."""
+        """How odometry bends it and the path it is compared with, which drifts too: see `bend`; walk's axes."""
         T, c = self.walk.T_survey_walk, self.config
         positions = T.apply(self.walk.positions)
         about = int(np.argmin(np.linalg.norm(positions - self.center, axis=1)))
@@ -82,25 +82,25 @@ class Window:
 
     @property
     def bends_by(self) -> float:
-        """Rms distance by which its points may lie off where odometry has them about its middle, m."""
+        """Rms error of its points' odometry positions relative to its middle, m."""
         return float(np.sqrt((self.bending[:, 3:] ** 2).sum(axis=(1, 2)).mean()))
 
     @property
     def keeps_shape(self) -> bool:
-        """Whether the field's slopes reach as far as it bends: else it would fit wherever it is laid."""
+        """Whether it bends less than the reach of the field's gradient; otherwise it would fit anywhere."""
         return self.bends_by <= MOST_BEND * self.length
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Path:
-    """A log cut into windows.
+    """A log divided into windows.
 
     Attributes
     ----------
     survey : Survey
         Without its sensor's bias, odometry's frame.
     walked : (n,) array, m
-        Path walked up to each sample.
+        Path length up to each sample.
     number : (n,) int array
         Window that each sample lies in.
     windows : tuple of Window
@@ -129,7 +129,7 @@ class Path:
 
 
 def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int = 0, first: int = 0) -> list[Path]:
-    """Cut logs into windows of equal path.
+    """Divide logs into windows of equal path length.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def test_one_more_log_is_tied_and_nothing_is_looked_for_again(lone, folder, monk
 def test_folders_that_hold_no_such_session_are_refused(lone, folder, tmp_path):
     with pytest.raises(DataFormatError, match="not given or were changed"):
         read_session(folder, [OTHER])
-    with pytest.raises(DataFormatError, match="no session to go on from"):
+    with pytest.raises(DataFormatError, match="no session to continue"):
         read_session(tmp_path, [lone.log])
     with pytest.raises(DataFormatError, match="--continue"):
         require_folder(folder, [lone.log, OTHER])

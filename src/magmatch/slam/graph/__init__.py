@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses of windows, and what ties them."""
+"""The pose graph: poses of windows and the factors between them."""

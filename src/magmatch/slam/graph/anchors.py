@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Surveyors' fixed points: where a log was at some times, in a frame that is none of the logs'."""
+"""Fixed points: known positions of a log at given times, in a surveyor's frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Anchor:
     sd : float, m
         Standard deviation of each coordinate, above 0.
     source : str
-        Where it stands, for messages.
+        File and line, for messages.
     """
 
     log: str

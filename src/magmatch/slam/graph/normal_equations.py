@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What odometry, closures, fixed points, gravity and the floor say of small changes of all poses.
+"""Normal equations of all poses from odometry, closures, fixed points, gravity and the floor.
 
-A node's perturbation is ``T Exp(xi)`` with the turn and the shift apart: R Exp(phi), p + R rho.
+A node's perturbation has separate rotation and translation: R Exp(phi), p + R rho.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray]:
-    """Information of all poses and lasting errors, and the gradient of half their chi^2."""
+    """Information of all poses and constant errors, and the gradient of half their chi^2."""
     size = 6 * len(graph.p) + graph.lasting.size
     e, parts = graph.edges, _alone(graph)
     if len(e.first):
@@ -51,7 +51,7 @@ def _lasting_columns(graph: PoseGraph, logs: Indices) -> np.ndarray:
 
 
 def _alone(graph: PoseGraph) -> list[Part]:
-    """What is known of single nodes: up, height, where a component begins; and of lasting errors."""
+    """Priors on single nodes (vertical, height, first node of a component) and on constant errors."""
     n, c = len(graph.p), graph.config
     every = np.arange(n)
     found: list[Part] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What odometry says of neighbouring nodes, and how far it may be wrong."""
+"""Odometry factors between neighbouring nodes, and their covariances."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ MOST_TILT = np.radians(10.0)
 
 
 def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
-    """Nodes as odometry has them, each log in its own frame, tied by odometry alone."""
+    """Nodes at their odometry poses, each log in its own frame, connected by odometry alone."""
     graph = PoseGraph(config)
     for path in paths:
         follow(path, graph)

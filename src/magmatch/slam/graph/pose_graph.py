@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Nodes, what ties them, and how well each is known: odometry, closures and points whose place is known.
+"""The pose graph: nodes, their factors (odometry, closures, fixed points), and their covariances.
 
-Odometry says how the next node lies, up to a random walk and two lasting errors a log, scale and turn rate.
+Odometry predicts the next node, up to a random walk and two constant errors per log, scale and turn rate.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,8 @@ from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
 from magmatch.slam.graph.ties import N_LASTING, Closure, Edges, FixedPoints
 from magmatch.typing import Covariance6, Indices, Matrix, Points, Tensors
 
-# Of what nobody doubts: the first node of a component, and directions in which odometry does not drift.
+# Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
+# drift.
 SURE = 1e-4
 # Of what fixed points need not tell, such as where the frame of a single one points to: rad, m.
 FREE = 1e3
@@ -30,7 +31,7 @@ UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
 
 @dataclass(eq=False)
 class PoseGraph:
-    """Poses of all nodes, and what ties them.
+    """Poses of all nodes, and the factors between them.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class PoseGraph:
     lasting : (logs, 2) array
         Estimated scale (a share) and turn rate (rad/m) of each log's odometry.
     fixed : FixedPoints, optional
-        Where they are known, a component has no frame of its own.
+        A component that they determine has their frame instead of its own.
     """
 
     config: SlamConfig
@@ -83,7 +84,7 @@ class PoseGraph:
         return found
 
     def tied(self) -> Indices:
-        """First log of the logs that closures tie to each log."""
+        """For each log, the first log that closures connect it to."""
         root = np.arange(len(self.lasting))
         for c in self.closures:
             if c.is_kept:
@@ -99,7 +100,7 @@ class PoseGraph:
         return {int(r): np.flatnonzero(of == r) for r in np.unique(of)}
 
     def tell_the_frame(self, rows: Indices) -> bool:
-        """Whether fixed points lie so far apart, against their sd, that they leave no turn open."""
+        """Whether fixed points lie far enough apart, relative to their sd, to determine all rotations."""
         assert self.fixed is not None
         apart = (self.fixed.position[rows] - self.fixed.position[rows].mean(axis=0)) / self.fixed.sd[rows, None]
         upright = self.config.is_gravity_aligned
@@ -125,7 +126,7 @@ class PoseGraph:
         return seen, np.concatenate(slopes, axis=2)
 
     def off_fixed(self) -> Points:
-        """How far the graph leaves each fixed point from where it should be: (a, 3), m."""
+        """Residual of each fixed point: (a, 3), m."""
         return np.zeros((0, 3)) if self.fixed is None else self.seen_at_fixed()[0] - self.fixed.position
 
     def pose(self, k: int) -> RigidTransform:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Entries of a sparse matrix's inverse where its factor has any (Takahashi): each node's own covariance."""
+"""Selected inverse of a sparse matrix, on the pattern of its factor (Takahashi): each node's marginal covariance."""
 
 import numpy as np
 from scipy.sparse import csc_array, diags_array

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Most likely poses by Gauss-Newton; closures count as much as they are likely right.
+"""Most likely poses by Gauss-Newton, with closures weighted by the probability that they are right.
 
-That depends on a closure's own probability and on how far the rest of the graph contradicts it: a mixture of right
-and wrong, by expectation and maximisation.
+This depends on a closure's own probability and on how far the rest of the graph contradicts it: a mixture of right
+and wrong closures, fitted by expectation-maximisation.
 """
 
 from dataclasses import replace
@@ -15,9 +15,9 @@ from magmatch.slam.graph.normal_equations import closure_rows, normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 from magmatch.slam.graph.ties import N_LASTING
 
-# Most steps, those before closures are doubted, and the step that ends it.
+# Most steps, number of steps before closures may lose weight, and the step size that ends the iteration.
 MOST_STEPS, TRUSTING_STEPS, SMALL = 40, 5, 1e-4
-# Nobody is surer of a closure than this, nats: else none could be voted out.
+# Largest log odds of a closure, nats: with more, it could never be rejected.
 MOST_ODDS = 12.0
 
 
@@ -32,7 +32,7 @@ def solve(graph: PoseGraph) -> None:
         turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
         largest = np.abs(turns).max()
         if largest > 0.3:
-            # Still on the way: what seems contradicted now need not be in the end.
+            # Not yet converged: a contradiction now may disappear.
             doubts_from = step + 1 + TRUSTING_STEPS
             turns, shifts, xi = turns * 0.3 / largest, shifts * 0.3 / largest, xi * 0.3 / largest
         graph.p = graph.p + np.einsum("nij,nj->ni", graph.R, shifts)
@@ -55,7 +55,7 @@ def forget_closures(graph: PoseGraph) -> None:
 
 
 def _bring_to_fixed(graph: PoseGraph) -> None:
-    """Move what closures tie, as a whole, to its fixed points: least squares must begin near its answer."""
+    """Move each connected group as a whole to its fixed points: least squares must start near the solution."""
     if graph.fixed is None:
         return
     f, root = graph.fixed, graph.tied()
@@ -88,7 +88,7 @@ def _doubt(graph: PoseGraph) -> None:
 
 
 def _bring_home(graph: PoseGraph) -> None:
-    """Logs whose last closure was voted out go back to a frame of their own."""
+    """Return logs whose last closure was rejected to their own frame."""
     component = graph.component()
     names, first = np.unique(component, return_index=True)
     fixed = [] if graph.fixed is None else component[graph.fixed.one].tolist()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What ties nodes: odometry between neighbours, closures, points whose place is known."""
+"""Factors between nodes: odometry between neighbours, closures, fixed points."""
 
 from dataclasses import dataclass, fields
 
@@ -72,9 +72,9 @@ class Closure:
     covariance : (6, 6) array
         Of xi in ``T Exp(xi)`` about the second node, rotation first (rad, m).
     log_odds : float
-        That it is right, before the graph was asked.
+        That it is right, from the field alone.
     weight : float
-        How likely it is right once the graph was.
+        Probability that it is right, given the graph.
     """
 
     first: int
@@ -86,5 +86,5 @@ class Closure:
 
     @property
     def is_kept(self) -> bool:
-        """Whether the graph believes it: what it also takes to tie two logs."""
+        """Whether the graph keeps it, which is also required to connect two logs."""
         return self.weight > 0.5

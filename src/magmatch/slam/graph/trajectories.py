@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From nodes to samples: between nodes the correction changes evenly along the path."""
+"""From nodes to samples: between nodes the correction is interpolated along the path."""
 
 from dataclasses import replace
 

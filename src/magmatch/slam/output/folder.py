@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What slam and merge leave in a folder: whole or not at all, and never in place of something else."""
+"""The folder that slam and merge write: atomically, and never in place of other files."""
 
 import secrets
 import shutil
@@ -24,7 +24,7 @@ WriteReport = Callable[[Session, SlamResult, Path], None]
 
 
 def unfinished(folder: str | Path) -> Path:
-    """Where what leads to a folder is kept until it is whole: beside it, under a name of its own."""
+    """Folder for intermediate results, next to the final folder, until that is complete."""
     place = Path(folder).resolve()
     return place.with_name(f".{place.name[:50]}.unfinished")
 
@@ -46,7 +46,7 @@ def require_folder(
     Raises
     ------
     DataFormatError
-        It does; says what.
+        The folder holds something else; names it.
     """
     folder = Path(folder)
     if not folder.exists():
@@ -77,7 +77,7 @@ def write_folder(
 ) -> SlamResult:
     """Write trajectories, surveys, maps, graph and result.
 
-    They are written beside the folder and moved there once whole, the result last: whoever finds it finds the rest.
+    They are written next to the folder and moved there once complete, the result last, so that it implies the rest.
 
     Parameters
     ----------

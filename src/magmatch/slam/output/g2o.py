@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The graph for other programs: g2o's vertices, and its edges with their information."""
+"""The graph for other programs: g2o's vertices, and its edges with their information matrices."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,8 +16,8 @@ from magmatch.slam.graph.ties import FixedPoints
 def write_graph(graph: PoseGraph, path: str | Path) -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
-    Of a closure the information is what the graph left of it: its own times its weight. Two logs that nothing ties
-    share no frame; their vertices stand in one file all the same. Fixed points are vertices after the nodes.
+    The information of a closure is multiplied by its weight. Unconnected logs share no frame, but their vertices are
+    in the same file. Fixed points are vertices after the nodes.
     """
     lines = ["# magmatch: information of (translation, quaternion's vector part) of Z^-1 T_true"]
     lines += [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A finished session in a file, for more logs to be added: all but the samples, which their own files hold."""
+"""A finished session in a file, to which logs can be added: all but the samples, which are in the logs' files."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -30,7 +30,7 @@ MAX_BYTES = 256 * 1024**2
 
 
 def write_session(session: Session, path: Path) -> None:
-    """Write what more logs need to know; nothing, where no log can be added without redoing the others."""
+    """Write the state needed to add logs; nothing if no log can be added without redoing the others."""
     places = session.places
     if session.is_rigid or places is None or places.maker is None:
         return
@@ -47,7 +47,7 @@ def write_session(session: Session, path: Path) -> None:
 
 
 def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session, list[Survey]]:
-    """A session as it was left in a folder, and those of some surveys that are not in it yet.
+    """Read a session from a folder; also gives those of some surveys that are not in it yet.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
     """
     path = Path(folder) / SESSION
     if not path.is_file():
-        raise DataFormatError(folder, f"holds no session to go on from ({SESSION}); leave out --continue")
+        raise DataFormatError(folder, f"holds no session to continue ({SESSION}); leave out --continue")
     content = read_document(path, SCHEMA, WHAT, MAX_BYTES)
     by_content = {describe_input(s)["sha256"]: s for s in surveys}
     try:
