@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What each error of a sensor changes in the field of a survey: the columns of the estimate."""
+"""The effect of each sensor error on the field of a survey: the columns of the least-squares problem."""
 
 from collections.abc import Mapping
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Clock and sensor errors from the motion itself: passes of one place with other headings must see one field."""
+"""Clock and sensor errors from the motion itself: passes of one place at any heading must see one field."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -35,14 +35,14 @@ TOLERATED = 1.05
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Calibration:
-    """What was found of clock and sensor.
+    """Estimated errors of clock and sensor.
 
     Attributes
     ----------
     model : SensorModel
-        The correction; the identity where nothing was shown.
+        The correction; the identity if nothing was significant.
     full : Solution
-        All unknowns together, before those that are not shown were left out.
+        All unknowns together, before insignificant ones were dropped.
     chosen : Solution
         Those that were kept.
     without : dict of str to float, T
@@ -54,9 +54,9 @@ class Calibration:
     hyperparameters : Hyperparameters
         Of the map that everything was held against.
     is_refused : bool
-        Whether the correction was withdrawn because a map predicts left-out stretches worse with it.
+        Whether the correction was withdrawn because a map predicts held-out stretches worse with it.
     held_out : (float, float), T
-        Median miss of a map at stretches left out of it, as read and with the correction.
+        Median error of a map on held-out stretches, as read and with the correction.
     """
 
     model: SensorModel
@@ -117,7 +117,7 @@ def _rms(residual: Vectors) -> float:
 
 
 def _held_to_account(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> Calibration:
-    """The calibration with its errors at left-out stretches; withdrawn if a map predicts them worse with it."""
+    """The calibration with its errors on held-out stretches; withdrawn if a map predicts them worse with it."""
     errors = []
     for model in (SensorModel(), calibration.model):
         positions, orientations = part.at(model.time_offset)
@@ -160,7 +160,7 @@ def _rough(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> Senso
 def _least_shown(
     solution: Solution, active: set[str], switches: Mapping[str, Switch], significance: float
 ) -> str | None:
-    """The block of 'auto' that an error-free log would most likely show as much of; None if all are beyond doubt."""
+    """The least significant block of 'auto'; None if all are significant."""
     doubts = {name: solution.p_value[name] for name in active if switches[name] == "auto"}
     worst = max(doubts, key=lambda name: (doubts[name], name), default=None)
     return worst if worst is not None and doubts[worst] > significance else None

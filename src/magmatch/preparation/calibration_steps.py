@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The calibration in words and figures: what was corrected, what was not shown, what the data do not tell."""
+"""The calibration in words and figures: what was corrected, not significant, or not determined by the data."""
 
 from collections.abc import Mapping
 

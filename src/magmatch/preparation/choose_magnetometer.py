@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which readings of a phone to take: those its own calibration has been at, or the raw ones, calibrated here."""
+"""Which readings of a phone to use: those with its own calibration, or the raw ones, calibrated here."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,14 +14,14 @@ from magmatch.progress import tell
 def prepare_either(
     own: Survey, raw: Survey | None, config: PreparationConfig | None = None, **known: Any
 ) -> tuple[Survey, PreparationReport]:
-    """Prepare both readings of one phone and give the better, with a report that says which, and why.
+    """Prepare both kinds of readings of a phone and return the better one, with a report that says which and why.
 
     Parameters
     ----------
     own : Survey
         With the phone's own calibration, which may jump and may be wrong.
     raw : Survey, optional
-        Without: a constant bias, often of tens of uT, that is for us to find. None: there is no choice.
+        Without it, so with a constant bias to be estimated, often of tens of uT. None: there is no choice.
     config : PreparationConfig, optional
         What to do with either.
     **known
@@ -35,8 +35,8 @@ def prepare_either(
 
     Notes
     -----
-    Taken is what a map predicts better at stretches of the way left out of it, once calibrated. The phone's own where
-    the motion does not tell the raw readings' bias in all three directions: they could not be used elsewhere.
+    The one that a map predicts better on held-out stretches after calibration is used; the phone's own if the motion
+    does not determine the raw readings' bias in all three directions, since they could not be used elsewhere.
     """
     if raw is None:
         return prepare(own, config, **known)
@@ -63,7 +63,7 @@ def prepare_either(
 
 
 def _held_out(report: PreparationReport) -> float | None:
-    """Median miss at left-out stretches after calibration, uT; None where there was none."""
+    """Median error on held-out stretches after calibration, uT; None if there was none."""
     return next((step.after for step in report.steps if step.step == "all corrections"), None)
 
 

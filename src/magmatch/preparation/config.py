@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is done to a log, step by step; nothing happens that is not switched on here."""
+"""What is done to a log, step by step; only steps switched on here are taken."""
 
 from typing import Literal
 
@@ -7,10 +7,9 @@ from pydantic import Field
 
 from magmatch.settings import Settings
 
-# off: not looked at. auto: estimated, and applied only where the data show it beyond doubt. on: applied wherever the
-# data fix it at all.
+# off: not estimated. auto: estimated, and applied only if significant. on: applied whenever the data determine it.
 Switch = Literal["off", "auto", "on"]
-# off: not looked at. flag: said in the report. remove: left out of the survey as well.
+# off: not checked. flag: reported. remove: also left out of the survey.
 Flagging = Literal["off", "flag", "remove"]
 
 
@@ -46,7 +45,7 @@ class CurrentsConfig(Settings):
 
 
 class DisturbancesConfig(Settings):
-    """Samples that are not the place's field."""
+    """Samples that do not measure the ambient field."""
 
     # Flagged only, by default, all four: a sharp peak beside steel looks the same as a spike, and registration bears
     # a few bad samples better than missing good ones.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Can these field vectors be those of one place? What no map of it explains, and how it predicts what it lacks."""
+"""Whether field vectors are consistent with one place: what no map explains, and its errors on held-out samples."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ STRETCH_IN_LENGTHSCALES = 3.0
 
 
 class MapConsistency:
-    """What no map of the place explains, for any number of fields sampled at the same points."""
+    """The part of fields that no map of the place explains, for any number of fields at the same points."""
 
     def __init__(self, points: Points, hyperparameters: Hyperparameters, weights: Scalars) -> None:
         self.points, self.weights = points, weights

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Samples that are not the place's field: spikes, drop-outs, saturation, and metal that moved."""
+"""Samples that do not measure the ambient field: spikes, drop-outs, saturation, and metal that moved."""
 
 import numpy as np
 from scipy.ndimage import label, median_filter

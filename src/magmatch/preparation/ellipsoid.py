@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hard and soft iron of a sensor that was turned about in one place: its readings lie on an ellipsoid."""
+"""Hard and soft iron of a sensor that was rotated in one place: its readings lie on an ellipsoid."""
 
 import numpy as np
 
@@ -18,10 +18,11 @@ WORST_FIT = 0.1
 
 
 def fit_ellipsoid(readings: Vectors, config: CalibrationConfig | None = None) -> tuple[SensorModel, Solution]:
-    """Correction that gives all readings of a sensor, turned in one place, the same magnitude (sensor frame, T).
+    """Correction that gives all readings of a sensor, rotated in one place, the same magnitude (sensor frame, T).
 
-    The correction is zero along what the attitudes do not determine: unless the sensor is turned upside down, one
-    axis of the hard iron and parts of the soft iron stay unknown. Magnitudes never determine a misalignment.
+    The correction is zero along directions that the attitudes do not determine: unless the sensor is turned upside
+    down, one axis of the hard iron and parts of the soft iron stay unknown. Magnitudes never determine a
+    misalignment.
 
     Notes
     -----

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Small linear least squares beside a large one: few unknowns, with what the data leave open kept at zero."""
+"""Least squares for a few unknowns beside a map; directions that the data do not determine are kept at zero."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Block:
-    """Unknowns that belong together.
+    """A group of unknowns.
 
     Attributes
     ----------
     columns : (k, n, 3) array, T per unit
-        What one unit of each unknown changes in the field, survey frame.
+        Change of the field per unit of each unknown, survey frame.
     sd : float
-        How large the unknowns are expected to be.
+        Prior standard deviation of the unknowns.
     """
 
     columns: np.ndarray
@@ -43,13 +43,13 @@ class Solution:
     Attributes
     ----------
     estimate : dict of str to (k,) array
-        By block; zero along what the data leave open.
+        By block; zero along directions that the data do not determine.
     sd : dict of str to (k,) array
-        Standard deviation, never above what was expected before.
+        Standard deviation, never above the prior's.
     p_value : dict of str to float
-        Chance of seeing as much where the truth is zero.
+        Probability of an estimate as large if the truth is zero.
     is_open : dict of str to (k,) bool array
-        Which unknowns the data do not tell.
+        Which unknowns the data do not determine.
     residual : (n, 3) array, T
         What remains of the field's inconsistency.
     free : (n, 3) array, T

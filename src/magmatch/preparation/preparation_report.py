@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The noun of this room: what was done to a log, step by step, with figures before and after."""
+"""`PreparationReport`: what was done to a log, step by step, with figures before and after."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,8 +13,8 @@ from magmatch.preparation.sensor_model import SensorModel
 
 SCHEMA = "magmatch.preparation/1"
 MAX_BYTES = 16 << 20
-# off: not looked at. unchanged: looked at, nothing to do. applied: the survey was changed. flagged: found, not
-# changed. unknown: the data do not tell.
+# off: not checked. unchanged: checked, nothing to do. applied: the survey was changed. flagged: found, not changed.
+# unknown: not determined by the data.
 Outcome = Literal["off", "unchanged", "applied", "flagged", "unknown"]
 
 
@@ -29,7 +29,7 @@ class StepReport:
     outcome : str
         One of `Outcome`.
     words : str
-        What was found, for people.
+        What was found, as text.
     before, after : float, optional
         The figure that the step is about, without and with it.
     unit : str

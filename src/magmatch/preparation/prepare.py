@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: a raw log in, a survey and a report of all that was done to it out."""
+"""`prepare`: a raw log in, a corrected survey and a report of everything that was done out."""
 
 import logging
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ def prepare(
     sensor: SensorModel | None = None,
     progress: Progress | None = None,
 ) -> tuple[Survey, PreparationReport]:
-    """Correct a log's clock and sensor, and say what else is odd about it.
+    """Correct a log's clock and sensor, and report other suspicious samples.
 
     Parameters
     ----------
@@ -55,21 +55,21 @@ def prepare(
     place : Place, optional
         Where and when, for the check against the Earth's field.
     sensor : SensorModel, optional
-        Known correction of the sensor, such as another log's report has; made before all else, without its clock.
+        Known correction of the sensor, for example from another log's report; applied first, without its clock.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
     survey : Survey
-        Corrected; where no step found anything to do, the very survey that came in.
+        Corrected; the same object if no step found anything to do.
     report : PreparationReport
         Every step with figures before and after.
 
     Raises
     ------
     SurveyError
-        Nothing is left after removing what was asked to be removed.
+        Nothing is left after removing disturbances.
     """
     require_survey(survey)
     warn([survey])
@@ -118,7 +118,7 @@ def prepare(
 
 
 def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
-    """Readings that estimates may rest on: no jumps, repeats or saturation, whatever is done about them later."""
+    """Readings used for estimates: without jumps, repeats or saturation, whatever is done about these later."""
     readings = sensor_log.readings
     is_bad = (
         find_jumps(readings, config.disturbances.spike_threshold)
@@ -134,7 +134,7 @@ def apply_model(
 ) -> tuple[Survey, Indices]:  # fmt: skip
     """Correct all samples of a survey; also gives the rows that still have a pose once their stamps are moved.
 
-    The very survey comes back where there is nothing to correct. `is_changed`: the log's readings are no longer the
+    If there is nothing to correct, the same survey is returned. `is_changed`: the log's readings differ from the
     survey's.
     """
     every = np.arange(len(survey))

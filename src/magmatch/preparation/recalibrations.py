@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Jumps of a phone's own recalibration: from one reading to the next a constant in the sensor's frame changes."""
+"""Jumps from a phone's own recalibration: the offset in the sensor's frame changes between two readings."""
 
 from dataclasses import dataclass, replace
 

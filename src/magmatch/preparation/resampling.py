@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One sample per distance walked, so that standing still does not outweigh walking."""
+"""One sample per step of path length, so that standing still does not outweigh walking."""
 
 from dataclasses import replace
 from typing import Literal

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log before any correction: what the magnetometer read, and poses on a clock of their own."""
+"""A log before any correction: the magnetometer's readings, and poses on their own clock."""
 
 from dataclasses import dataclass, replace
 

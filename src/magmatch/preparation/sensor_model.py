@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What undoes the errors of a magnetometer: ``b_true = M b_read - d``, in the sensor's frame, and its clock."""
+"""Correction of a magnetometer, ``b_true = M b_read - d`` in the sensor's frame, and of its clock."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Do readings turn with their sensor? A question quick enough to be asked of every survey that is registered."""
+"""Whether part of the readings turns with the sensor: a test fast enough for every survey that is registered."""
 
 from dataclasses import replace
 
@@ -25,13 +25,13 @@ MIN_EVIDENCE = 3.0
 
 
 def turns_with_sensor(survey: Survey, hyperparameters: Hyperparameters) -> bool:
-    """Whether readings show so much of their sensor that a calibration is worth its time; see `offset_evidence`."""
+    """Whether readings contain enough hard iron for a calibration to be worth its time; see `offset_evidence`."""
     return offset_evidence(survey, hyperparameters) >= MIN_EVIDENCE
 
 
 @single_threaded
 def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
-    """How much better a constant in the sensor's frame explains readings, beside a map of the place.
+    """How much better a constant in the sensor's frame, in addition to a map of the place, explains the readings.
 
     Notes
     -----

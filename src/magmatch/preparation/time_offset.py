@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where to begin: the offset between two clocks at which one coarse map explains the turned field best."""
+"""Initial estimate of the offset between two clocks: where one coarse map explains the rotated field best."""
 
 from collections.abc import Mapping
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the phone was held, from gyroscope and accelerometer: z is up, the heading begins anywhere and drifts."""
+"""Attitude of the phone from gyroscope and accelerometer: z is up; the initial heading is arbitrary, and drifts."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,7 +10,7 @@ from magmatch.typing import Vectors
 
 
 def attitude(rate: Vectors, acceleration: Vectors, config: OdometryConfig) -> Rotation:
-    """Orientations of the phone at even times, with hindsight.
+    """Smoothed orientations of the phone at even times.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def attitude(rate: Vectors, acceleration: Vectors, config: OdometryConfig) -> Ro
     Notes
     -----
     VQF without its magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of
-    the gyroscope is learned at rest only: learned while walking it takes in the swing of the arm, which made paths of
+    the gyroscope is estimated at rest only: while walking it would absorb the swing of the arm, which made paths of
     the IPIN logs two to four times worse.
     """
     vqf = import_extra("vqf", "dead reckoning", "odometry")

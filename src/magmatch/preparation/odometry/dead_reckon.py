@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this sub-room: accelerometer and gyroscope of a walk in, its path out, level and from the origin."""
+"""`dead_reckon`: accelerometer and gyroscope of a walk in, its path out, level and from the origin."""
 
 import logging
 from dataclasses import dataclass
@@ -29,9 +29,9 @@ class Odometry:
     Attributes
     ----------
     trajectory : Trajectory
-        Of the phone, on the log's clock: begins at the origin, z = 0, heading as it happens to begin; drifts.
+        Of the phone, on the log's clock; starts at the origin with an arbitrary heading, at z = 0; drifts.
     steps : Steps
-        What the path is made of.
+        The steps of the path.
     length_sd : float, m
         Standard deviation of the path's length: of the walker's factor and of single steps.
     """
@@ -63,12 +63,12 @@ def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odomet
     Raises
     ------
     DataFormatError
-        A sensor is missing or too slow, or nobody walks.
+        A sensor is missing or too slow, or no steps are found.
 
     Notes
     -----
-    Position moves along the phone's heading by one step's length per step. A phone that points otherwise than its
-    carrier walks, by a constant angle, turns the whole path; one that changes its angle bends it.
+    With each step, the position moves along the phone's heading by the step's length. A constant angle between phone
+    and walking direction rotates the whole path; a changing angle bends it.
     """
     config = config or OdometryConfig()
     acceleration, rate = phone.acceleration(WHAT_FOR), phone.require("rate", WHAT_FOR)
@@ -91,9 +91,9 @@ def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odomet
 
 
 def heading(orientations: Rotation) -> Vectors:
-    """Level direction in which a phone points, unit vectors: (n, 2).
+    """Horizontal direction in which a phone points, unit vectors: (n, 2).
 
-    That of its upper end; of its back where it is mostly held upright, as for a picture.
+    That of its upper end, or of its back if it is mostly held upright, as for a picture.
     """
     top, back = orientations.apply([0.0, 1.0, 0.0])[:, :2], orientations.apply([0.0, 0.0, -1.0])[:, :2]
     is_upright = np.linalg.norm(back, axis=1).mean() > 2 * np.linalg.norm(top, axis=1).mean()
