@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The version, on the ground floor: every room may state it."""
+"""The version, in a module that every package may import."""
 
 __version__ = "0.1.0"

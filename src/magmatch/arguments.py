@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What callers hand in: made plain float64 arrays, or refused in one sentence, before compiled code sees it."""
+"""Arguments of public functions: made float64 arrays, or refused in one sentence, before compiled code runs."""
 
 import os
 from collections.abc import Mapping

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write a file whole or not at all: an interrupted run leaves the old file or the new one, never half of one."""
+"""Atomic writing of files: an interrupted run leaves either the old file or the new one."""
 
 import errno
 import os

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How loops are compiled: at their first use on a machine, then kept in numba's cache.
 
-A newcomer waits for that before the first answer, so it must be short. One signature per loop: one type and memory
+A new user waits for that before the first answer, so it must be short. One signature per loop: one type and memory
 layout per argument. No exceptions, strings or `numpy.linalg` inside; nor, on the way of a registration, allocations,
 slices or array expressions: each drags more of numba's library through the compiler than the loop itself.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Errors a caller can act on: each message says where, what was expected and what was found."""
+"""Errors that a caller can act on: each message says where, what was expected and what was found."""
 
 import json
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class DataFormatError(MagmatchError, ValueError):
 
 
 class SurveyError(MagmatchError, ValueError):
-    """A survey cannot be used: NaN, impossible magnitudes, too few samples, time running backward."""
+    """A survey cannot be used: NaN, impossible magnitudes, too few samples, times that decrease."""
 
 
 class ConfigurationError(MagmatchError, ValueError):
@@ -48,11 +48,11 @@ class ConfigurationError(MagmatchError, ValueError):
 
 
 class DatasetError(MagmatchError, OSError):
-    """A public recording cannot be had: no connection, or what came is not what was published."""
+    """A public recording is unavailable: no connection, or the download differs from the published file."""
 
 
 class TaskError(MagmatchError, RuntimeError):
-    """A part of the work that was given to another process or machine could not be done."""
+    """A task that was given to another process or machine failed."""
 
 
 class MissingExtraError(MagmatchError, ImportError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What messages and reports mean by their words: the glossary page of the documentation, packaged."""
+"""The terms of messages and reports: the glossary page of the documentation, packaged."""
 
 import re
 from functools import cache

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A regular grid of points that knows where it lies in its map."""
+"""A regular grid of points with its pose in a map."""
 
 from dataclasses import dataclass
 
@@ -18,8 +18,8 @@ class RegularGrid:
     Attributes
     ----------
     T_map_grid : RigidTransform
-        Takes grid coordinates to map coordinates; its translation is where point (0, 0, 0) lies. Grids turn
-        with the survey they were laid over, so that what is computed on them does not depend on the frame.
+        Takes grid coordinates to map coordinates; its translation is the position of point (0, 0, 0). Grids rotate
+        with their survey, so that what is computed on them does not depend on the frame.
     spacing : float, m
         Distance of neighbouring points, equal along the axes.
     shape : (int, int, int)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is under way, told to whoever asked to follow: one shape of callback for every verb that may take a second."""
+"""Progress reports: one kind of callback for every function that may take longer than a second."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -8,8 +8,8 @@ from contextvars import ContextVar
 from typing import TypeVar
 
 T = TypeVar("T")
-# Called with what is under way, and which share of it is done (0 to 1; None where that is not known). It may be
-# called from another thread, and what it raises ends the work.
+# Called with the current step and the fraction done (0 to 1; None if unknown). It may be called from another thread,
+# and an exception that it raises ends the work.
 Progress = Callable[[str, float | None], None]
 
 log = logging.getLogger(__name__)
@@ -18,7 +18,7 @@ _follower: ContextVar[Progress | None] = ContextVar("follower", default=None)
 
 @contextmanager
 def followed(progress: Progress | None) -> Iterator[None]:
-    """Tell a callback of all that is under way in the block; None leaves whoever follows already.
+    """Report progress within the block to a callback; None keeps the present one.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def followed(progress: Progress | None) -> Iterator[None]:
 
 
 def tell(what: str, share: float | None = None) -> None:
-    """Tell what is under way; a step that begins is logged, too."""
+    """Report the current step; the beginning of a step is also logged."""
     if not share:
         log.info("%s", what)
     follower = _follower.get()
@@ -45,7 +45,7 @@ def tell(what: str, share: float | None = None) -> None:
 
 
 def counted(what: str, items: Sequence[T]) -> Iterator[T]:
-    """Each of some items, telling before it which share of them is done."""
+    """Iterate over items, reporting the fraction done before each."""
     for k, item in enumerate(items):
         tell(what, k / len(items))
         yield item

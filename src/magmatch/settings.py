@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all settings share: they are frozen, and a wrong one is named in one sentence."""
+"""The base class of all settings: frozen, with errors in one sentence."""
 
 from typing import TYPE_CHECKING, Any, cast
 

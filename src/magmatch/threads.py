@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Who may use which cores: one BLAS thread per task, and the halves of a task side by side where cores are free.
+"""Use of cores: one BLAS thread per task, and the halves of a task in parallel if cores are free.
 
-The same bits come out whatever else runs, and worker processes do not fight over cores.
+Results do not depend, to the bit, on what else runs, and worker processes do not compete for cores.
 """
 
 import os

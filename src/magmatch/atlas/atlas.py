@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The noun of this room: an atlas, a folder of maps, each in its own frame, with their indexes beside them."""
+"""`Atlas`: a folder of maps, each in its own frame, with their indexes."""
 
 import logging
 from collections.abc import Iterator
@@ -47,11 +47,11 @@ class AtlasEntry:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Atlas:
-    """Many maps, ready to be searched; those that were needed stay in memory.
+    """Many maps, ready to be searched; those that were used stay in memory.
 
     Attributes
     ----------
-    entries : tuple of Sheet
+    entries : tuple of AtlasEntry
         In the order of their names.
     config : RegistrationConfig
         What the indexes were made with.
@@ -68,11 +68,11 @@ class Atlas:
         return sum(entry.index.volume for entry in self.entries)
 
     def load(self, entry: AtlasEntry) -> MapIndex:
-        """Give a map with its index, from memory where it is there.
+        """Give a map with its index, from memory if it is there.
 
         Parameters
         ----------
-        entry : Sheet
+        entry : AtlasEntry
 
         Returns
         -------
@@ -96,16 +96,16 @@ class Atlas:
 def open_atlas(
     folder: str | Path, config: RegistrationConfig | None = None, *, progress: Progress | None = None
 ) -> Atlas:
-    """Open a folder of saved maps; maps whose index is missing or stale are indexed, which takes seconds each.
+    """Open a folder of saved maps. Maps whose index is missing or stale are indexed, which takes seconds each.
 
     Parameters
     ----------
     folder : path
-        Every saved map in it counts, whatever its name; other files are passed over.
+        All saved maps in it are used, whatever their names; other files are ignored.
     config : RegistrationConfig, optional
         Preset ``default`` unless given.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: an atlas and a target in, the map that holds it and the pose in that map out."""
+"""`localize` for an atlas: the map that contains a target, and the pose in that map."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -46,13 +46,13 @@ def localize(
     seed : int
         Same atlas, target and seed give the same answer bit for bit.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
     RegistrationResult
-        ``base`` names the map; alternatives name theirs. An answer is accepted only where no pose in any map comes
-        near it, and it pays for a search through all of them.
+        ``base`` names the map; alternatives name theirs. An answer is accepted only if no pose in any map comes close
+        to it, with the search penalty for all maps.
     """
     with followed(progress):
         return localize_keeping_map(atlas, target, seed=seed)[1]
@@ -61,7 +61,7 @@ def localize(
 def localize_keeping_map(
     atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0
 ) -> tuple[Survey | FieldMap, RegistrationResult]:
-    """Find the map that holds a survey, and hand on the target as it was used: for pictures.
+    """Find the map that contains a survey, and also return the target as it was used, for pictures.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def localize_keeping_map(
     Returns
     -------
     target : Survey or FieldMap
-        A survey only where the answer needed no map of it.
+        A survey only if the answer needed no map of it.
     result : RegistrationResult
         What `localize` gives.
     """
@@ -97,12 +97,12 @@ def localize_keeping_map(
 def _localize_walk(
     atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int, clock: Clock
 ) -> RegistrationResult:
-    """Ask all maps for votes, then compare the likeliest with the walk."""
+    """Collect votes for all maps, then compare the most likely ones with the walk."""
     tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
         votes = count_votes([entry.table for entry in atlas.entries], survey, atlas.config.walks.search, seed)
     likely = shortlist(atlas.entries, votes)
-    # The same bins for all: none is judged by more of them.
+    # The same bins for all maps, so that none is judged by more of them.
     length = float(np.median([entry.table.length for entry in likely]))
     mapped = cache(lambda: MapStrategy.of(target, atlas.config, seed, clock))
     return _best_of(atlas, likely, WalkStrategy(target, survey, atlas.config, seed, mapped, length), clock)
@@ -127,7 +127,7 @@ def _localize_map(
 def _compare_map(
     atlas: Atlas, target: Survey | FieldMap, seed: int, clock: Clock
 ) -> tuple[FieldMap, RegistrationResult]:
-    """Score a few poses in every map, then compare the likeliest with the target's map."""
+    """Score a few poses in every map, then compare the most likely maps with the target's map."""
     strategy = MapStrategy.of(target, atlas.config, seed, clock)
     tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
@@ -139,7 +139,7 @@ def _compare_map(
 def _best_of(
     atlas: Atlas, likely: list[AtlasEntry], strategy: Strategy[Any, Any, Any], clock: Clock
 ) -> RegistrationResult:
-    """Weigh poses in each map and decide on the best of all; it pays for a search through the whole atlas."""
+    """Weigh poses in each map and decide on the best of all, with the search penalty for the whole atlas."""
     weighed = {}
     for k, entry in enumerate(likely):
         tell(f"searching {entry.name}", k / len(likely))
@@ -159,7 +159,7 @@ def _best_of(
 
 
 def shortlist(entries: tuple[AtlasEntry, ...], votes: Scalars) -> list[AtlasEntry]:
-    """Maps worth a full search, likeliest first: a few always, and those nearly as likely as the first."""
+    """Maps for a full search, most likely first: always a few, and those nearly as likely as the first."""
     order = np.argsort(-votes, kind="stable")[:MAX_SHORTLIST]
     enough = SHORTLIST_SHARE * votes[order[0]]
     return [entries[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
@@ -173,7 +173,7 @@ def _best_elsewhere(weighed: Mapping[AtlasEntry, Weighed[Any, Any, Any]]) -> dic
 
 
 def _with_alternatives(judged: dict[AtlasEntry, RegistrationResult]) -> RegistrationResult:
-    """State the answer of the best map, and beside a refusal the best pose of each other map; best first."""
+    """State the answer of the best map and, for a refusal, the best pose of each other map; best first."""
     (best, answer), *others = judged.items()
     if answer.is_accepted:
         return replace(answer, base=best.name)

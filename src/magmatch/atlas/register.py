@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The main verb for whatever can be a base: a survey, a map, or a folder of maps."""
+"""`register` for any base: a survey, a map, or a folder of maps."""
 
 import os
 from pathlib import Path
@@ -31,8 +31,8 @@ def register(
     Parameters
     ----------
     base : Survey, FieldMap, MapIndex, Atlas or path of a folder of saved maps
-        Gives the frame; a survey is mapped first. A base that serves many targets is best given as its `MapIndex`. Of
-        many maps, the result's ``base`` names the one that holds the target.
+        Defines the frame; a survey is mapped first. For many targets, pass the base as a `MapIndex`. With many maps,
+        the result's ``base`` names the one that contains the target.
     target : Survey or FieldMap
         In its own frame.
     config : RegistrationConfig, optional
@@ -40,19 +40,19 @@ def register(
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
     RegistrationResult
-        ``T_base_target`` is None unless accepted; ``reason`` says which check decided.
+        ``T_base_target`` is None unless accepted; ``reason`` says why.
 
     Raises
     ------
     SurveyError
         A survey holds NaN, impossible values or too few samples.
     TypeError
-        Neither surveys nor maps; says what makes one of what was given.
+        Neither surveys nor maps; says how to convert what was given.
     """
     with followed(progress):
         return register_anywhere(base, target, config, seed=seed)[2]
@@ -61,7 +61,7 @@ def register(
 def register_anywhere(
     base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
 ) -> tuple[FieldMap | MapIndex | None, Target, RegistrationResult]:
-    """Register, and hand on the base (None where none of many fits) and the target as they were used."""
+    """Register, and also return the base (None if none of many fits) and the target as they were used."""
     if isinstance(base, str | os.PathLike) and is_folder(base):
         require_target(target)
         base, config = open_atlas(base, config), None

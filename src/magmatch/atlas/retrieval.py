@@ -2,8 +2,8 @@
 """Which maps may hold a target: a few hypotheses in each, and how well they agree.
 
 For a walk, pairs of points propose poses, and those that agree with each other are votes: in the right map many pairs
-propose one and the same pose, in any other map each proposes its own. Votes need the maps' pair tables only, so a
-hundred maps are asked without reading their fields. Other targets score a few poses against each map's field.
+propose the same pose, in any other map each proposes a different one. Votes need only the maps' pair tables, so a
+hundred maps can be compared without reading their fields. Other targets score a few poses against each map's field.
 """
 
 from collections.abc import Iterable
@@ -65,7 +65,7 @@ def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.ra
     similar, distance2 = similar_pairs(table, walk, i, j, config.n_neighbours)
     poses = hypotheses(table, walk, i, j, similar)
     centers = poses.carry(walk.positions.mean(axis=0))
-    # Pairs unlike any of the base fall to its most unlike ones, all in one place: such agreement means little.
+    # Pairs that resemble none of the base are all nearest to its outliers, in one place: such agreement means little.
     weights = np.exp(-distance2.ravel() / DISTANCE2)
     angle, distance = SAME_ROTATION, SAME_PLACE * table.length
     largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Surveys and trajectories: the nouns, one reader per format, checks and public recordings."""
+"""Surveys and trajectories, one reader per format, checks, and public recordings."""

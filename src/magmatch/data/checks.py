@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Can this be a survey? What no survey can be is refused; what is odd is said."""
+"""Checks of a survey: impossible ones are refused, suspicious ones are reported."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -50,7 +50,7 @@ ADVICE = {
 
 
 def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str]:
-    """Refuse what cannot be a survey and list what is odd about one that can."""
+    """Raise an error for an impossible survey; otherwise list what is suspicious about it."""
     require_survey(survey, layout)
     layout = layout or SurveyFormat()
     doubts = (_doubt_field, _doubt_extent, _doubt_shape, _doubt_repeats, _doubt_times)
@@ -59,7 +59,7 @@ def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str
 
 
 def require_survey(survey: Any, layout: SurveyFormat | None = None, name: str = "survey") -> None:
-    """Refuse what cannot be a survey, from a file (read as the layout says) or from a caller."""
+    """Raise an error for an impossible survey, from a file (read with the given layout) or from a caller."""
     expect_kind(survey, name, (Survey,), ADVICE)
     _require_samples(survey)
     require_part(survey, layout)

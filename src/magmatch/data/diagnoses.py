@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is wrong with a survey's frames and units, as the survey itself shows: kind, what was measured, the remedy.
+"""Errors in a survey's frames and units that the survey itself reveals: kind, measurement, remedy.
 
-One principle: Earth's part of the field is the same vector everywhere, and neighbours see nearly the same field: in
-the right frame, vectors scatter least, over the whole survey and between neighbours. Each known mistake is undone in
-turn; one whose undoing leaves less scatter than what was declared was made. Hard iron scatters too, where the frame
-is right: where Earth's field shows beside a constant of the sensor, all are compared without their best constants.
+One principle: the Earth's part of the field is the same vector everywhere, and neighbours measure nearly the same
+field. In the correct frame, vectors therefore scatter least, over the whole survey and between neighbours. Each known
+mistake is undone in turn; if that leaves less scatter than the declared frame, the mistake was made. Hard iron
+scatters even in the correct frame: if the Earth's field is visible beside a constant of the sensor, all candidates
+are compared after subtracting their best constants.
 """
 
 import logging
@@ -50,14 +51,14 @@ Turned = tuple[Vectors, Rotation]
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """One thing that is wrong with a survey.
+    """One error of a survey.
 
     Attributes
     ----------
     kind : str
         ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``.
     measured, remedy : str
-        What shows it, and what to do about it.
+        The evidence for it, and what to do.
     """
 
     kind: str
@@ -69,7 +70,7 @@ class Diagnosis:
 
     @property
     def is_of_frames(self) -> bool:
-        """Whether vectors stand in a wrong frame, which no calibration of the sensor puts right."""
+        """Whether vectors are in a wrong frame, which no calibration of the sensor corrects."""
         return self.kind != "magnitude"
 
 
@@ -98,25 +99,25 @@ MISTAKES = {
 
 
 def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
-    """List what is wrong with a survey's frames and units.
+    """List the errors of a survey's frames and units.
 
     Parameters
     ----------
     survey : Survey
-        That `require_survey` lets pass.
+        One that passes `require_survey`.
     unit : str
-        That the field was read in.
+        The unit in which the field was read.
     """
     return [*_of_magnitude(survey, unit), *_of_frames(survey)]
 
 
 def of_verticals(base: Survey, target: Survey) -> list[Diagnosis]:
-    """Whether two surveys of one place, z up in both, contradict each other about where the field points."""
+    """Whether two surveys of one place, with z up in both, have fields of contradictory inclination."""
     dips = [inclination_deg(survey.field.mean(axis=0)) for survey in (base, target)]
     if abs(dips[0] - dips[1]) <= PLAUSIBLE_BEND:
         return []
     measured = "the field dips {:.0f} deg below the base's horizontal and {:.0f} deg below the target's".format(*dips)
-    return [Diagnosis("vertical", measured, "z is not up in one of them: mend its axes, or leave gravity unsaid")]
+    return [Diagnosis("vertical", measured, "z is not up in one of them: correct its axes, or do not state gravity")]
 
 
 def inclination_deg(vector: Vector3) -> float:
@@ -125,7 +126,7 @@ def inclination_deg(vector: Vector3) -> float:
 
 
 def warn(surveys: Iterable[Survey]) -> list[Diagnosis]:
-    """Say what is wrong with surveys, one warning of each kind; also gives it."""
+    """Log the errors of surveys, one warning of each kind; also returns them."""
     found = [(survey.name, one) for survey in surveys for one in diagnose(survey)]
     for kind in dict.fromkeys(one.kind for _, one in found):
         named = {name: one for name, one in found if one.kind == kind}
@@ -143,7 +144,7 @@ def _of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
 
 
 def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
-    """Turned the wrong way, Earth's part of the field spreads out; turned right, it stands still."""
+    """Diagnose frames: rotated wrongly, the Earth's part of the field scatters; rotated correctly, it is constant."""
     walked, q, field = _Walked.of(survey), survey.orientations, survey.field
     own, heading, undone = 0.0, "", {} if q is None else _without_mistakes(field, q)
     if q is not None and walked is not None and (own := walked.variance(q, AXES[OWN])) >= HALF:

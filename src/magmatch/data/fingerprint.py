@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One number that stands for a survey's content, to tell later whether it is still the same."""
+"""A hash of a survey's content, to tell later whether it is still the same."""
 
 import hashlib
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: read a survey, whatever the format, and check that it can be one."""
+"""`read_survey`: read a survey of any format, and check it."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -37,26 +37,26 @@ _NOT_A_SURVEY: Mapping[FileKind, str] = {
 
 
 def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
-    """Read a survey file, told by its content, and check it.
+    """Read a survey file, recognised by its content, and check it.
 
     Parameters
     ----------
     path : path
         A table (CSV, Parquet, EuRoC), a ROS 1 bag, ROS 2 bag (folder) or MCAP file, or a phone's export.
     format : SurveyFormat, optional
-        Units and frames where the file differs from tesla, metre and survey frame; topics of a log; `recover`.
+        Units and frames, if other than tesla, metre and survey frame; topics of a log; `recover`.
 
     Returns
     -------
     Survey
-        In tesla and metre, named after the file. Doubts that do not forbid its use are logged as warnings.
+        In tesla and metre, named after the file. Anything suspicious is logged as a warning.
 
     Raises
     ------
     DataFormatError
         The file does not hold a survey; says where (line, column), what was expected and what was found.
     SurveyError
-        It does, but no such survey can be: wrong units, too few samples.
+        It does, but the survey is impossible: wrong units, too few samples.
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The first noun: a survey, samples of the magnetic field at known positions."""
+"""`Survey`: samples of the magnetic field at known positions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -54,7 +54,7 @@ class Survey:
     positions : (n, 3) array, m
         Where the samples were taken, survey frame.
     field : (n, 3) array, T
-        Field vectors, survey frame (readers turn sensor-frame vectors once, at the door).
+        Field vectors, survey frame (readers rotate vectors in the sensor's frame once).
     times : (n,) array, s, optional
         Strictly increasing when present.
     orientations : Rotation of length n, optional
@@ -64,7 +64,7 @@ class Survey:
     name : str
         Where the survey came from, for messages and reports.
     pose_sd : float, m
-        Standard deviation of the survey's own positions; 0 where unknown or exact.
+        Standard deviation of the survey's own positions; 0 if unknown or exact.
     """
 
     positions: Points
@@ -99,7 +99,7 @@ class Survey:
         return settled
 
     def check(self) -> None:
-        """Raise SurveyError where samples are not finite or times do not increase: arrays may have been changed."""
+        """Raise SurveyError if samples are not finite or times do not increase: arrays may have been changed."""
         _as_survey(self.name, self._check)
 
     def _check(self) -> None:
@@ -139,7 +139,7 @@ class Survey:
         return np.asarray(self.positions.mean(axis=0))
 
     def transformed(self, T_new_survey: RigidTransform, frame: str | None = None) -> "Survey":
-        """Return the same samples in another frame: positions move, vectors turn.
+        """Return the same samples in another frame: positions are transformed, vectors rotated.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Survey:
         )
 
     def merged(self, *others: "Survey") -> "Survey":
-        """Join surveys that share this one's frame; times and orientations stay only where all have them.
+        """Join surveys that share this one's frame; orientations are kept only if all have them.
 
         Parameters
         ----------
@@ -265,7 +265,7 @@ class Survey:
         name: str = "DataFrame",
         pose_sd: float | None = None,
     ) -> "Survey":
-        """Survey of a DataFrame (pandas, polars): the columns of the survey CSV, rows in the order they stand.
+        """Survey from a DataFrame (pandas, polars) with the columns of the survey CSV, rows in the given order.
 
         Parameters
         ----------
@@ -275,7 +275,7 @@ class Survey:
         field_unit, length_unit, time_unit : str
             Units of the numbers: ``"uT"``, ``"mm"``, ``"ms"`` and so on.
         columns : dict of str to str, optional
-            Names of columns where they differ: ``{"x": "pos_x", "bx": "mag_x"}``.
+            Names of columns, if they differ: ``{"x": "pos_x", "bx": "mag_x"}``.
         field_frame : {"survey", "sensor"}
             Frame of the field vectors; the sensor's needs orientations.
         frame, name, pose_sd
@@ -290,7 +290,7 @@ class Survey:
         DataFormatError
             A column is missing, or holds no numbers.
         SurveyError
-            A number is missing, or no survey has such numbers.
+            A number is missing, or the survey is impossible.
 
         Examples
         --------
@@ -318,7 +318,7 @@ class Survey:
         name: str = "Dataset",
         pose_sd: float | None = None,
     ) -> "Survey":
-        """Survey of an xarray Dataset: variables or coordinates named as the columns of the survey CSV.
+        """Survey from an xarray Dataset, with variables or coordinates named as the columns of the survey CSV.
 
         Parameters
         ----------

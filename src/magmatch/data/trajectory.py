@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A trajectory: poses over time, from another system than the magnetometer."""
+"""`Trajectory`: poses over time, from another system than the magnetometer."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +53,7 @@ class Trajectory:
         return is_covered
 
     def interpolate(self, times: Scalars) -> tuple[Points, Rotation]:
-        """Poses at other times: positions linearly, orientations along the shortest turn.
+        """Poses at other times: positions interpolated linearly, orientations by slerp.
 
         Parameters
         ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: a field map in, keypoints with local frames and descriptors out."""
+"""`extract_features`: a field map in, keypoints with local frames and descriptors out."""
 
 import logging
 from collections.abc import Sequence
@@ -30,13 +30,13 @@ def extract_features(
     config : FeatureConfig, optional
         Published settings unless given.
     half_range : float, T, optional
-        Half range of the component histograms; maps that are to be compared must share it (and the spacing).
-        From this map's own samples unless given.
+        Half range of the component histograms; maps to be compared must share it (and the spacing).
+        By default from this map's own samples.
 
     Returns
     -------
     Features
-        In the map's frame; empty where nothing stands out.
+        In the map's frame; empty if nothing stands out.
     """
     expect_kind(field_map, "field_map", (FieldMap,), "build_map(survey) makes one")
     config = config or FeatureConfig()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The noun of this room: keypoints of one map with local frames and descriptors."""
+"""`Features`: keypoints of one map with local frames and descriptors."""
 
 from dataclasses import dataclass
 

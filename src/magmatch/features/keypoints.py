@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keypoints: where the magnitude of the field curves strongly and the map is sure of it."""
+"""Keypoints: where the magnitude of the field curves strongly and the map is accurate."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numbers of a pair of points that no rotation changes, and the rotation that two such pairs give.
+"""Rotation invariants of a pair of points, and the rotation between two such pairs.
 
 A walk along a line knows its field but not the field's gradient across the line, so a single point carries no frame.
 Two points do: the vector between them and the two field vectors.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: samples in, field map out."""
+"""`build_map`: samples in, field map out."""
 
 import logging
 from collections.abc import Sequence
@@ -37,14 +37,14 @@ def build_map(
     Parameters
     ----------
     survey : Survey or sequence of Survey
-        Samples; several surveys must share one frame and are merged.
+        Samples; several surveys must share one frame and are mapped together.
     config : FieldConfig, optional
-        Prior and hyperparameters; what is left out is chosen from the data.
+        Prior and hyperparameters; those not given are chosen from the data.
     run : callable, optional
-        Runs the tasks of a map in tiles, such as `magmatch.field.tiles.distributed.DaskRunner`; one after the other
-        here by default. The map is the same to the bit.
+        Runs the tasks of a tiled map, such as `magmatch.field.tiles.distributed.DaskRunner`; by default sequentially,
+        in this process. The map is the same bit for bit.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def build_map(
 
 
 def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = map) -> FieldMap:
-    """Map of samples that are taken as they come, however few or odd."""
+    """Map of samples without checking them, however few or suspicious."""
     field_map, unbounded, samples = _choose_and_fit(surveys, config, run)
     if not config.leave_out_outliers:
         return field_map

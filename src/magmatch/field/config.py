@@ -15,7 +15,7 @@ class FieldConfig(Settings):
     """Settings of the field inference; what is None is chosen from the data."""
 
     # Which law and basis: 'spline' (soft div B = 0, sparse), 'divergence_free' (published), 'curl_free' (potential),
-    # 'harmonic' (no source in the region), or 'auto': the one that predicts left-out parts best.
+    # 'harmonic' (no source in the region), or 'auto': the one that predicts held-out data best.
     prior: Literal["auto", "spline", "divergence_free", "curl_free", "harmonic"] = "spline"
     # Distance over which the field changes, m. None: chosen from the data.
     lengthscale: float | None = Field(default=None, gt=0)
@@ -25,12 +25,12 @@ class FieldConfig(Settings):
     noise_sd: float | None = Field(default=None, gt=0)
     # Distance of the basis nodes, m. None: from the lengthscale and the size of the region.
     spacing: float | None = Field(default=None, gt=0)
-    # Leave out the few samples that contradict those around them, and say so.
+    # Leave out the few samples that contradict their neighbours, with a warning.
     leave_out_outliers: bool = True
-    # Box outside which the map says nothing but its prior: (x0, y0, z0, x1, y1, z1), m, frame of the survey the map
+    # Box outside which the map gives only its prior: (x0, y0, z0, x1, y1, z1), m, frame of the survey the map
     # is made from. None: as far as the samples inform the basis, about one lengthscale beyond them.
     domain: tuple[float, float, float, float, float, float] | None = None
-    # Where 'auto' compared priors: typical error of left-out parts of each, T. An outcome, for the record.
+    # If 'auto' compared priors: typical error of each on held-out data, T. An outcome, for the record.
     comparison: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The noun of this room: a field map, the posterior of the field over the region a survey covers."""
+"""`FieldMap`: the posterior of the field over the region that a survey covers."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,12 +51,12 @@ class FieldMap:
     config : FieldConfig
         How the map was made.
     T_domain_model : RigidTransform
-        Takes model coordinates to the frame in which ``config.domain`` was given; stays when the map moves.
+        Takes model coordinates to the frame in which ``config.domain`` was given; does not change when the map moves.
     fitted_samples : Survey or None
-        The samples in the model's frame as they were fitted; None while turning them there again gives the same,
-        kept once the map was carried to another frame or saved, since turning back would round.
+        The samples in the model's frame as they were fitted. None as long as transforming `survey` gives the same;
+        stored once the map was moved to another frame or saved, since transforming back would round.
     parts : tuple of Survey
-        The surveys that were merged, in order; empty where there was only one.
+        The surveys that were mapped together, in order; empty if there was only one.
     """
 
     survey: Survey
@@ -80,7 +80,7 @@ class FieldMap:
 
     @property
     def surveys(self) -> tuple[Survey, ...]:
-        """What the map was made from, survey by survey, map frame."""
+        """The surveys that the map was made from, map frame."""
         return self.parts or (self.survey,)
 
     @property
@@ -119,7 +119,7 @@ class FieldMap:
         Returns
         -------
         (n, 3, 3) or (n, 12, 12) array, T^2, T^2/m, T^2/m^2, map frame
-            Returns to the prior's where the map knows nothing.
+            That of the prior where the map has no data.
         """
         whole_number_of(order, "order", 0, 1)
         turn = FieldValues.turning_matrix(self.T_map_model, order)
@@ -201,7 +201,7 @@ class FieldMap:
         return GriddedField(grid, values.rotated(self.T_map_model), variance, self.posterior.knows(p_model))
 
     def grid_over(self, spacing: float, margin: float = 0.0) -> RegularGrid:
-        """Lay a grid over the samples with axes parallel to the model's, so that it turns with the survey.
+        """Grid over the samples with axes parallel to the model's, so that it rotates with the survey.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class FieldMap:
         return RegularGrid.over(self.survey.positions, spacing, margin, self.T_map_model)
 
     def to_xarray(self, spacing: float | None = None, cut: tuple[str, float] | None = None) -> Any:
-        """Field, its standard deviation and what the map knows, on a grid along the axes of the map's frame.
+        """Field, standard deviation and known region on a grid along the axes of the map's frame.
 
         Parameters
         ----------
@@ -249,16 +249,16 @@ class FieldMap:
         )
 
     def with_surveys(self, *surveys: Survey, run: Runner = map) -> "FieldMap":
-        """Return this map with more samples; frame, lattice and hyperparameters stay.
+        """Return this map with more samples; frame, lattice and hyperparameters are kept.
 
-        Of a spline model only those tiles are fitted again that the new samples touch.
+        In a spline model, only the tiles that the new samples touch are fitted again.
 
         Parameters
         ----------
         *surveys : Survey
             In the map's frame.
         run : callable, optional
-            Runs the tasks of a fit in tiles; one after the other by default.
+            Runs the tasks of a tiled fit; sequentially by default.
 
         Returns
         -------
@@ -271,9 +271,9 @@ class FieldMap:
         return self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)
 
     def without_samples(self, is_out: Mask, run: Runner = map) -> "FieldMap":
-        """Return this map as fitted without some samples (n,) of all surveys; frame and hyperparameters stay.
+        """Return this map as fitted without some samples (n,) of all surveys; frame and hyperparameters are kept.
 
-        Of a spline model only those tiles are fitted again that saw these samples.
+        In a spline model, only the tiles that contained these samples are fitted again.
         """
         if rows_chosen(is_out, len(self.survey)).dtype != np.bool_:
             msg = f"is_out: expected a mask of {len(self.survey)} samples, got indices; np.isin makes one"
@@ -318,12 +318,12 @@ class FieldMap:
 
     @classmethod
     def load(cls, path: str | Path) -> "FieldMap":
-        """Read a saved map and check all of it; a spline model is not fitted again.
+        """Read a saved map and check it completely; a spline model is not fitted again.
 
         Parameters
         ----------
         path : path
-            A file that `save` wrote.
+            A file written by `save`.
 
         Returns
         -------

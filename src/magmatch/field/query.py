@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a map says at any number of points, as a table."""
+"""A map evaluated at any number of points, as a table."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ CHUNK = 20_000
 def query_map(
     field_map: FieldMap, points: Points, *, with_gradient: bool = False, progress: Progress | None = None
 ) -> dict[str, Scalars]:
-    """What a map says at any number of points.
+    """Evaluate a map at any number of points.
 
     Parameters
     ----------
@@ -24,18 +24,18 @@ def query_map(
     with_gradient : bool
         Add the gradient.
     progress : callable, optional
-        Told what is under way, and which share of it is done; see `magmatch.progress`.
+        Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
     dict of (n,) arrays
         ``x, y, z`` (m), ``bx, by, bz`` (T), ``sx, sy, sz`` (T, of the noise-free field), and ``bxx, bxy, ...`` (T/m)
-        where asked for; in the points' order.
+        if requested; in the points' order.
     """
     p_map, parts = points_of(points), []
     starts = range(0, max(len(p_map), 1), CHUNK)
     with followed(progress):
-        for start in counted(f"asking the map at {len(p_map)} points", starts):
+        for start in counted(f"evaluating the map at {len(p_map)} points", starts):
             p = p_map[start : start + CHUNK]
             values = field_map.evaluate(p, order=1 if with_gradient else 0)
             sd = np.sqrt(np.maximum(np.diagonal(field_map.covariance(p), axis1=1, axis2=2), 0))

@@ -59,7 +59,7 @@ class MapConsistency:
 
 
 def held_out_error(points: Points, field: Vectors, hyperparameters: Hyperparameters) -> float:
-    """Median miss of a map at samples that were left out of it, stretch by stretch."""
+    """Median error of a map on samples held out stretch by stretch."""
     stretch = path_segments(points, STRETCH_IN_LENGTHSCALES * hyperparameters.lengthscale)
     model, misses = SplineModel.over(points, hyperparameters), []
     for fold in range(2):

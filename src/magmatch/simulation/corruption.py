@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What raw logs suffer from, put on a clean survey: hard and soft iron, another clock, spikes, currents."""
+"""Errors of raw logs, applied to a clean survey: hard and soft iron, a clock offset, spikes, currents."""
 
 from dataclasses import dataclass, field, replace
 
@@ -24,9 +24,9 @@ class Corruption:
     clock_offset : float, s
         To be added to the magnetometer's times to have those of the poses.
     n_spikes : int
-        Readings that are off by `spike_size` in a random direction.
+        Number of readings with an error of `spike_size` in a random direction.
     spike_size : float, T
-        How far.
+        Size of a spike.
     current : (n,) array, A, optional
         A current aboard, one value per sample.
     current_coefficient : (3,) array, T/A
@@ -58,10 +58,10 @@ def draw_corruption(
 
 
 def corrupt(survey: Survey, corruption: Corruption, rng: np.random.Generator) -> tuple[Survey, np.ndarray]:
-    """A survey as a raw log would have it, and which of its samples are left.
+    """A survey with the errors of a raw log, and which of its samples remain.
 
-    Readings are taken where the clean survey says, but stamped by another clock and turned with the poses of those
-    stamps; stamps outside the trajectory are left out.
+    Readings are taken at the clean survey's poses, but have the stamps of another clock and are rotated with the
+    poses at those stamps; stamps outside the trajectory are dropped.
     """
     if survey.orientations is None or survey.times is None:
         msg = "only a survey with orientations and times can be corrupted: hard iron turns with the sensor"

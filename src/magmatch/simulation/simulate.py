@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this room: a named scenario in, two surveys and the exact truth between them out."""
+"""`simulate`: a named scenario in, two surveys and the exact transform between them out."""
 
 import json
 from dataclasses import replace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Other numbers of a log, such as motor currents: what a disturbance of the field may follow."""
+"""Other numeric channels of a log, such as motor currents, that a disturbance of the field may follow."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the magnetometer sits on the body whose poses are known: seven numbers, or a YAML file that holds them."""
+"""The pose of the magnetometer on the body whose poses are given: seven numbers, or a YAML file that holds them."""
 
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far a log's odometry says itself that it drifts: from the covariance of its poses, where that can be one."""
+"""The drift of a log's odometry according to the covariance of its poses, if that is plausible."""
 
 import logging
 from contextlib import closing

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages of one topic as a stream: whole messages only, one clock, times in order."""
+"""Messages of one topic as a stream: intact messages only, on one clock, in order of time."""
 
 import logging
 from collections.abc import Callable, Sequence

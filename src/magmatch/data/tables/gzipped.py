@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Gzip files, read as what is in them: never more of it than a file of that size may hold."""
+"""Gzip files, read as their content, within bounds on its size."""
 
 import gzip
 import tempfile

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""YAML from anywhere: plain data only, and no more of it than the text has room for."""
+"""YAML from untrusted files: plain data only, with a bound on the number of values."""
 
 from typing import Any
 

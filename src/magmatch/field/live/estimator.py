@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The field while it is being measured: samples in one by one, predictions out at any time, over any distance."""
+"""Live estimate of the field: samples in one by one, predictions out at any time, over any distance."""
 
 import logging
 import time
@@ -36,7 +36,7 @@ N_WAITING = 256
 
 
 class FieldEstimator:
-    """Estimate of the magnetic field that grows with the samples; no region is declared.
+    """Estimate of the magnetic field that grows with the samples; the region need not be known beforehand.
 
     `update` costs microseconds. `predict` first fits the blocks of cells that its points touch and that have changed:
     at most eight around a point, however long the walk was. Each takes some ten milliseconds on a walk, a few hundred
@@ -90,22 +90,22 @@ class FieldEstimator:
         return (0 if self._tiles is None else self._tiles.n_bytes) + sum(a.nbytes for a in self._first or [])
 
     def update(self, position: Points, field: Vectors, orientation: np.ndarray | None = None) -> None:
-        """Take in one sample or several.
+        """Add one sample or several.
 
         Parameters
         ----------
         position : (3,) or (n, 3) array, m, map frame
         field : (3,) or (n, 3) array, T
-            In the map frame, or in the sensor's where orientations are given.
+            In the map frame, or in the sensor's if orientations are given.
         orientation : (4,) or (n, 4) array, optional
             Quaternions xyzw that take sensor coordinates to map coordinates.
 
         Raises
         ------
         SurveyError
-            NaN, or a position or field no sensor has; nothing of the call is taken in.
+            NaN, or an impossible position or field; no sample of the call is added.
         ValueError
-            The arrays do not fit together.
+            The arrays' shapes do not match.
         """
         rows = sample_rows(position, field, orientation)
         if self._start is None:
@@ -134,7 +134,7 @@ class FieldEstimator:
         max_age : float, s
             Samples younger than this may be left out, so that a block is fitted again at most that often.
         with_variance : bool
-            False leaves the variance NaN and saves its cost, which for hundreds of points a block is that of a fit.
+            False leaves the variance NaN and saves its cost, which for hundreds of points per block is that of a fit.
 
         Returns
         -------
@@ -150,9 +150,9 @@ class FieldEstimator:
         return Prediction(*self._ready().predict(p, order, max_age, with_variance=with_variance))
 
     def choose_hyperparameters(self) -> Hyperparameters:
-        """Choose the numbers of the prior again, from the samples that are kept (all, in cells visited briefly).
+        """Choose the hyperparameters again, from the stored samples (all those of cells visited briefly).
 
-        The spacing of the cells stays once sums have been formed over them.
+        The spacing of the cells is kept once sums have been formed over them.
         """
         tiles = self._ready()
         samples = np.concatenate(self._first) if self._first else tiles.kept
@@ -166,9 +166,9 @@ class FieldEstimator:
         return self._ready().hyperparameters
 
     def to_map(self) -> FieldMap:
-        """Build a field map from the samples that are kept, with the same hyperparameters.
+        """Build a field map from the stored samples, with the same hyperparameters.
 
-        In cells that hold more than 64 samples these are the first 64; the log says how many that leaves out.
+        In cells with more than 64 samples, these are the first 64; the log says how many others are not used.
         """
         tiles = self._ready()
         samples, h = tiles.kept, tiles.hyperparameters
@@ -182,7 +182,7 @@ class FieldEstimator:
         return FieldMap(survey, fit_posterior(survey, h, config), frame, config, frame)
 
     def save(self, path: str | Path) -> None:
-        """Write all that was measured to one file, whole or not at all, to go on from later.
+        """Write the complete state to one file, atomically, to continue from later.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class FieldEstimator:
 
     @classmethod
     def load(cls, path: str | Path, clock: Callable[[], float] = time.monotonic) -> Self:
-        """Go on from what `save` wrote.
+        """Continue from a file written by `save`.
 
         Parameters
         ----------

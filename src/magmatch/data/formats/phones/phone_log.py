@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The noun of this sub-room: what the sensors of a phone read, each at its own times, whichever app wrote it."""
+"""`PhoneLog`: readings of a phone's sensors, each at its own times, whichever app wrote them."""
 
 import logging
 from collections.abc import Mapping
@@ -67,11 +67,11 @@ class PhoneLog:
     Attributes
     ----------
     path : Path
-        Where it came from.
+        The file or folder.
     app : str
-        What wrote it.
+        The app that wrote it.
     streams : dict of Sensor to Stream
-        Those that are there, of those that were asked for.
+        The requested sensors that exist.
     """
 
     path: Path
@@ -98,7 +98,7 @@ class PhoneLog:
         return self.streams[sensor]
 
     def acceleration(self, what_for: str) -> Stream:
-        """What the accelerometer feels, gravity with it, m/s^2; the sum of both where the app took them apart."""
+        """Readings of the accelerometer with gravity, m/s^2; their sum if the app separates the two."""
         found = self.streams.get("acceleration")
         if found is None and {"linear_acceleration", "gravity"} <= self.streams.keys():
             linear, gravity = self.streams["linear_acceleration"], self.streams["gravity"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verb of this sub-room: a phone's log in, its sensors out."""
+"""`read_phone_log`: a phone's log in, its sensors out."""
 
 import logging
 from collections.abc import Collection
@@ -31,11 +31,11 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
     Parameters
     ----------
     path : path
-        What an app wrote, told by content: a table, a text log, or a folder or zip archive of tables.
+        An app's export, recognised by content: a table, a text log, or a folder or zip archive of tables.
     wanted : collection of Sensor
         Those to read; others cost no time.
     recover : bool
-        Leave out rows that hold no numbers, and say how many, instead of refusing.
+        Leave out rows without valid numbers, and log how many, instead of refusing.
 
     Returns
     -------
