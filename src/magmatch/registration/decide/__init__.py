@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Accept or refuse, and state the result."""
+"""The decision to accept or refuse a pose, and the statement of the result."""

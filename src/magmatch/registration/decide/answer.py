@@ -16,15 +16,15 @@ from magmatch.registration.weigh.hypothesis import Hypothesis
 
 
 class Counts(Protocol):
-    """What a search counts."""
+    """Counts of a search."""
 
     @property
     def n_keypoints(self) -> int:
-        """Points with a descriptor, of both sides together."""
+        """Number of points with a descriptor, in both surveys together."""
 
     @property
     def n_correspondences(self) -> int:
-        """Pairs of them that were looked at."""
+        """Number of pairs of them that were tried."""
 
 
 def state_answer(
@@ -36,7 +36,7 @@ def state_answer(
     max_sd: tuple[float, float],
     counts: Counts,
 ) -> RegistrationResult:
-    """State what was decided.
+    """State the decision as a result.
 
     Parameters
     ----------
@@ -95,5 +95,5 @@ def state_answer(
 
 
 def no_pose(counts: Counts) -> RegistrationResult:
-    """Where nothing was found to judge."""
+    """The result if a search found no pose."""
     return RegistrationResult(NO_POSE.status, NO_POSE.reason, None, n_keypoints=counts.n_keypoints)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One principle: a pose is accepted where it is probable enough and known well enough; else it says what is not."""
+"""One principle: a pose is accepted if it is probable enough and known accurately enough; otherwise, why not."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from magmatch.registration.result import Status
 from magmatch.registration.weigh.hypothesis import Hypothesis
 from magmatch.settings import Settings
 
-# Right is within so many times the largest standard deviation allowed: rivals nearer than that are one answer.
+# A pose is right within this multiple of the largest standard deviation allowed; closer rivals are one answer.
 RIGHT_WITHIN = 3.0
 
 
@@ -21,27 +21,27 @@ class DecisionConfig(Settings):
 
     # Least probability that the pose is right.
     min_probability: float = Field(default=0.99, gt=0, lt=1)
-    # Largest standard deviation in the worst direction: of the target's place, m (None: a share of the length over
-    # which the field changes), and of its turn, rad.
+    # Largest standard deviation in the worst direction: of the target's position, m (None: a share of the field's
+    # correlation length), and of its rotation, rad.
     max_sd_translation: float | None = Field(default=None, gt=0)
     max_sd_translation_in_lengths: float = Field(default=0.3, gt=0)
     max_sd_rotation: float = Field(default=0.08, gt=0)
-    # Odds that both surveys saw one place, before their fields are compared.
+    # Prior odds that both surveys cover a common place, before their fields are compared.
     prior_odds: float = Field(default=1.0, gt=0)
 
     def max_sd(self, length: float) -> tuple[float, float]:
-        """Largest standard deviations (m, rad) where the field changes over a length (m)."""
+        """Largest standard deviations (m, rad), given the field's correlation length (m)."""
         return self.max_sd_translation or self.max_sd_translation_in_lengths * length, self.max_sd_rotation
 
     def tolerance(self, length: float) -> tuple[float, float]:
-        """How far an answer may be off and still be right (m, rad)."""
+        """Largest error of an answer that counts as right (m, rad)."""
         shift, turn = self.max_sd(length)
         return RIGHT_WITHIN * shift, RIGHT_WITHIN * turn
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Status, and in words what decided and what can be done."""
+    """Status, and in words why, and what can be done."""
 
     status: Status
     reason: str
@@ -54,7 +54,7 @@ NO_POSE = Verdict(
 
 
 def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, config: DecisionConfig) -> Verdict:
-    """Judge the most probable pose by where the probability lies.
+    """Decide on the most probable pose from the posterior.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
     estimate : Estimate
         Of the most probable pose.
     length : float, m
-        Over which the field changes.
+        Correlation length of the field.
     config : DecisionConfig
 
     Returns
@@ -102,7 +102,7 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
 
 
 def _accepted(posterior: Posterior[Hypothesis], estimate: Estimate, max_sd: tuple[float, float]) -> Verdict:
-    """Of a probable pose: accepted where every direction is known well enough."""
+    """Decide on a probable pose: accepted if every direction is known accurately enough."""
     free = estimate.free_directions(max_sd)
     if estimate.covariance is not None and not free:
         return Verdict(Status.ACCEPTED, f"probability {in_words(posterior.best)}, {_lead(posterior)}")
@@ -120,7 +120,7 @@ def _accepted(posterior: Posterior[Hypothesis], estimate: Estimate, max_sd: tupl
 
 
 def in_words(probability: float) -> str:
-    """A probability near one to its first digit that is not nine."""
+    """A probability, rounded to its first digit that is not nine."""
     if probability > 1 - 1e-6:
         return "above 0.999999"
     return f"{probability:.{int(np.clip(np.ceil(-np.log10(1 - probability)), 2, 6))}f}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A pose with its covariance in the surveys' own frames, and the directions in which it is not known well enough."""
+"""A pose with its covariance in the surveys' own frames, and its insufficiently determined directions."""
 
 from dataclasses import dataclass, replace
 
@@ -32,7 +32,7 @@ class Estimate:
 
     @classmethod
     def of(cls, pose: Hypothesis, T_base_model: RigidTransform, T_target_model: RigidTransform) -> "Estimate":
-        """A pose between model frames as one between survey frames."""
+        """Convert a pose between model frames to one between survey frames."""
         T = T_base_model * pose.T_base_target * T_target_model.inv()
         estimate = cls(T, T_target_model.apply(pose.center), None)
         if pose.covariance is None:
@@ -41,12 +41,12 @@ class Estimate:
         return replace(estimate, covariance=M @ pose.covariance @ M.T)
 
     def with_spread(self, covariance: Covariance6) -> "Estimate":
-        """The same pose with what else it may be off by; one that nothing fixes stays so."""
+        """The same pose with a further covariance added; without any covariance it is unchanged."""
         return self if self.covariance is None else replace(self, covariance=self.covariance + covariance)
 
     @property
     def covariance_about_origin(self) -> Covariance6 | None:
-        """Of xi about the origin of the target's survey frame, as results state it."""
+        """Covariance of xi about the origin of the target's survey frame, as stated in results."""
         if self.covariance is None:
             return None
         # Turning about the origin instead of the centre moves the centre: rho = rho_c - theta x c.
@@ -57,11 +57,11 @@ class Estimate:
 
     @property
     def worst_sd(self) -> tuple[float, float]:
-        """Standard deviation in the worst direction, of the place (m) and of the turn (rad); inf where not known."""
+        """Standard deviation in the worst direction, of position (m) and rotation (rad); inf if not known."""
         return (np.inf, np.inf) if self.covariance is None else worst_sd(self.covariance)
 
     def free_directions(self, max_sd: tuple[float, float]) -> tuple[DegenerateDirection, ...]:
-        """Directions in which the pose is worse known than allowed (m, rad), worst first, with words in base axes."""
+        """Directions with a standard deviation above a limit (m, rad), worst first, with words in base axes."""
         if self.covariance is None or all(sd <= limit for sd, limit in zip(self.worst_sd, max_sd, strict=True)):
             return ()
         scale = np.repeat([max_sd[1], max_sd[0]], 3)

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How probable each pose is, and how probable that the two surveys have nothing to do with each other.
+"""Posterior probabilities of the poses, and of the hypothesis that the two surveys are unrelated.
 
-Evidence takes its models at face value: as if residuals were no larger than expected, and as if errors of the models
-were independent. Residuals that exceed the expected ones are fewer independent samples than they seem, so evidence is
-divided by their dispersion, the square of the misfit (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974).
-Errors that all samples share let evidence say less the more there is of it, so log odds grow with its logarithm. Of
-this law,
+Evidence assumes that residuals are no larger than expected and that model errors are independent. Residuals larger
+than expected amount to fewer independent samples, so evidence is divided by their dispersion, the square of the
+misfit (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974). Errors common to all samples do not average out, so
+log odds grow only with the logarithm of large evidence. In this law,
 
     log odds = scale * asinh(effective evidence / saturation) - offset,
 
-the numbers are fitted to pairs of known truth; they lie in ``fitted.json`` with the script that fits them.
+the numbers are fitted to pairs with known ground truth; they are in ``fitted.json``, which names the script.
 """
 
 import json
@@ -35,9 +34,9 @@ class Fitted(BaseModel):
     ----------
     scale : float
     saturation : float, nats
-        Evidence from which on it counts by its logarithm.
+        Evidence above which it counts logarithmically.
     offset : dict of float
-        For each kind of evidence, how readily unrelated surveys gain it; 0 where nothing was fitted.
+        For each kind of evidence, a correction for what unrelated surveys reach; 0 if nothing was fitted.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -49,14 +48,14 @@ class Fitted(BaseModel):
 
 @cache
 def fitted() -> Fitted:
-    """The numbers as they are packaged."""
+    """The packaged numbers."""
     return Fitted.model_validate(json.loads(files(__package__).joinpath("fitted.json").read_text(encoding="utf-8")))
 
 
 def effective_evidence(log_evidence: float, misfit: float) -> float:
-    """Evidence of as many samples as the residuals' dispersion leaves independent, nats.
+    """Evidence divided by the residuals' dispersion, nats.
 
-    Evidence against a pose is kept whole: residuals that are too large are no excuse.
+    Evidence against a pose is not reduced.
     """
     return log_evidence / max(misfit, 1.0) ** 2 if log_evidence > 0 else log_evidence
 
@@ -71,7 +70,7 @@ def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | N
 
 
 def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> float:
-    """Effective evidence with which a pose without rivals has a probability, nats."""
+    """Effective evidence that a pose without rivals needs for a given probability, nats."""
     numbers = fitted()
     wanted = np.log(probability / (1 - probability)) - np.log(prior_odds) + numbers.offset[kind]
     return float(numbers.saturation * np.sinh(wanted / numbers.scale))
@@ -79,14 +78,14 @@ def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Posterior(Generic[H]):
-    """Probabilities of poses that exclude each other and of unrelated surveys; together they are one.
+    """Probabilities of mutually exclusive poses and of unrelated surveys; they sum to one.
 
     Attributes
     ----------
     poses : tuple
         Most probable first.
     probabilities : tuple of float
-        One a pose.
+        One per pose.
     elsewhere : float
         Of the best pose in another base.
     null : float
@@ -100,7 +99,7 @@ class Posterior(Generic[H]):
 
     @property
     def best(self) -> float:
-        """Probability of the most probable pose; 0 where there is none."""
+        """Probability of the most probable pose; 0 if there is none."""
         return self.probabilities[0] if self.probabilities else 0.0
 
     @property
@@ -110,7 +109,7 @@ class Posterior(Generic[H]):
 
     @property
     def lead(self) -> float | None:
-        """Log odds of the most probable pose over any other, nats; None where there is none."""
+        """Log odds of the most probable pose over any other, nats; None if there is no other."""
         rival = max([*self.probabilities[1:], self.elsewhere])
         return float(np.log(self.best / rival)) if rival > 0 and self.best > 0 else None
 
@@ -127,7 +126,7 @@ def posterior_over(
     tolerance : (float, float), m and rad
         Poses no farther apart than this, at the target's centre, are one answer; the more probable is kept.
     prior_odds : float
-        That both surveys saw one place, before the fields were compared.
+        That both surveys cover a common place, before the fields are compared.
     elsewhere : float, nats
         Log odds of the best pose in another base, on the scale of `log_odds`.
 
@@ -139,7 +138,7 @@ def posterior_over(
 
 
 def posterior_of(distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
-    """Do as `posterior_over` does, for poses of which no two are one answer."""
+    """`posterior_over` for poses of which no two are one answer."""
     kept = _ranked(distinct)
     odds = [log_odds(h.log_evidence, h.misfit, h.kind) for h in kept]
     terms = np.array([*odds, elsewhere, -np.log(prior_odds)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a result states beside its pose: residual, sensor, fitness and the points that agree."""
+"""What a result states besides its pose: residual, sensor, fitness and the points that agree."""
 
 from dataclasses import dataclass, field
 
@@ -22,7 +22,7 @@ EXPLAINED = 12.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Support:
-    """What speaks for a pose; fields as in `RegistrationResult`."""
+    """Figures that support a pose; fields as in `RegistrationResult`."""
 
     residual: float | None
     n_inliers: int
@@ -35,7 +35,7 @@ class Support:
 def support_of_map(
     base: PreparedMap, target: PreparedMap, best: PoseEvidence, T_base_target: RigidTransform
 ) -> Support:
-    """Of a pose (between surveys) that was weighed by cells."""
+    """Support of a pose (between surveys) that was weighed by cells."""
     return Support(
         residual=best.residual if np.isfinite(best.residual) else None,
         n_inliers=best.n_good,
@@ -51,7 +51,7 @@ def support_of_map(
 
 
 def support_of_walk(walk: Walk, best: LineEvidence, T_base_target: RigidTransform) -> Support:
-    """Of a pose (between surveys) that was weighed along a walk."""
+    """Support of a pose (between surveys) that was weighed along a walk."""
     p_target = transform_points(walk.positions[best.is_covered], walk.T_survey_walk)
     links = Links(transform_points(p_target, T_base_target), p_target)
     return Support(best.misfit, int(best.is_covered.sum()), links)
