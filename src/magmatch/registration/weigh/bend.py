@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far a walk bends: by what its halves' poses differ, which no rigid pose follows and no residual of it shows."""
+"""How far a walk bends: the difference between its halves' poses, which a rigid pose cannot follow."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ REMEDY = "register shorter pieces, or correct the walk with magmatch slam"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Bend:
-    """What the halves of a walk's covered part say of its pose, each by itself.
+    """The difference between the poses of the two halves of a walk's covered part.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Bend:
     center : (3,) array, m
         Point about which; both in the walk's axes.
     covariance : (6, 6) array
-        Of xi, by what either half states.
+        Of xi, the sum of both halves' covariances.
     reach : float
         Root mean square distance along the path, of all the walk from the middle of the covered part, in the distance
         between the halves' middles.
@@ -45,11 +45,11 @@ class Bend:
 
     @property
     def chi2(self) -> float:
-        """Of 6 degrees of freedom where the walk is rigid."""
+        """Chi-square statistic, with 6 degrees of freedom if the walk is rigid."""
         return float(self.xi @ np.linalg.solve(self.covariance, self.xi))
 
     def is_sure(self, probability: float) -> bool:
-        """Whether a rigid walk would show less with this probability."""
+        """Whether a rigid walk can be rejected with this probability."""
         return self.chi2 > float(chdtri(6, 1 - probability))
 
     def seen_from(self, T_survey_walk: RigidTransform) -> "Bend":
@@ -58,9 +58,9 @@ class Bend:
         return Bend(R @ self.xi, T_survey_walk.apply(self.center), R @ self.covariance @ R.T, self.reach)
 
     def spread(self, center: Vector3) -> Covariance6:
-        """How far a pose is off about a point, in the mean square over the walk, if all of it drifts at this rate.
+        """Mean square error of a pose about a point, over the walk, if all of it drifts at this rate.
 
-        Turn and shift need not go together as they do between the halves: drift is no screw.
+        Rotation and translation need not be correlated as they are between the halves.
         """
         turn, shift = np.split(
             self.reach * adjoint(RigidTransform.from_translation(self.center - center)) @ self.xi, 2
@@ -77,7 +77,7 @@ class Bend:
 def weigh_halves(
     walk: Walk, rows: Indices, weigh: Callable[[Walk], list[LineEvidence]]
 ) -> list[tuple[Indices, LineEvidence]]:
-    """Of each half of some bins its rows and best pose; fewer than two where one has no pose."""
+    """Rows and best pose of each half of some bins; fewer than two if a half has no pose."""
     return [(half, best) for half in np.array_split(rows, 2) for best in weigh(walk.part(half))[:1]]
 
 
@@ -90,7 +90,7 @@ def bend_of(
     prior: PosePrior,
     config: LineConfig,
 ) -> Bend | None:
-    """Let the halves of what the base covers settle from a pose of all; None where either has too few bins."""
+    """Refine the halves of the covered part from the pose of the whole; None if either has too few bins."""
     is_covered = base.raster.lookup(T_base_walk.apply(walk.positions))[3]
 
     def weigh(half: Walk) -> list[LineEvidence]:

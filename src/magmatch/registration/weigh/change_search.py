@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where residuals show that something moved: poses that explain the cells which still agree."""
+"""If residuals show that something moved: poses that explain the cells which still agree."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,10 +38,10 @@ def poses_beside_changes(
     config: ChangeConfig,
     seed: int,
 ) -> list[PoseEvidence]:
-    """Find poses beside changed fields, where the residuals of one that takes all for unchanged ask for it.
+    """Find poses together with a change of the field, if the residuals without a change are too large.
 
-    A dense refinement of all cells follows the sources that moved; the search's own poses, which a share of the
-    samples may contradict, are nearer to where the rest agrees.
+    Moved sources bias a dense refinement of all cells; the poses of the search, which tolerates outliers, are closer
+    to where the rest agrees.
     """
     if not config.is_enabled or not config.max_misfit < best.misfit < np.inf:
         return []
@@ -67,7 +67,7 @@ def _agreement(
     nulls: NullModels,
     shares: Sequence[float] = UNCHANGED_SHARES,
 ) -> tuple[Indices, float, float, int]:
-    """Cells that agree, their evidence, what choosing them costs, and how many there are to choose from."""
+    """Cells that agree, their evidence, the penalty for choosing them, and the number of cells to choose from."""
     field = pose.sensor.correct(target.sample_field)
     seen = compare_cells(base, target, pose.T_base_target, field, nulls.target)
     return (*agreeing_cells(seen, nulls.target, shares), len(seen.rows))
@@ -82,9 +82,9 @@ def _best_followed(
     config: ChangeConfig,
     seed: int,
 ) -> PoseEvidence | None:
-    """The most likely of what a pose leads to, by the cells that agree as they are and by larger shares.
+    """The most likely result of refining a pose on the cells that agree, and on larger shares of the cells.
 
-    Of what changed a little, the estimated change makes up: more cells can tell than agree without it.
+    The estimated change compensates small changes, so more cells can be used than agree without it.
     """
     best = _follow(base, target, start, nulls, prior, config, seed, UNCHANGED_SHARES)
     for share in WIDER_SHARES:
@@ -107,7 +107,7 @@ def _follow(
     seed: int,
     shares: Sequence[float],
 ) -> PoseEvidence | None:
-    """Refine a pose on the cells that agree, then on those that agree with what was found, until it stays."""
+    """Refine a pose on the cells that agree, then on those that agree with the result, until it converges."""
     for _ in range(config.n_rounds):
         rows, _, price, n_cells = _agreement(base, target, pose, nulls, shares)
         agrees, rng = nulls.target.cells.holds(rows), np.random.default_rng(seed)
@@ -121,7 +121,7 @@ def _follow(
         step, pose = step_between(pose, found.pose), found.pose
         if float(step @ np.linalg.solve(weighed.covariance, step)) > len(step):
             continue
-        # Where no cells agree better than others, the change answers whatever the pose is.
+        # If no cells agree better than others, the change explains the residuals of any pose.
         explains = weighed.misfit < config.max_misfit and found.noise < config.max_noise
         return weighed if len(rows) < n_cells and explains else None
     return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far the refined pose may be off: a sandwich over independent cells."""
+"""Covariance of the refined pose: a cluster-robust sandwich estimator over independent cells."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
         if n_cells < MIN_CELLS or np.linalg.cond(_balanced(curvature[:6, :6])) > 1e12:
             continue
         clusters = clusters - clusters.mean(axis=0)
-        # Six fitted parameters use up part of the clusters' spread.
+        # Correction for six fitted parameters.
         meat = clusters.T @ clusters * n_cells / max(n_cells - 3.0, 1.0)
         bread = np.linalg.inv(_regular(curvature))
         total += bread @ (meat + prior) @ bread
@@ -40,7 +40,7 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
 
 
 def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
-    """Least covariance that is nowhere below either of two, along the axes in which both are diagonal."""
+    """Smallest covariance not below either of two, along the axes in which both are diagonal."""
     floor = np.maximum(SMALLEST_SPREAD * np.diag(other), np.finfo(float).tiny)
     scale = np.sqrt(np.maximum(np.diag(covariance), floor))
     spread, along = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -54,7 +54,7 @@ def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
 
 
 def drift_covariance(pose: RefinedPose) -> Covariance6:
-    """Covariance of a pose that follows the drift which each survey states of its own positions."""
+    """Covariance of a pose due to the drift that each survey states for its own positions."""
     total = np.zeros_like(pose.known_before)
     for block in pose.blocks:
         # An error bends both, a sample's pull and what holds against it: weights answer weights.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a pose is judged by: cells of the target that agree or disagree with the base's field."""
+"""Evidence for a pose: cells of the target that agree or disagree with the base's field."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,26 +34,26 @@ class PoseEvidence:
     Attributes
     ----------
     covariance : (6, 6) array or None
-        About the pose's centre, target's model axes: as far as the fields' comparison alone leaves the pose free.
+        About the pose's centre, target's model axes, from the comparison of the fields alone.
     overlap : float
-        Share of the target's samples where the base knows the field.
+        Fraction of the target's samples where the base knows the field.
     n_informative, n_good : int
-        Cells in the overlap whose field stands out from the target's mean field, and of these the ones that agree
-        with the base.
+        Number of cells in the overlap whose field differs from the target's mean field, and of those that agree with
+        the base.
     log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the odds of this pose after
-        paying for the search over all poses.
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the log odds of this pose, with
+        the penalty for the search over all poses.
     attainable : float, nats
-        The same, had the base explained the cells to the last.
+        The same, if the base explained all cells perfectly.
     residual : float
         Robust normalised rms residual over the overlap.
     misfit : float
         Normalised rms of the cells' mean residuals, the larger of both surveys': about 1 when noise and the other
         map's spread explain them.
     unchanged : float
-        Share of the cells in the overlap that all but `overlap` are counted in; the others are taken as changed.
+        Share of the cells in the overlap that are used for all figures but `overlap`; the others have changed.
     is_beside_change : bool
-        Whether a change of the field was estimated with the pose; cells and residual are then what it leaves.
+        Whether a change of the field was estimated with the pose; cells and residual then refer to what it leaves.
     """
 
     pose: RefinedPose
@@ -70,7 +70,7 @@ class PoseEvidence:
 
     @property
     def kind(self) -> Kind:
-        """By cells."""
+        """Evidence by cells."""
         return "map"
 
     @property
@@ -90,10 +90,10 @@ class PoseEvidence:
 
 
 def overlap_weight(share: Scalars | float) -> Scalars:
-    """Log of the weight of poses by the share of the target that each puts inside the base.
+    """Log prior weight of poses, by the share of the target that each puts inside the base.
 
-    Of all poses most barely touch the base. Who surveys a place twice means to cover it twice: the weight is the
-    square of the share, as the number of pairs of samples in common.
+    Most of all possible poses barely touch the base, but surveys of the same place usually overlap. The weight is
+    the square of the share, proportional to the number of pairs of samples in common.
     """
     return np.asarray(2 * np.log(share))
 
@@ -144,19 +144,19 @@ def _cell_noise(noise_variance: float, cells: CellMeans) -> Scalars:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Change:
-    """What has changed between two surveys, under one pose.
+    """The change of the field between two surveys, under one pose.
 
     Attributes
     ----------
     field : (n, 3) array, T
-        What the target's samples have more than the base, target's model frame.
+        The target's field minus the base's at the target's samples, target's model frame.
     rows : (r,) int array
-        Cells that are counted; in the others too much has changed.
+        Cells that are used; in the others too much has changed.
     unchanged : float
         These as a share of the overlap's cells.
     log_ratio : float, nats
-        Log of 'the base explains these cells beside this change' over 'a field of their own', with the price of
-        choosing them paid.
+        Log-likelihood ratio of 'the base with this change' to 'an independent field' for these cells, minus the
+        penalty for choosing them.
     """
 
     field: Vectors
@@ -173,7 +173,7 @@ def weigh_pose(
     prior: PosePrior,
     change: Change | None = None,
 ) -> PoseEvidence:
-    """Count the cells for and against a pose.
+    """Weigh a pose by the cells for and against it.
 
     Both surveys' cells are asked. That the target's are explained by the base's map, and the base's by the target's,
     are two estimates of one number, ``log p(both | pose) / p(base) p(target)``: their mean is the better one.
@@ -197,7 +197,7 @@ def weigh_pose(
         field = field - change.field
     null_model = nulls.target
     seen = compare_cells(base, target, pose.T_base_target, field, null_model)
-    # What the fields say alone: correlated residuals would outweigh in the curvature what is known beforehand.
+    # From the fields alone: correlated residuals would outweigh the prior in the curvature.
     alone = replace(pose, prior_information=np.zeros((6, 6)))
     joint = joint_covariance(alone, 2 * nulls.side)
     covariance = None if joint is None else joint[:6, :6]
@@ -218,11 +218,11 @@ def weigh_pose(
             ratios.append(of_base.log_ratio(back.residual, back.map_variance, back.rows))
             misfits.append(back.misfit(of_base, back.rows))
     log_ratio, attainable = np.mean(ratios, axis=0)
-    # A sensor that must differ implausibly speaks against the pose.
+    # An implausible difference between the sensors is evidence against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
     r2, variance = (seen.residual[rows] ** 2).sum(axis=1), null_model.noise[rows] + seen.map_variance[rows]
     n2 = ((null_model.field[rows] - null_model.field.mean(axis=0)) ** 2).sum(axis=1)
-    # What noise and map state, or what the residuals show: both together would count one error twice.
+    # The variance stated by noise and map, or that of the residuals: their sum would count one error twice.
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
     is_informative = n2 > 9 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
@@ -316,16 +316,16 @@ def compare_back(
 def agreeing_cells(
     seen: CellComparison, null_model: NullModel, shares: Sequence[float] = UNCHANGED_SHARES
 ) -> tuple[Indices, float, float]:
-    """Cells that the base explains, where something has changed in the others.
+    """Cells that the base explains, if something has changed in the others.
 
     Returns
     -------
     rows : (r,) int array
-        The share of the cells, those of smallest residuals, that speaks most clearly for the pose.
+        The share of cells, those with the smallest residuals, that gives most evidence for the pose.
     log_ratio : float, nats
-        Of these cells, less the price.
+        Of these cells, minus the penalty.
     price : float, nats
-        What it costs to say which cells they are.
+        The penalty for choosing these cells.
     """
     chi2 = (seen.residual**2).sum(axis=1) / (null_model.noise + seen.map_variance)
     ordered, n = seen.rows[np.argsort(chi2[seen.rows], kind="stable")], len(seen.rows)
@@ -340,7 +340,7 @@ def agreeing_cells(
 
 
 def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:
-    """Log of the share of all poses (as the prior allows them) and sensors that the estimate's spread fills."""
+    """Log of the fraction of all poses (under the prior) and sensors that the estimate's covariance occupies."""
     if joint is None:
         return -np.inf
     scale = np.concatenate([np.ones(6), sensor_sd])

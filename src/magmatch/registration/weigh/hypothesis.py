@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of one pose when it comes to a decision, whatever it was weighed by."""
+"""A weighed pose as the decision needs it, whatever it was weighed by."""
 
 from typing import Literal, Protocol
 
@@ -15,7 +15,7 @@ class Hypothesis(Protocol):
 
     @property
     def kind(self) -> Kind:
-        """What gave the evidence: cells of a map, bins along a walk, or bins of a log that is followed."""
+        """The kind of evidence: from cells of a map, bins along a walk, or bins of a live log."""
 
     @property
     def T_base_target(self) -> RigidTransform:
@@ -27,15 +27,15 @@ class Hypothesis(Protocol):
 
     @property
     def covariance(self) -> Covariance6 | None:
-        """As far as the comparison leaves the pose free; None where it fixes none."""
+        """Covariance from the comparison of the fields; None if they do not determine the pose."""
 
     @property
     def log_evidence(self) -> float:
-        """For this pose over the null model, the search over all poses paid, nats."""
+        """Evidence for this pose against the null model, with the penalty for the search over all poses, nats."""
 
     @property
     def attainable(self) -> float:
-        """The same, had the base explained the target to the noise, nats."""
+        """The same, if the base explained the target up to noise, nats."""
 
     @property
     def misfit(self) -> float:

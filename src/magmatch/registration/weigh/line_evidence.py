@@ -28,7 +28,8 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 
 # Longest step: rad, and in correlation lengths.
 MAX_TURN, MAX_SHIFT = 0.15, 0.3
-# Spread of a pose that the data leave free, rad and in correlation lengths: what the search hands over is nearer.
+# Prior standard deviation of a pose in undetermined directions, rad and in correlation lengths: wider than the errors
+# of the search.
 FREE_TURN, FREE_SHIFT = 0.5, 1.5
 
 
@@ -43,8 +44,8 @@ class LineConfig(Settings):
     # Fewest bins, and their share, that a pose must put inside the base map.
     min_bins: int = Field(default=8, ge=7)
     min_coverage: float = Field(default=0.3, gt=0, le=1)
-    # By how much the prior of a pose falls for each correlation length of path that it puts outside the base map,
-    # nats: the map's border has many ways out, and wrong poses like to hang there by the few bins that fit.
+    # Penalty of a pose for each correlation length of path that it puts outside the base map, nats: there are many
+    # ways out of a map, and wrong poses tend to lie at its border, where a few bins fit.
     price_outside: float = Field(default=3.0, ge=0)
     # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
     # (something moved): their standard deviation grows, at a price each, nats, and up to a share of the path.
@@ -73,10 +74,10 @@ class LineEvidence:
     overlap : float
         Share of the bins inside the base map.
     log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, less the price of the path
+        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, minus the penalty for the path
         outside the map.
     attainable : float, nats
-        The same, had the residuals been no larger than expected.
+        The same, if the residuals were no larger than expected.
     misfit : float
         Normalised rms residual (1 when the covariance explains everything).
     is_covered : (n,) bool array
@@ -94,7 +95,7 @@ class LineEvidence:
 
     @property
     def kind(self) -> Kind:
-        """Along a walk."""
+        """Evidence along a walk."""
         return "walk"
 
 
@@ -163,7 +164,7 @@ def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float, 
 
 
 def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
-    """Poses that put enough of the walk inside the base map."""
+    """Select poses that put enough of the walk inside the base map."""
     n_known = fits.known.sum(axis=1)
     enough = max(config.min_bins, config.min_coverage * fits.known.shape[1])
     return fits.rows(np.flatnonzero(n_known >= enough))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far a pose may be off because of what two maps do not know between their samples.
+"""Covariance of a pose due to the uncertainty of two maps between their samples.
 
-Such an error is alike all along a path beside another, so that a pose follows it and leaves no residual that would
-show it (`covariance.py` lives on residuals). Draws from the maps' posteriors show it: each moves the pose by one
-linear step.
+Along a path beside another, such an error is nearly constant, so the pose follows it and no residual shows it
+(`covariance.py` uses residuals only). Draws from the maps' posteriors show it: each shifts the pose by one linear
+step.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def map_covariance(
     # The base's field enters the residual with a minus, the target's with a plus.
     of_base = [-rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T))]
     of_target = _errors(target, backward.positions)
-    # The maps' errors have nothing to do with one another: their squares are added, rather than one draw of each.
+    # The maps' errors are independent, so their squares are added, rather than one draw of each.
     total: Covariance6 = np.zeros((6, 6))
     for lookup, noise_sd, errors in ((forward, target.noise_sd, of_base), (backward, base.noise_sd, of_target)):
         moves = np.linalg.solve(information, _scores(lookup, noise_sd, pose, errors).T)[:6]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a target's field would look like if the base had nothing to do with it: a smooth random field of its own.
+"""The null model: the target's field is a smooth random field, unrelated to the base.
 
-Cell means of the target's samples are explained by a rational-quadratic field around a free constant, its
-lengthscale and strength the most likely ones for this very survey. That gives the null hypothesis its best chance,
-and counts a smooth field, whose cells are not independent, for what it is worth.
+Cell means of the target's samples are modelled by a rational quadratic field around a free constant, with
+maximum-likelihood lengthscale and strength for this survey. This gives the null model its best chance, and accounts
+for the dependence between cells of a smooth field.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from scipy.special import logsumexp
 from magmatch.registration.prepared.cubes import cube_keys
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
-# More cells than this add cost, not certainty.
+# Maximum number of cells: more would add cost but no information.
 MAX_CELLS = 150
 # Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
 LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
 STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
 # Rough part of a field that follows no smooth one (jitter of poses), in the cells' standard deviation.
 ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
-# How calm or wild the cells of an overlap may be against all of the survey, as a share of the field's variance.
+# Range of the field's variance in an overlap relative to that of the whole survey.
 LOCAL_STRENGTHS = np.geomspace(1e-3, 10.0, 17)
 # Share of modes that may disagree although the pose is right (moved objects).
 OUTLIER_SHARE = 0.1
@@ -93,19 +93,19 @@ class NullModel:
     def log_ratio(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
         """Log of 'the base explains these cells' over 'unrelated field'.
 
-        The cells' field and residual are taken apart into the independent modes of the unrelated field, smooth ones
-        first. A mode counts by how far its residual stays below what the unrelated field would have there, and
-        never less than an outlier does; modes too faint to rise above the residuals count nothing. How much of the
-        field the base may leave unexplained is not known: all levels are averaged over, so that none is chosen to
-        suit the data, and under the null model the ratio is 1 at most on average.
+        The cells' field and residual are decomposed into the independent modes of the unrelated field, smooth ones
+        first. A mode counts by how far its residual is below the variance that the unrelated field has there, but at
+        least as much as an outlier; modes weaker than the residuals do not count. The variance that the base leaves
+        unexplained is unknown: the ratio is averaged over its values, so that none is chosen to suit the data, and
+        its mean under the null model is at most 1.
 
         Returns
         -------
         log_ratio : float, nats
         attainable : float, nats
-            The same, were there no residuals.
+            The same without residuals.
         """
-        # Cells in units of their own uncertainty: where the base map is unsure, little is asked of it.
+        # Cells in units of their own uncertainty, so that cells where the base map is uncertain count little.
         W = 1 / np.sqrt(self.noise[rows] + extra)
         covariance = self.covariance[np.ix_(rows, rows)] + self.roughness * np.eye(len(rows))
         power, modes = np.linalg.eigh(W[:, None] * covariance * W)
@@ -120,21 +120,21 @@ class NullModel:
             v = np.minimum(k, 1.0 + share * variance)
             L = np.minimum(b2, 9 * k) / (2 * k) - np.stack([r2, np.zeros_like(r2)]) / (2 * v) + 1.5 * np.log(k / v)
             L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
-            # A mode that the residuals' level drowns is no evidence for or against.
+            # A mode weaker than the residual variance is no evidence for or against.
             found.append(L[:, v < 0.8 * k].sum(axis=1))
         log_ratio, attainable = logsumexp(found, axis=0) - np.log(len(found))
         return float(log_ratio), float(attainable)
 
 
 def _strength_here(power: Scalars, b2: Scalars) -> float:
-    """Share of the field's variance that the modes of the cells at hand show most likely."""
+    """Maximum-likelihood strength of the field in the given cells, as a share of the whole survey's variance."""
     k = np.maximum(power, 0.0) * LOCAL_STRENGTHS[:, None] + 1.0
     log_likelihood = -(b2 / (2 * k) + 1.5 * np.log(k)).sum(axis=1)
     return float(LOCAL_STRENGTHS[int(np.argmax(log_likelihood))])
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
-    """Cut samples into cubic cells; where there are too many, an even choice of them."""
+    """Divide samples into cubic cells; if there are too many, an even choice of them."""
     _, cell, counts = np.unique(cube_keys(positions, side), return_inverse=True, return_counts=True)
     chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_CELLS)).astype(np.int64))
     renamed = np.full(len(counts), -1)

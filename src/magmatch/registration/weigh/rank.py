@@ -15,14 +15,14 @@ from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
 from magmatch.registration.weigh.change_search import poses_beside_changes
 from magmatch.registration.weigh.evidence import PoseEvidence, null_models_of, weigh_pose
 
-# Poses that differ by less, in standard deviations, came to rest in one optimum.
+# Poses that differ by less, in standard deviations, converged to the same optimum.
 SAME_OPTIMUM_SDS = 0.5
 
 Weigh = Callable[[RigidTransform | RefinedPose, RefinementConfig, int], PoseEvidence]
 
 
 class RankingConfig(Protocol):
-    """What of a registration's settings is asked here."""
+    """The settings of a registration that ranking uses."""
 
     @property
     def refinement(self) -> RefinementConfig:
@@ -60,7 +60,7 @@ def rank_poses(
 
 
 def _rank_candidates(starts: list[RigidTransform], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
-    """Refine the first candidates, and more where none of them is clear."""
+    """Refine the first candidates, and more if none of them is clear."""
     ranking, level = settings.for_ranking(), levels_to_try(settings.sensor)[0]
     n, n_more = settings.n_candidates, settings.n_more_candidates
     ranked = [weigh(start, ranking, level) for start in starts[:n]]
@@ -70,7 +70,7 @@ def _rank_candidates(starts: list[RigidTransform], weigh: Weigh, settings: Refin
 
 
 def _let_sensors_differ(best: PoseEvidence, weigh: Weigh, settings: RefinementConfig) -> PoseEvidence:
-    """The best pose with sensors that differ more, where that gains enough."""
+    """The best pose with wider priors on the sensors' difference, if that gains enough evidence."""
     _, *wider = levels_to_try(settings.sensor)
     alike = settings.sensor.bias_levels[0]
     for level in wider:
@@ -83,8 +83,8 @@ def _let_sensors_differ(best: PoseEvidence, weigh: Weigh, settings: RefinementCo
 
 
 def _finish(ranked: list[PoseEvidence], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
-    """Refine to the end what is the answer, or near enough to be one."""
-    # Starts that came to rest where the best did are no rivals of it.
+    """Refine to convergence the best pose, and those with nearly as much evidence."""
+    # Starts that converged to the best pose are not rivals of it.
     ranked = [e for k, e in enumerate(ranked) if not (k and _rest_together(ranked[0], e))]
     level = levels_to_try(settings.sensor)[0]
     n_finished = sum(e is ranked[0] or e.log_evidence > ranked[0].log_evidence / 2 for e in ranked)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a pose of a walk has to beat: that its field has nothing to do with the base's."""
+"""The null model of a walk: its field is unrelated to the base's."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -20,20 +20,20 @@ MOST_BINS = 60
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UnrelatedWalk:
-    """The walk's field as a smooth random field of its own: what a pose has to beat.
+    """The walk's field as an independent smooth random field: the null model of a pose.
 
-    The walk's own errors, and how they differ from walk to walk, are those that a pose may plead too: else a rough
-    walk would match whatever is calm.
+    It includes the walk's own errors, and their variation between walks, as a pose does; otherwise a rough walk would
+    match any calm region.
 
     Attributes
     ----------
     field : (n, 3) array, T
-        Less the mean that it has wherever it may be.
+        Minus the mean that it has at any place.
     covariance : (n, n) array, T^2
         Of each component.
     noise : PathNoise
     favour : float, nats
-        What it gains by its numbers being chosen by the walk that it is to explain.
+        Gain in likelihood because its parameters are chosen on the walk itself.
     """
 
     field: Vectors
@@ -66,7 +66,7 @@ class UnrelatedWalk:
             _log_likelihood(few, _covariance(d2, *numbers, constant) + errors_of_few, noise) for numbers in tried
         ])  # fmt: skip
         chosen = tried[int(found.argmax())]
-        # Nobody knows its numbers: evidence is the average over them, those of calm places too.
+        # Its parameters are unknown: the evidence is averaged over them, including those of calm places.
         favour = float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
         return cls(field, _covariance(distance**2, *chosen, constant) + errors, noise, favour)
 
