@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The box that a map is declared for, as a prior sees it."""
+"""The box that a map is declared for."""
 
 from dataclasses import dataclass
 from typing import Self

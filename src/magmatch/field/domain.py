@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A map that is declared for a box: inside it is what its model says, outside it falls back to the prior."""
+"""A map declared for a box: inside the box it is its model, outside it is the prior."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From samples and fixed numbers to the posterior: what building and loading a map share, bit for bit."""
+"""From samples and fixed hyperparameters to the posterior: shared by building and loading a map, bit for bit."""
 
 from collections.abc import Mapping
 
@@ -27,7 +27,7 @@ def fit_posterior(
     """Posterior of the field given samples in the model's frame; the same arguments give the same bits.
 
     ``T_domain_model`` takes model coordinates to those in which ``config.domain`` is given. Tiles of an earlier fit
-    are used where their inputs are the very same; ``run`` fits the others.
+    are reused if their inputs are identical; ``run`` fits the others.
     """
     box = Box.declared(config.domain, T_domain_model)
     return within(box, fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), stored or {}, run))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What to leave out of a survey to see how well the rest predicts it.
+"""Folds for cross-validation of a survey.
 
-Parts are stretches of a path, or cubes where samples come in no order; two of five groups of parts are left out, one
-group at a time. Without an order, a slice off one end is left out too: beyond a survey a model extrapolates, and is
-over-confident first.
+Parts are stretches of a path, or cubes if samples are not ordered; two of five groups of parts are held out, one
+group at a time. Without an order, a slice off one end is held out too: beyond a survey a model extrapolates, where it
+first becomes overconfident.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _CUBE, _SLICE, _SLICE_SHARE = 0.5, 0.5, 0.15
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Folds:
-    """A survey's samples in parts, and which of them are left out at a time.
+    """A survey's samples in parts, and the sets that are held out.
 
     Attributes
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The few numbers a prior needs, and how they are stated."""
+"""Hyperparameters of a prior."""
 
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from typing import Any, Self
@@ -24,15 +24,15 @@ class Hyperparameters:
     signal_sd : float, T
         Prior standard deviation of one field component (the constant field aside).
     noise_sd : float, T
-        Standard deviation of one measured component: sensor noise and what the model cannot follow.
+        Standard deviation of one measured component: sensor noise and what the model cannot represent.
     spacing : float, m
         Distance of the basis nodes (inducing points, spline knots).
     divergence_weight : float
         Weight of the penalty on ``div B``, relative to the prior's other terms; 0 where the prior has none.
     prior_scale : float
-        Prior standard deviation of the basis relative to ``signal_sd``, where held-out data chose it.
+        Prior standard deviation of the basis relative to ``signal_sd``, if held-out data chose it.
     inflation : float
-        Factor on posterior standard deviations that held-out data ask for.
+        Factor on posterior standard deviations, calibrated on held-out data.
     reach : float
         How far the basis reaches beyond cells that hold samples, in spacings; beyond, the map knows nothing. Less
         leaves gaps without a prediction; more costs time and pulls the rim towards zero.

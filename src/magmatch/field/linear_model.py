@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The seam that every prior fills: a linear basis with a Gaussian prior, ``B(x) = Phi(x) w``, ``w ~ N(0, P0^-1)``.
+"""The interface of all priors: a linear basis with a Gaussian prior, ``B(x) = Phi(x) w``, ``w ~ N(0, P0^-1)``.
 
 Data enter additively in information form, ``P = P0 + sum Phi^T W Phi / s^2``, ``eta = sum Phi^T W b / s^2``, so
-batch, recursive and merged inference agree whatever the order. Everything here lives in the model's own frame
-(the survey's principal axes); `FieldMap` does the turning.
+batch, recursive and merged inference agree whatever the order. Everything here is in the model's own frame
+(the survey's principal axes); `FieldMap` does the rotations.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -26,14 +26,14 @@ Runner = Callable[[Callable[[Any], Scalars], Iterable[Any]], Iterable[Scalars]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredTile:
-    """Fitted weights of a tile, and the fingerprint of all that they follow from."""
+    """Fitted weights of a tile, and the fingerprint of everything that determines them."""
 
     weights: Scalars
     fingerprint: str
 
 
 class Information(Protocol):
-    """What data say about the weights; adds and subtracts like log-likelihoods."""
+    """Information of data on the weights; adds and subtracts like log-likelihoods."""
 
     def __add__(self, other: Self, /) -> Self:
         """Information of both data sets."""
@@ -64,7 +64,7 @@ class LinearModel(Protocol[Data]):
         ...
 
     def fit(self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Runner, /) -> "Posterior":
-        """Posterior of samples; stored tiles whose fingerprint matches are recalled, ``run`` fits the others."""
+        """Posterior of samples; stored tiles with a matching fingerprint are reused, ``run`` fits the others."""
         ...
 
 
@@ -83,7 +83,7 @@ class Posterior(Protocol):
 
     @property
     def weights_by_tile(self) -> Mapping[Index, Scalars]:
-        """Weights that a saved map recalls, tile by tile; empty where loading fits the samples again."""
+        """Weights that a saved map stores, tile by tile; empty if loading fits the samples again."""
         ...
 
     def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
@@ -109,14 +109,14 @@ class Posterior(Protocol):
         ...
 
     def influence(self, points: Points) -> np.ndarray:
-        """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
+        """Derivative of the fitted field at samples by the measurements: (3 n, 3 n), row ``3 i + a``.
 
-        The derivative of the one by the other, in units of the noise the posterior covariance of what was fitted.
+        In units of the noise, this is the posterior covariance of the fitted field.
         """
         ...
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
-        """Posterior samples for `evaluate`, n_draws of them; what one looks like is the model's own affair."""
+        """Posterior samples for `evaluate`, n_draws of them, in the model's own representation."""
         ...
 
     def knows(self, points: Points) -> Mask:
@@ -144,7 +144,7 @@ class Prior(Protocol):
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the chosen noise and spread hold for left-out samples; else `inducing.calibration` widens them."""
+        """Whether the chosen noise and spread hold for held-out samples; else `inducing.calibration` widens them."""
         ...
 
     def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
@@ -152,7 +152,7 @@ class Prior(Protocol):
         ...
 
     def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> LinearModel[Any]:
-        """Lay the basis over the region of the points."""
+        """Place the basis over the region of the points."""
         ...
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A part of a large survey that stands for the whole, and how densely samples lie."""
+"""A representative part of a large survey, and the density of samples."""
 
 import numpy as np
 from scipy.spatial import cKDTree

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a field model says at points: the vectors and their derivatives."""
+"""Values of a field model at points: the vectors and their derivatives."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -56,7 +56,7 @@ class FieldValues:
 
 
 class FieldFunction(Protocol):
-    """A field that can be asked for at points."""
+    """A field that can be evaluated at points."""
 
     def evaluate(self, points: Points, order: int = 0) -> FieldValues:
         """Field and, for order 1, its gradient."""

@@ -14,7 +14,7 @@ SMALLEST_STRUCTURE = 0.1
 
 
 def typical_length(points: Points, field: Vectors) -> float:
-    """Distance at which field vectors have lost most of their likeness: where the variogram reaches 60 %."""
+    """Distance at which field vectors have lost most of their correlation: where the variogram reaches 60 %."""
     n = len(points)
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     if extent == 0 or n < 3:

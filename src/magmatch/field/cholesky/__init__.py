@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sparse Cholesky factorisation on grids; knows no magnetism."""
+"""Sparse Cholesky factorisation on grids; independent of magnetism."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Memory of large matrices that is used again: to touch fresh pages can take as long as the work that fills them."""
+"""Reuse of large matrices' memory: touching fresh pages can take as long as the work that fills them."""
 
 from threading import RLock
 

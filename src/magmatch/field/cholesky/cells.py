@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which cells and spline nodes exist: those within reach of a sample, so that cost follows the data."""
+"""The active cells and spline nodes: those within reach of a sample, so that cost depends on the data."""
 
 from dataclasses import dataclass
 

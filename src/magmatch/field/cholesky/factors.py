@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The factor of one posterior precision: double for covariances, single where a thousandth does not matter."""
+"""The factors of a posterior precision: double for covariances, single if an error of a thousandth is acceptable."""
 
 from collections.abc import Callable
 

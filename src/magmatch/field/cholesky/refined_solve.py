@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Solutions by a factor in single precision, corrected with the matrix itself until they stand in double."""
+"""Solutions from a single-precision factor, by iterative refinement to double precision."""
 
 import numpy as np
 

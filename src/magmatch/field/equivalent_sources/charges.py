@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Compiled fields of point charges: ``B = r / |r|^3`` of a unit charge, with derivatives.
 
-A charge is no thing that exists in magnetism; layers of them outside a region make any field that has no source
-inside it. Each is exactly curl-free and divergence-free away from itself. Only distinct derivatives are formed, in
-the order of `spline_basis.derivative_table`.
+Magnetic charges do not exist, but a layer of them outside a region represents any field without sources inside it.
+The field of each is exactly curl-free and divergence-free away from the charge. Only distinct derivatives are formed,
+in the order of `spline_basis.derivative_table`.
 """
 
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Holes among samples: nobody measures inside a cabinet; charges in the hole it leaves stand for what it holds."""
+"""Holes among samples, such as those of cabinets: charges in a hole represent sources in it."""
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Equivalent sources among or next to the samples: in the holes they leave and where magnets stand, if evidence asks.
+"""Equivalent sources among or next to the samples, in holes and at magnets, if the evidence supports them.
 
-Small groups of charges are taken one after the other, each for what it adds to the evidence, so that holes of chance
-stay empty and no magnet is made up.
+Small groups of charges are added greedily by their gain in evidence, so that chance holes stay empty and no spurious
+magnet is added.
 """
 
 import logging

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Compact magnets near the samples: where dipoles explain most of a field that is otherwise smooth.
 
-A magnet some centimetres away has a field that no basis of bounded size follows, yet six numbers describe it. They
-are found one after the other, each where it explains most of what is left, and all positions are refined together.
+No basis of bounded size can represent the field of a magnet a few centimetres away, yet six numbers describe it.
+Magnets are found one by one, each where it explains most of the residual, and all positions are refined together.
 """
 
 import numpy as np

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Distance of equivalent sources from the samples, signal and noise: by evidence, or on a path by held-out stretches.
 
-Along a path neighbouring samples share their errors, which evidence takes for field: there what is left out decides.
+Along a path neighbouring samples share their errors, which the evidence mistakes for field: there, held-out stretches
+decide.
 """
 
 import logging

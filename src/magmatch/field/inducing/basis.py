@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The seam between a dense model and what its weights stand for: Gaussians on a grid, or charges around a region."""
+"""The interface between a dense model and its basis: Gaussians on a grid, or charges around a region."""
 
 from typing import Protocol
 

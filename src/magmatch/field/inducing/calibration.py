@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much wider a model's spread must be for it to be honest, by samples that were left out of it."""
+"""Calibration of a model's noise and spread on held-out samples."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,9 +33,9 @@ FitWithout = Callable[[Mask], Posterior]
 def calibrated(
     prior: Prior, points: Points, field: Vectors, h: Hyperparameters, model: LinearModel[Any] | None = None
 ) -> Hyperparameters:
-    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+    """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
 
-    ``model``: what the prior builds of the same arguments, where it is at hand.
+    ``model``: the prior's model for the same arguments, if available.
     """
     if prior.is_calibrated or float(field.std(axis=0).max()) < SMALLEST_SD:
         return h
@@ -57,10 +57,10 @@ def calibrated(
 
 
 def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> float:
-    """Factor on a posterior's standard deviation that makes room for what the model cannot follow.
+    """Factor on a posterior's standard deviation that accounts for what the model cannot represent.
 
-    Noise is each sample's own: what the residuals of nearest neighbours share is misfit, such as that of a source
-    which the prior rules out. It was taken for noise, which many samples average away; their misfit they do not.
+    Noise is independent between samples: a correlation between residuals of nearest neighbours is misfit, such as
+    that of a source which the prior rules out. Unlike noise, misfit does not average out over many samples.
     """
     rows = np.arange(len(points))
     residual = field - posterior.evaluate(points).field
@@ -76,10 +76,10 @@ def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> fl
 
 
 def widened(h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit: FitWithout) -> Hyperparameters:
-    """The same numbers with the noise and the spread that held-out samples ask for, never smaller.
+    """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
 
-    The mean stays what it is: noise and prior grow alike. Of a few spreads the sharpest, in mean log width, that
-    covers 95 % of all held-out components together is taken.
+    The mean does not change: noise and prior grow by the same factor. Of a few spreads, the sharpest in mean log
+    width that covers 95 % of all held-out components is chosen.
     """
     sizes, variances = [], []
     for fold in folds.left_out:

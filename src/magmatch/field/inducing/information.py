@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What samples say about the weights of a dense model: sums over samples, so they add and subtract."""
+"""Information of samples on the weights of a dense model: sums over samples, which add and subtract."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What has been measured in one block of cells: a few samples per cell as they are, the rest as sums.
+"""Measurements in one block of cells: a few samples per cell as they are, the rest as sums.
 
-The sums are the information that a cell's samples hold about its 64 splines and the constant field. They are exact,
-and a cell that was visited for hours takes no more memory than one visited for a minute.
+The sums are the information of a cell's samples on its 64 splines and the constant field. They are exact, and a cell
+that was visited for hours takes no more memory than one visited for a minute.
 """
 
 import numpy as np

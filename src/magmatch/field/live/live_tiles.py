@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tiles of a field that is still being measured: blocks of cells take in samples, tiles are fitted on demand.
+"""Tiles of a live field estimate: blocks of cells collect samples, tiles are fitted on demand.
 
-Blocks are the cores of the tiles and do not overlap, so memory follows the area visited and not the tiles' overlap.
+Blocks are the cores of the tiles and do not overlap, so memory depends on the area visited only.
 A tile is fitted to its own block and those around it when a prediction touches it and they have changed.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a live estimate says at points."""
+"""Prediction of a live estimate at points."""
 
 from dataclasses import dataclass
 

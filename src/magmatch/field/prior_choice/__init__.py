@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which prior a map takes, with which numbers."""
+"""The choice of a map's prior and hyperparameters."""

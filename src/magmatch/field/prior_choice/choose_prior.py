@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Take the prior that predicts left-out parts of a survey best: what ``prior="auto"`` does.
+"""Choose the prior that predicts held-out parts of a survey best: ``prior="auto"``.
 
-The spline is preferred unless another is better by a clear margin: held-out errors are noisy, it follows what others
-do not (magnets among the samples, walks of any length), and it costs least.
+The spline is preferred unless another is clearly better: held-out errors are noisy, and the spline represents what
+others do not (magnets among the samples, walks of any length) and costs least.
 """
 
 import logging
@@ -36,12 +36,12 @@ _N_QUALIFYING, _N_AROUND, _N_PLACES = 800, 4800, 8
 def choose_prior(
     samples: Survey, config: FieldConfig, T_domain_model: RigidTransform
 ) -> tuple[FieldConfig, Hyperparameters]:
-    """Take the prior that predicts left-out parts best, and its numbers; ``comparison`` keeps each one's error."""
+    """Choose the prior that predicts held-out parts best, and its numbers; ``comparison`` stores each one's error."""
     box = Box.declared(config.domain, T_domain_model)
     length = typical_length(samples.positions, samples.field)
     folds = divide(samples.positions, length)
     names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds))]
-    # Chosen once, from all samples: a part would not show what a prior cannot afford to follow on the whole.
+    # Chosen once, from all samples: a part would not show what a prior cannot afford to represent on the whole.
     known = choose_all_numbers(names, samples, config, box)
     taken, compared = Candidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
     if len(known) > 1 and folds.is_path and len(samples) > 2 * _N_QUALIFYING:

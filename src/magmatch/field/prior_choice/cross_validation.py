@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Errors of priors on left-out parts of the same survey."""
+"""Errors of priors on held-out parts of the same survey."""
 
 import logging
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ N_COMPARED, _FEWEST_IN_PART = 2500, 3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
-    """A prior with its numbers, not yet calibrated, and the logarithm of its rms error (T) on each left-out part.
+    """A prior with its numbers, not yet calibrated, and the logarithm of its rms error (T) on each held-out part.
 
     ``fitted``: its model over the samples that are compared, and the information in all of them.
     """
@@ -38,7 +38,7 @@ class Candidate:
 
     @property
     def error(self) -> float:
-        """Typical (geometric mean) error of a left-out part, T."""
+        """Typical (geometric mean) error on a held-out part, T."""
         return float(np.exp(self.log_errors.mean()))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numbers of a prior: from the configuration where given, from the data otherwise."""
+"""Hyperparameters of a prior: from the configuration if given, from the data otherwise."""
 
 import logging
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ FAILURES = (MagmatchError, ValueError, np.linalg.LinAlgError)
 
 
 def choose_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
-    """Numbers whose noise and spread hold for left-out samples."""
+    """Numbers whose noise and spread hold for held-out samples."""
     h = likely_numbers(prior, samples, FieldConfig())
     return replace(calibrated(prior, samples.positions, samples.field, h), **given_numbers(config))
 
@@ -45,12 +45,12 @@ def choose_all_numbers(
 
 
 def likely_numbers(prior: Prior, samples: Survey, config: FieldConfig) -> Hyperparameters:
-    """Numbers that fit the data: all that the mean needs."""
+    """Numbers that fit the data, which suffices for the mean."""
     tell(f"choosing hyperparameters of prior {prior.name}")
     return replace(prior.choose_hyperparameters(samples.positions, samples.field), **given_numbers(config))
 
 
 def given_numbers(config: FieldConfig) -> dict[str, float]:
-    """Numbers that are not left to the data."""
+    """Numbers given in the configuration."""
     names = ("lengthscale", "signal_sd", "noise_sd", "spacing")
     return {name: getattr(config, name) for name in names if getattr(config, name) is not None}

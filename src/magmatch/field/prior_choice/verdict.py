@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which of several priors to take, by their errors on the same left-out parts; the preferred one stands first."""
+"""The choice among several priors by their errors on the same held-out parts; the preferred one comes first."""
 
 import numpy as np
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hyperparameters and outliers: what is chosen from data before the fit."""
+"""Hyperparameters and outliers, determined from data before the fit."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which spacing of the splines a survey can afford."""
+"""The smallest spacing of the splines at which fitting a survey is affordable."""
 
 import logging
 

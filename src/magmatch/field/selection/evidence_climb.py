@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Uphill in the evidence, one number after the other, in as few factorisations as will do."""
+"""Coordinate ascent on the evidence, in as few factorisations as possible."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +25,9 @@ Step = Callable[[Hyperparameters], Hyperparameters | None]
 
 @dataclass(frozen=True, slots=True)
 class NoiseOptimum:
-    """Numbers that were tried, and those with the noise at which their evidence is greatest.
+    """Numbers that were tried, and the same with the noise that maximises their evidence.
 
-    Nothing was computed there: the gain (nats) and the noise level of the greatest likelihood (T) are extrapolated.
+    The evidence was not computed there: the gain (nats) and the maximum-likelihood noise level (T) are extrapolated.
     """
 
     tried: Hyperparameters
@@ -69,13 +69,13 @@ def _followed(search: EvidenceSearch, first: NoiseOptimum) -> NoiseOptimum:
         if further is None:
             break
         tops.append(further)
-    # What lies far from what was tried is but a promise.
+    # Far from the numbers tried, the parabola is not reliable.
     borne_out = [top if top.is_near else _as_tried(search, top.tried) for top in tops]
     return max(borne_out, key=lambda top: search.log_evidence_of_noise(top.tried) + top.gain)
 
 
 def _noise_optimum(search: EvidenceSearch, h: Hyperparameters) -> NoiseOptimum | None:
-    """Where the parabola in the logarithm of the noise is highest, or as far towards it as is sensible.
+    """Maximum of the parabola in the logarithm of the noise, or a bounded step towards it.
 
     None where the numbers cannot be used.
     """
@@ -94,7 +94,7 @@ def _as_tried(search: EvidenceSearch, h: Hyperparameters) -> NoiseOptimum:
 
 
 def _newton_step(slope: float, bend: float) -> float:
-    """To the top of a parabola, or as far as is sensible where it has none."""
+    """Step to the maximum of a parabola, or a bounded step if it has none."""
     step = -slope / bend if bend < 0 else np.copysign(LONGEST_STEP, slope)
     return float(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
 
@@ -107,7 +107,7 @@ def _allowed_noise(h: Hyperparameters, noise_sd: float) -> float:
 
 
 def _along(search: EvidenceSearch, start: NoiseOptimum, steps: Sequence[Step], gain: float = GAIN) -> NoiseOptimum:
-    """Repeat the first of some steps that helps, as long as it does; each is judged at its own best noise."""
+    """Repeat the first of some steps that helps, as long as it does; each is evaluated at its own best noise."""
     best, least_gain = start, max(LEAST_GAIN, gain * search.n_independent)
     for step in steps:
         for _ in range(MOST_STEPS):
@@ -122,12 +122,12 @@ def _along(search: EvidenceSearch, start: NoiseOptimum, steps: Sequence[Step], g
 
 
 def _better(search: EvidenceSearch, h: Hyperparameters, best: NoiseOptimum, least_gain: float) -> NoiseOptimum | None:
-    """Where numbers lead to if that is higher than the best so far."""
+    """Numbers with their best noise, if their evidence is higher than the best so far."""
     needed = search.log_evidence(best.tried) + best.gain + least_gain
     found = _noise_optimum(search, h)
     if found is None:
         return None
-    # What a parabola promises from afar is looked at, what it does not is not.
+    # An extrapolated gain is verified; without one, nothing is computed.
     if search.log_evidence(h) + found.gain >= needed and not found.is_near:
         found = _followed(search, found)
     return found if search.log_evidence(found.tried) + found.gain >= needed else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How evidence and noise level change with the noise assumed, from one factor: traces by a few random vectors.
+"""Derivatives of evidence and noise level by the assumed noise, from one factor, with stochastic trace estimates.
 
 With ``P0`` proportional to the noise's square and t its logarithm, for S and A of `spline_evidence`
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Samples that contradict the others at the same place: a phone that rang, a lift that passed.
 
-A large residual alone may be structure that the map is too coarse for; then the samples around share it. Only what
-its neighbours deny is an outlier.
+A large residual alone may be structure too fine for the map, which the samples around then share. Only a sample that
+contradicts its neighbours is an outlier.
 """
 
 import logging
@@ -18,7 +18,7 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
-# Residuals this many times the typical one are looked at.
+# Residuals this many times the typical one are examined.
 THRESHOLD = 6.0
 # In the same measure, where a robust fit begins to doubt a sample, and in how many rounds its doubts settle.
 SOFT, ROUNDS = 3.0, 4
@@ -26,7 +26,7 @@ SOFT, ROUNDS = 3.0, 4
 NEARBY, MOST_TOGETHER = 1.0, 400
 # The map's own noise may be larger than its residuals say, where it follows them closely; this much of it they are.
 LEAST_SHARE_OF_NOISE = 0.5
-# What is small beside the field itself does no harm, however exact the rest.
+# Residuals small relative to the field itself are harmless, however exact the rest.
 LEAST_SHARE_OF_SIGNAL = 0.01
 # The median length of a standard normal 3-vector.
 MEDIAN_LENGTH = 1.538
@@ -51,7 +51,7 @@ LARGEST_SHARE_AT_FIRST = 0.3
 
 
 def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
-    """Samples whose residual is large and unlike those of the samples around."""
+    """Samples whose residual is large and unlike those of their neighbours."""
     points, field = samples.positions, samples.field
     is_out = np.zeros(len(samples), dtype=bool)
     if len(samples) < FEWEST_SAMPLES:
@@ -78,23 +78,23 @@ def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
 
 
 def hardly_moved(samples: Survey, posterior: Posterior, rows: Mask) -> bool:
-    """Whether some samples have so little of the squared residuals that they hardly moved the fit."""
+    """Whether some samples have so small a share of the squared residuals that they hardly affected the fit."""
     power = ((samples.field - posterior.evaluate(samples.positions).field) ** 2).sum(axis=1)
     return bool(power[rows].sum() / max(power.sum(), np.finfo(float).tiny) < LITTLE_POWER)
 
 
 def robust_residuals(posterior: Posterior, points: Points, residual: Vectors, noise: float) -> Vectors:
-    """Residuals of samples once those that stand out no longer pull the map to them: no fit is made again."""
+    """Residuals of samples without the influence of those that stand out, without fitting again."""
     influence, left = posterior.influence(points), residual
     for _ in range(ROUNDS):
-        # Geman-McClure: what lies far outside hardly counts, so that it cannot hide behind what it did to the fit.
+        # Geman-McClure: outliers hardly count, so that their influence on the fit cannot mask them.
         weights = 1 / (1 + (_sizes(left) / (SOFT * noise)) ** 2) ** 2
         left = reweighted_residuals(influence, residual, weights)
     return left
 
 
 def reweighted_residuals(influence: Matrix, residual: Vectors, weights: Scalars) -> Vectors:
-    """What a fit leaves of samples once these count less, by what it left while all counted alike.
+    """Residuals of a fit with reduced weights of some samples, from its residuals with equal weights.
 
     With A the posterior precision in units of the noise, Phi the samples' rows and D = 1 - weights, the basis' new
     weights w' obey ``A (w' - w) = -Phi^T D (b - Phi w')``; with ``C = Phi A^-1 Phi^T`` hence ``r' = r + C D r'``.
@@ -144,7 +144,7 @@ def _are_denied(points: Points, residual: Vectors, is_large: Mask, reach: float)
     distance, number = cKDTree(points).query(points[large], k=k, distance_upper_bound=reach)
     is_witness = np.isfinite(distance) & (number != large[:, None])
     if has_path_order(points):
-        # A lift that passes is seen by many samples in a row: they may not bear each other out.
+        # A passing lift affects many consecutive samples: they must not confirm each other.
         step = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         same_pass = SAME_PASS * reach / max(step, 1e-300)
         is_witness &= np.abs(number - large[:, None]) > same_pass

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How well one pass of a path predicts another: stretches are left out and predicted from the rest.
+"""Cross-validation along a path: stretches are held out and predicted from the rest.
 
-Only other passes and the prior can predict a stretch, so these errors hold what a map for other surveys has to
-expect: poses that drift, and structure between the lanes.
+Only other passes and the prior can predict a stretch, so these errors include what a map must expect of other
+surveys: drifting poses, and structure between the lanes.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ COVERAGE, IN_SDS = 0.95, 1.96
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HeldOutErrors:
-    """Errors (T) of predictions of left-out stretches, their variances (T^2), and where other passes are near."""
+    """Errors (T) of predictions of held-out stretches, their variances (T^2), and where other passes are near."""
 
     errors: Vectors
     variances: Vectors
@@ -38,14 +38,14 @@ class HeldOutErrors:
         return float((size**POWER).mean() ** (1 / POWER) / np.sqrt(3))
 
     def inflation(self, noise_sd: float) -> float:
-        """Factor on the posterior's standard deviation for which 95 % intervals cover 95 % of what was left out."""
+        """Factor on the posterior's standard deviation for which 95 % intervals cover 95 % of the held-out data."""
         size, v = np.abs(self.errors), self.variances
         covered = [(size <= IN_SDS * np.sqrt(noise_sd**2 + f**2 * v)).mean() >= COVERAGE for f in INFLATIONS]
         return float(INFLATIONS[np.argmax(covered) if any(covered) else -1])
 
 
 def cross_validate_path(search: EvidenceSearch, h: Hyperparameters, lengthscale: float) -> HeldOutErrors | None:
-    """Leave out stretches of a path, long against a lengthscale; None where none can be left out."""
+    """Hold out stretches of a path, long relative to a lengthscale; None if none can be held out."""
     points, left_out = search.points, folds_of(path_stretches(search.points, lengthscale))
     if not left_out:
         return None
@@ -61,10 +61,10 @@ def cross_validate_path(search: EvidenceSearch, h: Hyperparameters, lengthscale:
 
 
 def expecting(h: Hyperparameters, evident_noise_sd: float, missed: HeldOutErrors) -> Hyperparameters:
-    """Noise and spread that a map for other surveys has to expect; the mean stays.
+    """Noise and spread that a map must expect of other surveys; the mean is unchanged.
 
-    Along a path the nearest samples share their error: other passes miss by more than the noise that the evidence
-    sees. ``missed``: what a posterior of that noise and of no inflation missed.
+    Along a path the nearest samples share their error: the errors of other passes exceed the noise found by the
+    evidence. ``missed``: the errors of a posterior with that noise and without inflation.
     """
     noise = max(evident_noise_sd, missed.size)
     return replace(h.with_noise(noise), inflation=missed.inflation(noise) * evident_noise_sd / noise)

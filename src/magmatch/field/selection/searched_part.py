@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The part of a survey whose evidence is computed: large enough to tell, small enough to be fast."""
+"""The part of a survey whose evidence is computed: large enough to be representative, small enough to be fast."""
 
 import numpy as np
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Marginal likelihood of the spline prior's numbers, with the noise level profiled out and tempered for a path.
+"""Marginal likelihood of the spline's hyperparameters, with the noise profiled out, and tempered for a path.
 
 With everything in units of the noise, ``A = sum Phi^T Phi + P0``, the likelihood of n measured values is greatest at
 ``noise^2 = S / n``, ``S = sum |b|^2 - eta^T A^-1 eta``, where
 
     log p = -1/2 [ n / kappa ln(S / n) + ln det A - ln det P0 ].
 
-Along a path errors are correlated (poses drift, steel moves the field at small scale); taken as independent they make
-the evidence follow them. kappa is the integrated autocorrelation time of the residuals, in samples.
+Along a path errors are correlated (poses drift, steel varies the field at small scale); if they were taken as
+independent, the field would fit them. kappa is the integrated autocorrelation time of the residuals, in samples.
 """
 
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ Shape = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class TrialFit:
-    """What one factorisation tells about trial numbers: S (T^2), ``ln det A`` and the posterior mean (m + 3,)."""
+    """Result of one factorisation with trial numbers: S (T^2), ``ln det A`` and the posterior mean (m + 3,)."""
 
     square: float
     log_determinant: float
@@ -78,7 +78,7 @@ class EvidenceSearch:
     def log_evidence(self, h: Hyperparameters) -> float:
         """Tempered log marginal likelihood with the noise profiled out; only ``signal_sd / noise_sd`` matters.
 
-        Minus infinity where the numbers cannot be used.
+        Minus infinity if the numbers cannot be used.
         """
         try:
             return self.log_evidence_of_noise(h) + 0.5 * self._log_determinant(h)
@@ -99,7 +99,7 @@ class EvidenceSearch:
         return float(-0.5 * (likelihood + fit.log_determinant - log_prior))
 
     def noise_sd(self, h: Hyperparameters) -> float:
-        """Noise level of the greatest likelihood, T."""
+        """Maximum-likelihood noise level, T."""
         return float(np.sqrt(self._fit(h).square / self.field.size))
 
     def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
@@ -117,7 +117,7 @@ class EvidenceSearch:
         return noise_slopes(times_prior, self._last[1], fit.weights, fit.square, self.n_independent)
 
     def temper(self, h: Hyperparameters) -> None:
-        """Let as many neighbouring samples of a path count as one as share their errors, by what a fit leaves."""
+        """Set how many neighbouring samples of a path count as one, from the autocorrelation of a fit's residuals."""
         in_a_quarter_cell = 1.0
         step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)[np.diff(self.order) == 1]
         if len(step) and has_path_order(self.points):
@@ -133,7 +133,7 @@ class EvidenceSearch:
         return SplinePosterior(h, self._model(h).cells, factors, self._fit(h).weights)
 
     def fit_without(self, rows: Mask, h: Hyperparameters) -> SplinePosterior:
-        """Posterior of all samples but some."""
+        """Posterior without some samples."""
         model, data = self._model(h), self._observed(h)
         rest = data - model.observe(self.points[rows], self.field[rows])
         A, factor = self._factor(h, rest)

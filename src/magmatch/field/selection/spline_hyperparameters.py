@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hyperparameters of the spline prior: by tempered evidence on a part of the survey, its noise by other passes."""
+"""Hyperparameters of the spline prior: by tempered evidence on a part of the survey, and cross-validated noise."""
 
 import logging
 from dataclasses import replace
@@ -25,12 +25,12 @@ LONELY_LENGTHSCALE = 0.5
 # weight that suit most; along a path with a field so smooth that its residuals show which errors neighbours share.
 LENGTHSCALE_IN_SPACINGS = 4.0
 START, START_OF_A_PATH = (120.0, 3000.0), (12.0, 300.0)
-# The posterior is made a little wider than it says of itself: its numbers are themselves estimates.
+# Least inflation of the posterior: its hyperparameters are themselves estimates.
 LEAST_INFLATION = 1.3
 
 
 def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparameters:
-    """Numbers under which the survey is most likely; deterministic."""
+    """Maximum-likelihood hyperparameters of a survey; deterministic."""
     length = typical_length(points, field)
     floor = max(float(np.abs(field).max(initial=0.0)) * 1e-6, 1e-15)
     if len(points) < FEWEST_SAMPLES or length == 0 or np.ptp(field, axis=0).max() <= floor:
@@ -69,7 +69,7 @@ def _start(points: Points, field: Vectors, length: float, layout: SplineLayout) 
 
 
 def _without_evidence(points: Points, field: Vectors, length: float, floor: float) -> Hyperparameters:
-    """Where nothing can be compared: a broad prior about what was seen."""
+    """If the evidence cannot be computed: a broad prior about the measured field."""
     length = length or LONELY_LENGTHSCALE
     signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
     spacing = length / LENGTHSCALE_IN_SPACINGS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How closely splines lie over samples, and how far beyond them they reach."""
+"""Spacing of the splines over samples, and their reach beyond them."""
 
 from dataclasses import dataclass, replace
 
@@ -28,7 +28,7 @@ FINER = 0.75
 
 @dataclass(frozen=True, slots=True)
 class SplineLayout:
-    """How splines lie over samples: their distance (`sample_distance`, m), least spacing (m), and whether a path."""
+    """Layout of splines over samples: samples' distance (`sample_distance`, m), least spacing (m), whether a path."""
 
     distance: float
     closest: float

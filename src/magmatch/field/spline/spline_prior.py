@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The prior of the splines in units of the noise, and what it says where there are no splines."""
+"""The prior of the splines in units of the noise, and its value where there are no splines."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What an archive of ours looks like: nothing in a file is believed before it is checked."""
+"""Checks of an archive's structure, before anything in it is used."""
 
 import json
 import math

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Large regions: one factorisation a tile."""
+"""Large regions: one factorisation per tile."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Answers of overlapping tiles put together by smooth shares that sum to one, whoever keeps the tiles."""
+"""Blending of overlapping tiles by smooth shares that sum to one."""
 
 from collections.abc import Callable, Iterator
 

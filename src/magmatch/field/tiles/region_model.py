@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The spline's facade: one model where one factor can hold the region, tiles where not."""
+"""The spline model of a region: a single model if one factor can hold the region, tiles otherwise."""
 
 import numpy as np
 

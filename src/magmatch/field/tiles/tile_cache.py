@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tiles that are kept ready, as many as there is memory for, for several threads."""
+"""A thread-safe cache of tiles, limited by memory."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One tile, from its samples to its weights: the task that large maps are made of, alike wherever it runs."""
+"""One tile, from its samples to its weights: the task of which large maps consist, the same wherever it runs."""
 
 import hashlib
 from dataclasses import astuple, dataclass
@@ -28,7 +28,7 @@ N_CHECKED = 2000
 
 
 class FitError(MagmatchError, ValueError):
-    """Stored weights do not follow from the samples they came with."""
+    """Stored weights do not follow from the stored samples."""
 
     def __init__(self, index: Index, message: str) -> None:
         super().__init__(
@@ -52,7 +52,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TileTask:
-    """All that a tile's fit depends on.
+    """Everything that a tile's fit depends on.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class TileTask:
     parts: list[Samples]
 
     def fingerprint(self) -> str:
-        """SHA-256 of everything the weights follow from."""
+        """SHA-256 of everything that determines the weights."""
         sizes = None if self.tiling is None else astuple(self.tiling)
         numbers = [(name, float(value)) for name, value in sorted(self.hyperparameters.as_dict().items())]
         about = (LAYOUT, numbers, sizes, self.index)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A region of any size as overlapping tiles, each an independent spline model: cost and memory follow the area.
+"""A region of any size as overlapping tiles, each an independent spline model: cost and memory grow with the area.
 
-Information is kept as samples, since the Gram matrices of a large area would not fit in memory: they add, and are
-summed tile by tile when the posterior is asked for. Only the weights of a tile stay; its factor is made again from
-its samples where a covariance is asked for.
+Information is stored as samples, since the Gram matrices of a large area would not fit in memory: they are summed
+tile by tile when the posterior is needed. Only the weights of a tile are kept; its factor is computed again from its
+samples if a covariance is needed.
 """
 
 from collections.abc import Iterable, Mapping

@@ -8,8 +8,8 @@ slope of a share times the difference of the tiles' fields.
 Where a tile is missing (no sample near), its share goes to a constant field, the mean of the tiles', with the spread
 of the prior.
 
-Tiles share samples, so their errors are correlated in a way that nobody keeps. Whatever the correlation, the error of
-a weighted mean is at most the weighted mean of the errors (squares are convex), in the sense of matrices:
+Tiles share samples, so their errors are correlated, but the correlation is not stored. Whatever it is, the squared
+error of a weighted mean is at most the weighted mean of the squared errors, by convexity, in the sense of matrices:
 ``cov B <= sum w_k cov B_k``. That bound is what `covariance` gives.
 """
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How space is divided: cubes of cells on one lattice, what each of them sees, and how their answers are blended.
+"""The division of space into tiles: cubes of cells on one lattice, the samples of each, and their blending.
 
-A tile answers for its *core*, a cube of cells. It is fitted to all samples in the core and a *margin* around it, and
-near the faces of the core its answer fades into its neighbours' over the *blend*. The lattice hangs on the origin of
-the model's frame, so tiles stay where they are when samples are added, and all tiles share one grid of splines.
+A tile is responsible for its *core*, a cube of cells. It is fitted to all samples in the core and a *margin* around
+it, and near the faces of the core its values fade into its neighbours' over the *blend*. The lattice is fixed to the
+origin of the model's frame, so tiles do not move when samples are added, and all tiles share one grid of splines.
 """
 
 from collections.abc import Iterator
