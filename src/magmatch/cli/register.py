@@ -87,8 +87,8 @@ def register(
 ) -> int:
     """Find the transform from TARGET to BASE.
 
-    The answer is a rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none. Where
-    BASE is a folder of maps, the result also names the map that holds TARGET.
+    The answer is a rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none. If
+    BASE is a folder of maps, the result also names the map that contains TARGET.
 
     Exit code 0: accepted; 3: not accepted, with the reason.
     """
