@@ -144,7 +144,7 @@ def test_the_phones_own_is_taken_where_nothing_turns(phone):
     own, other = replace(clean, orientations=still), replace(raw, orientations=still)
     prepared, report = prepare_either(own, other, QUICK)
     assert report.steps[0].figures["taken"] == "own"
-    assert "does not tell the raw ones' bias" in report.steps[0].words
+    assert "does not determine the raw ones' bias" in report.steps[0].words
     assert error(prepared, clean) < 0.5 * UT
 
 

@@ -176,5 +176,5 @@ def _kept(path: Path, config: RegistrationConfig) -> IndexFile:
     make_index(path, config)
     index = open_index(path, config)
     if index is None or not index.is_whole:
-        raise DataFormatError(path, "its index cannot be kept beside it; make the folder writable")
+        raise DataFormatError(path, "its index cannot be stored next to it; make the folder writable")
     return index

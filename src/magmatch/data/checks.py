@@ -128,7 +128,7 @@ def _unit_advice(median: float, layout: SurveyFormat | None) -> str:
     unit = likely_field_unit(number)
     if unit is None:
         return f"read as {layout.field_unit}, and no other known unit makes it ordinary: wrong columns?"
-    return f"read as {layout.field_unit}; if the file is in {unit}, say --field-unit {unit}"
+    return f"read as {layout.field_unit}; if the file is in {unit}, use --field-unit {unit}"
 
 
 def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> None:
@@ -137,7 +137,7 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
     if size > MAX_EXTENT:
         advice = "if the numbers are in mm or cm, divide them by 1000 or 100"
         if layout is not None:
-            advice = f"read as {layout.length_unit}; if the file is in mm or cm, say --length-unit mm (or cm)"
+            advice = f"read as {layout.length_unit}; if the file is in mm or cm, use --length-unit mm (or cm)"
         message = f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; {advice}"
         raise _refuse(survey, message)
     if size == 0:
@@ -171,7 +171,7 @@ def _doubt_shape(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(offset.T @ offset / len(survey))[::-1], 0))
     flat = FLAT * min(1.0, spread[0])
     if spread[1] <= flat:
-        yield "all samples lie on one line: the field beside it, and turns about it, are hardly known"
+        yield "all samples lie on one line: the field beside it and rotations about it are poorly determined"
     elif spread[2] <= flat:
         yield "all samples lie on one plane: the field above and below it is inferred, not measured"
 
@@ -181,7 +181,7 @@ def _doubt_repeats(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
     n_still = int((np.diff(survey.positions, axis=0) == 0).all(axis=1).sum())
     if n_still > 0.05 * n:
         share = f"{100 * n_still / n:.0f} %"
-        yield f"{share} of the samples repeat the position before them: standing still, or poses slower than field?"
+        yield f"{share} of the samples repeat the position before them: at rest, or a pose rate below the field's?"
     n_stuck = int((np.diff(survey.field, axis=0) == 0).all(axis=1).sum())
     if 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"

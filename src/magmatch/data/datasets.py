@@ -228,7 +228,7 @@ def _download(dataset: Dataset, files: list[str], cache: Path) -> None:
         except OSError as error:  # requests' errors are OSErrors
             msg = (
                 f"dataset '{dataset.name}': cannot download {urls[file]} ({_reason(error)}). Without a connection, "
-                f"copy its files into a folder and say --from FOLDER"
+                f"copy its files into a folder and use --from FOLDER"
             )
             raise DatasetError(msg) from None
 

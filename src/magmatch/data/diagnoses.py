@@ -76,8 +76,8 @@ class Diagnosis:
 
 # Mistakes that the field shows, by what undoes them: kind, how vectors read where it was made, remedy.
 MISTAKES = {
-    "sensor": ("field frame", "those of a sensor that turns", "say --field-frame sensor (in Python field_frame)"),
-    "survey": ("field frame", "turned once too often", "say --field-frame survey (in Python field_frame)"),
+    "sensor": ("field frame", "those of a sensor that turns", "use --field-frame sensor (in Python field_frame)"),
+    "survey": ("field frame", "turned once too often", "use --field-frame survey (in Python field_frame)"),
     "inverse": ("orientations", "turned the wrong way", "orientations take sensor to survey axes: invert them"),
     "scalar first": ("orientations", "turned by other quaternions", "the scalar comes last: rename qx, qy, qz, qw"),
     "scalar last": (
@@ -93,7 +93,7 @@ MISTAKES = {
     "carried": (
         "turning",
         "those of a sensor that turns as it is walked about",
-        "if they are in its axes, say --field-frame sensor and give orientations",
+        "if they are in its axes, use --field-frame sensor and give orientations",
     ),
 }
 
@@ -138,7 +138,7 @@ def _of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
     median = float(np.median(np.linalg.norm(survey.field, axis=1)))
     if not ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
         likely = likely_field_unit(median / TESLA_PER_UNIT[unit])
-        remedy = f"if the file is in {likely}, say --field-unit {likely}" if likely else "a wrong unit, or a magnet?"
+        remedy = f"if the file is in {likely}, use --field-unit {likely}" if likely else "a wrong unit, or a magnet?"
         measured = f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT)"
         yield Diagnosis("magnitude", measured, remedy)
 

@@ -72,7 +72,7 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = 
     if not is_out.any():
         return field_map
     log.warning(
-        "%s: %d of %d samples contradict those around them (a phone that rang, metal that passed?) and are left out",
+        "%s: %d of %d samples contradict their neighbours (a ringing phone, passing metal?) and are left out",
         field_map.survey.name, is_out.sum(), len(is_out),
     )  # fmt: skip
     if hardly_moved(samples, field_map.posterior, is_out):

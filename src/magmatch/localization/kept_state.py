@@ -66,7 +66,7 @@ def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: st
     """
     digest, _, rest = state.partition(b"\n")
     if hashlib.sha256(rest.replace(b"\n", b"", 1)).hexdigest().encode() != digest:
-        raise DataFormatError(path, "is not the whole state of a localizer: its checksum differs")
+        raise DataFormatError(path, "is not a complete state of a localizer: wrong checksum")
     words, _, content = rest.partition(b"\n")
     head = json.loads(words)
     if (head["schema"], head["version"]) != (SCHEMA, __version__):

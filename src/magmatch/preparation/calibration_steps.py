@@ -63,10 +63,10 @@ def _held_out_step(calibration: Calibration) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
     before, after = (value / MICROTESLA for value in calibration.held_out)
     if calibration.is_refused:
-        words = "left-out stretches are predicted worse with the corrections, so none was made"
+        words = "held-out stretches are predicted worse with the corrections, so none was applied"
         return StepReport("all corrections", "unchanged", words, before, after, "uT")
     outcome: Outcome = "unchanged" if calibration.model.is_identity else "applied"
-    words = "median miss of a map at stretches that were left out of it"
+    words = "median error of a map on held-out stretches"
     return StepReport("all corrections", outcome, words, before, after, "uT")
 
 
@@ -87,7 +87,7 @@ def _told(name: str, label: str, calibration: Calibration) -> StepReport:
     outcome: Outcome = "applied" if is_kept else "unknown" if is_open.all() else "unchanged"
     words = _estimate_text(name, estimate, sd, is_open)
     if outcome == "unchanged":
-        words += "; a map predicts left-out stretches worse with it" if calibration.is_refused else "; not shown"
+        words += "; a map predicts held-out stretches worse with it" if calibration.is_refused else "; not shown"
     figures = {
         "estimate": estimate.tolist(), "sd": sd.tolist(), "is_open": is_open.tolist(),
         "p_value": calibration.full.p_value[name], "inconsistency_as_read": calibration.inconsistency[0],
@@ -124,7 +124,7 @@ def _estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.
     """Estimates with their standard deviations, and which the data leave open."""
     if name == "time_offset":
         if is_open[0]:
-            return "the motion does not tell; turn the sensor more, or walk to and fro"
+            return "not determined by the motion; rotate the sensor more, or walk back and forth"
         return f"{1e3 * estimate[0]:+.2f} ms (sd {1e3 * sd[0]:.2f}) to be added to the magnetometer's times"
     parts: tuple[str, ...] = SOFT_IRON_PARTS if name == "soft_iron" else AXES
     per_unit, unit = {"soft_iron": (1e2, "%"), "misalignment": (180 / np.pi, "deg")}.get(name, (1e6, "uT"))

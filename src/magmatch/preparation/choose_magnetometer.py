@@ -47,7 +47,7 @@ def prepare_either(
     before, after = misfit.values()
     open_axes = _open_axes(reports["raw"])
     if open_axes or before is None or after is None:
-        taken, why = "the phone's own", f"the motion does not tell the raw ones' bias{open_axes}"
+        taken, why = "the phone's own", f"the motion does not determine the raw ones' bias{open_axes}"
     else:
         taken = min(misfit, key=lambda name: float(misfit[name] or 0.0))
         why = (

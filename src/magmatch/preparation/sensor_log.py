@@ -64,7 +64,7 @@ class SensorLog:
     def of(cls, survey: Survey, trajectory: Trajectory | None = None) -> "SensorLog":
         """A survey's field turned back into the sensor's frame; poses of the trajectory, else of the samples."""
         if survey.orientations is None:
-            msg = "a survey without orientations does not say what its sensor read"
+            msg = "without orientations, a survey does not determine what its sensor read"
             raise ValueError(msg)
         if survey.times is not None and trajectory is None and len(survey) > 1:
             trajectory = Trajectory(survey.times, survey.positions, survey.orientations)

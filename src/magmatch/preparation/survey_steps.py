@@ -36,7 +36,7 @@ def find_disturbances(
     gaps = time_gaps(survey)
     gap_words = f"; {len(gaps)} gaps in time, the longest {gaps.max():.3g} s" if len(gaps) else ""
     found: list[tuple[str, Flagging, Mask | None, str]] = [
-        ("drop-outs", modes.drop_outs, find_repeats(readings), "readings repeat the one before" + gap_words),
+        ("drop-outs", modes.drop_outs, find_repeats(readings), "readings equal the previous one" + gap_words),
         ("saturation", modes.saturation, find_saturation(readings), "readings at the end of the sensor's range"),
         ("spikes", modes.spikes, None, "samples fit neither their neighbours nor the map"),
         ("moving metal", modes.moving_metal, None, "samples contradict other passes of the same places"),

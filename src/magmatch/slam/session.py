@@ -90,7 +90,7 @@ class Session:
         """
         config, clock, earlier = self._of_slam(), Clock(), self.places
         if self._live is not None:
-            msg = "a log is being walked; finish() it before others are added"
+            msg = "a live log is open; finish() it before adding others"
             raise ValueError(msg)
         for survey in logs:
             require_survey(survey, name="log")
@@ -152,7 +152,7 @@ class Session:
     def pose(self) -> RigidTransform:
         """Corrected pose of the body after the last sample, in the frame of its component."""
         if self._live is None:
-            msg = "expected samples of a log that is being walked; add(t, T_odom_body, field) takes them"
+            msg = "expected a live log, got none; add(t, T_odom_body, field) starts one"
             raise ValueError(msg)
         return self._live.pose()
 
@@ -170,7 +170,7 @@ class Session:
 
     def _of_slam(self) -> SlamConfig:
         if not isinstance(self.config, SlamConfig):
-            msg = "a session of merge takes no logs that drift; begin one with Session() or slam"
+            msg = "a session of merge cannot take logs that drift; use Session() or slam"
             raise TypeError(msg)
         return self.config
 
@@ -186,7 +186,7 @@ class Session:
         live = None if self._live is None else self._live.places
         places = live or self.places
         if places is None:
-            msg = "the session holds no log yet; add samples until windows are finished, or a log"
+            msg = "the session has no log yet; add a log, or samples until a window is complete"
             raise ValueError(msg)
         return places
 

@@ -79,17 +79,19 @@ def explain(
     if status is SlamStatus.UNCHANGED and bent is not None:
         return (
             f"odometry may bend {bent.config.window_length * bent.length:.2g} m of path by {bent.bends_by:.2g} m, "
-            f"too much where the field changes over {bent.length:.2g} m; state it if it is better known "
-            "(--odometry-sd)"
+            f"too much if the field changes over {bent.length:.2g} m; if odometry is more accurate, say so with "
+            "--odometry-sd"
         )
     if status is SlamStatus.UNCHANGED:
-        what = "no place was passed twice, as far as the field tells" if n == 1 else "nothing ties the logs"
-        return f"{what} ({ties}); pass some stretches twice, a few field lengths each"
+        what = "the field shows no revisited place" if n == 1 else "no closure connects the logs"
+        return f"{what} ({ties}); pass some stretches twice, a few correlation lengths each"
     if status is SlamStatus.CONNECTED:
         return f"{ties}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}"
     alone = [group[0] for group in groups if len(group) == 1]
     words = f"{ties}; {_count(n, 'log')} in {len(groups)} frames of their own"
-    return words + (f"; tied to no other: {', '.join(alone[:5])}{', ...' if len(alone) > 5 else ''}" if alone else "")
+    return words + (
+        f"; connected to no other: {', '.join(alone[:5])}{', ...' if len(alone) > 5 else ''}" if alone else ""
+    )
 
 
 def _count(n: int, noun: str) -> str:

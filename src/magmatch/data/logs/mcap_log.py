@@ -300,7 +300,7 @@ class McapLog:
         self._losses[start] = replace(known, stop=max(known.stop, stop))
 
     def _refusal(self, words: str) -> DataFormatError:
-        return DataFormatError(self.path, f"{words}; --recover reads all that is whole of it")
+        return DataFormatError(self.path, f"{words}; --recover reads its intact part")
 
 
 def _index(content: bytes) -> dict[int, Count]:

@@ -248,7 +248,7 @@ class Ros1Log:
                 raise
             words = printable(str(error).rstrip(".") or type(error).__name__)
             message = f"is a damaged bag, near byte {self._reader.position}: {words}"
-            raise DataFormatError(self.path, f"{message}; --recover reads all that is whole of it") from None
+            raise DataFormatError(self.path, f"{message}; --recover reads its intact part") from None
 
 
 def _channel(connection: Connection) -> Channel:

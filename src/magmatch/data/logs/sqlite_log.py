@@ -143,7 +143,7 @@ class SqliteLog:
 
     def _refusal(self, error: Exception) -> DataFormatError:
         words = f"is a damaged ROS 2 bag (SQLite: {printable(str(error))})"
-        return DataFormatError(self.path, f"{words}; --recover reads all that is whole of it")
+        return DataFormatError(self.path, f"{words}; --recover reads its intact part")
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:

@@ -39,7 +39,7 @@ def names_of(
         raise DataFormatError(path, message, line=line)
     for name in names:
         if name in known and names.count(name) > 1:
-            raise DataFormatError(path, f"the column stands {names.count(name)} times", line=line, column=name)
+            raise DataFormatError(path, f"the column appears {names.count(name)} times", line=line, column=name)
     return tuple(names)
 
 

@@ -70,7 +70,7 @@ def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
         is_out[is_out] = ~_may_be_fine_structure(points[is_out], residual[is_out], posterior)
     if is_out.mean() > LARGEST_SHARE or is_large.mean() > 2 * LARGEST_SHARE:
         log.warning(
-            "%d of %d samples contradict those around them: too many to leave out; look for poses that jump or metal "
+            "%d of %d samples contradict their neighbours: too many to leave out; look for poses that jump or metal "
             "that moves", max(is_out.sum(), is_large.sum()), len(is_out),
         )  # fmt: skip
         return np.zeros_like(is_out)

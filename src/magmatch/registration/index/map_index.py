@@ -302,7 +302,7 @@ def make_index(
     try:
         index.save(index_path(map_path), key)
     except OSError as error:
-        log.warning("the index of %s cannot be kept: %s", map_path, error)
+        log.warning("the index of %s cannot be stored: %s", map_path, error)
     return index
 
 
@@ -323,6 +323,6 @@ def keep_index(map_path: str | Path, config: RegistrationConfig, index: MapIndex
             return False
         index.save(index_path(map_path), key)
     except (OSError, DataFormatError) as error:
-        log.debug("no index is kept: %s", error)
+        log.debug("no index is stored: %s", error)
         return False
     return True
