@@ -89,7 +89,7 @@ def test_a_tight_spread_makes_a_found_place_degenerate(place, run):
     assert (code, result["status"]) == (3, "degenerate")
     assert result["T_base_target"] is None
     assert result["degenerate_directions"]
-    assert "0.0001 m and 0.001 deg are asked" in result["reason"]
+    assert "0.0001 m and 0.001 deg are required" in result["reason"]
     assert result["probability"] == pytest.approx(before["probability"], abs=1e-3)
     assert result["config"]["decision"]["max_sd_translation"] == 0.0001
     # Found all the same: the best candidate is the answer of before.

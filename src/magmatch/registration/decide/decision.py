@@ -89,7 +89,7 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
     if best.attainable < needed:
         return Verdict(
             Status.UNINFORMATIVE,
-            f"the field that both surveys may share stands out too little: a perfect match would reach "
+            f"the field that both surveys may share has too little structure: a perfect match would reach "
             f"{max(best.attainable, 0):.0f} nats, {needed:.0f} are needed; survey a larger area or closer to iron",
         )
     effective = effective_evidence(best.log_evidence, best.misfit)
@@ -108,13 +108,15 @@ def _accepted(posterior: Posterior[Hypothesis], estimate: Estimate, max_sd: tupl
         return Verdict(Status.ACCEPTED, f"probability {in_words(posterior.best)}, {_lead(posterior)}")
     place = f"the place is found (probability {in_words(posterior.best)})"
     if estimate.covariance is None:
-        return Verdict(Status.DEGENERATE, f"{place}, but the data fix the pose in no direction; survey a larger area")
+        return Verdict(
+            Status.DEGENERATE, f"{place}, but the data determine the pose in no direction; survey a larger area"
+        )
     shift, turn = estimate.worst_sd
     words = "in every direction" if len(free) == 6 else ", ".join(d.words for d in free) + " is free"
     return Verdict(
         Status.DEGENERATE,
         f"{place}, but the pose is known to {shift:.2g} m and {np.degrees(turn):.2g} deg only, where "
-        f"{max_sd[0]:.2g} m and {np.degrees(max_sd[1]):.2g} deg are asked: {words}; "
+        f"{max_sd[0]:.2g} m and {np.degrees(max_sd[1]):.2g} deg are required: {words}; "
         "survey a larger area, or across it",
     )
 
