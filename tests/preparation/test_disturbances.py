@@ -65,7 +65,10 @@ def test_a_current_is_reported_with_its_coefficient(flagged, disturbed):
 
 
 def test_a_channel_that_does_nothing_is_not_shown(flagged):
-    assert flagged[1]["channel noise"].outcome == "unchanged"
+    step = flagged[1]["channel noise"]
+    assert step.outcome == "unchanged"
+    assert step.words.endswith("not shown")
+    assert "not shown" not in flagged[1]["channel amps"].words
 
 
 def test_a_current_is_taken_off_where_asked_for(removed, disturbed):

@@ -145,6 +145,17 @@ def test_magnets_under_a_lane_are_found_where_they_are():
     np.testing.assert_allclose(strengths[order], moments, atol=1e-9)
 
 
+def test_no_magnet_is_moved_onto_the_sample_that_it_would_explain():
+    lanes, at = over_a_floor(), np.array([[0.3, 0.4, 0.03]])
+    field = dipoles(lanes, at, 1e-7 * np.eye(3)[2:]) + np.random.default_rng(1).normal(scale=NOISE, size=lanes.shape)
+    field[[190, 290]] += [[0, 0, 60e-6], [40e-6, 0, 0]]
+    found, _ = find_magnets(lanes, field, 0.3)
+    assert len(found) > 1
+    assert np.linalg.norm(found - at, axis=1).min() < 0.01
+    # Half the distance of neighbours.
+    assert np.linalg.norm(found[:, None] - lanes, axis=2).min() > 0.01
+
+
 def test_a_declared_box_is_kept_free_of_charges_whatever_the_data_show():
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
     assert HarmonicPrior(PRIOR.config, box).build(*room(0.5), H).basis.inner is None
