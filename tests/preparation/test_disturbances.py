@@ -56,6 +56,8 @@ def removed(disturbed):
 def test_flagging_removes_no_sample(flagged, disturbed):
     assert len(flagged[0]) == len(disturbed[0])
     assert flagged[1].n_samples == (1200, 1200)
+    assert flagged[1]["spikes"].words.endswith("kept")
+    assert flagged[1]["saturation"].words == "none found"
 
 
 def test_a_current_is_reported_with_its_coefficient(flagged, disturbed):
@@ -81,6 +83,7 @@ def test_a_current_is_taken_off_where_asked_for(removed, disturbed):
 def test_spikes_are_found_and_removed(removed):
     assert removed[1]["spikes"].figures["runs"] == [[5.0, 5.0], [25.0, 25.0], [45.0, 45.0]]
     assert not np.isin([5.0, 25.0, 45.0], removed[0].times).any()
+    assert removed[1]["spikes"].words.endswith("left out")
 
 
 def test_repeated_readings_are_found(flagged):

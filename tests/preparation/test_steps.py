@@ -43,6 +43,13 @@ def test_jumps_are_single_readings_off_their_neighbours(walk):
     assert np.flatnonzero(find_jumps(readings, 10.0)).tolist() == [50, 900, 901]
 
 
+@pytest.mark.parametrize(("n", "is_jump"), [(1, True), (2, True), (5, False), (6, False)])
+def test_readings_that_bear_each_other_out_are_no_jump(walk, n, is_jump):
+    readings = walk.field.copy()
+    readings[500 : 500 + n] += 20e-6
+    assert find_jumps(readings, 10.0)[500 + n // 2] == is_jump
+
+
 def test_a_clean_walk_has_no_jumps(walk):
     assert not find_jumps(walk.field, 10.0).any()
 
