@@ -39,7 +39,7 @@ def test_a_components_covariance_is_the_sum_of_what_lasts_what_is_shared_the_map
     for i, j in np.ndindex(*d.shape):
         expected = 1.1e-6**2 * np.exp(-d[i, j] / 0.8) + 0.5e-6**2
         expected += 1.4**2 * sd[i] * sd[j] * np.exp(-(d[i, j] ** 2) / (2 * 0.6**2)) + (i == j) * 0.3e-6**2
-        assert found[i, j] == pytest.approx(expected, rel=1e-12)
+        np.testing.assert_allclose(found[i, j], expected, rtol=1e-12)
     np.testing.assert_array_equal(NOISE.isotropic(d, np.stack([sd, sd]))[1], found)
 
 
