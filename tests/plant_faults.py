@@ -11,6 +11,7 @@ import ast
 import json
 import os
 import random
+import resource
 import shutil
 import subprocess
 import sys
@@ -22,6 +23,10 @@ REPOSITORY = Path(__file__).parents[1]
 ROOMS = ("registration", "field", "preparation", "data/logs")
 PACKAGE = Path("src/magmatch")
 COMMAND = [sys.executable, "-m", "pytest", "-q", "-x"]
+# What a file with compiled loops imports.
+COMPILER = "magmatch.compiled"
+# Address space of a run of tests.
+MOST_BYTES = 12 * 1024**3
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
 # The opposite of a comparison, and what differs from it in the limit alone.
 TURNED = {ast.Lt: ">=", ast.LtE: ">", ast.Gt: "<=", ast.GtE: "<", ast.Eq: "!=", ast.NotEq: "=="}
@@ -91,6 +96,12 @@ def places(path, source, types):
     """All faults of one file: (path, line, kind, the file with the fault)."""
     lines, found = source.split("\n"), []
 
+    def text(node):
+        line = lines[node.lineno - 1].encode()
+        if node.lineno == node.end_lineno:
+            return line[node.col_offset : node.end_col_offset].decode()
+        return ast.get_source_segment(source, node)  # slow
+
     def visit(node, parent, is_inside):
         if isinstance(node, ast.FunctionDef):
             if node.name not in ("__repr__", "words", "_words"):
@@ -102,8 +113,8 @@ def places(path, source, types):
             return
         if is_inside and isinstance(node, ast.expr) and node.lineno == node.end_lineno:
             line, start, end = lines[node.lineno - 1].encode(), node.col_offset, node.end_col_offset
-            for kind, text in variants(node, parent, lambda n: ast.get_source_segment(source, n), types):
-                faulty = (line[:start] + text.encode() + line[end:]).decode()
+            for kind, fault in variants(node, parent, text, types):
+                faulty = (line[:start] + fault.encode() + line[end:]).decode()
                 new = "\n".join([*lines[: node.lineno - 1], faulty, *lines[node.lineno :]])
                 found.append((str(path), node.lineno, kind, new))
         for child in ast.iter_child_nodes(node):
@@ -126,37 +137,69 @@ def draw(n, seed, rooms):
     return list(chosen.values())[:n]
 
 
-def compiled_with(tree, path):
-    """Files whose compiled code holds a file's: its own, and of all that import its loops, through others too."""
-    stale, texts = {path}, {p: p.read_text() for p in tree.rglob("*.py")}
-    found = {path} if "@njit" in texts[path] else set()
-    while found:
-        names = [".".join(p.relative_to(tree.parent).with_suffix("").parts) for p in found]
-        found = {p for p, t in texts.items() if any(f"from {name} import" in t for name in names)} - stale
-        stale |= found
-    return stale
+class Imports:
+    """Which files of the package and of its tests import which."""
+
+    def __init__(self):
+        self.module = {}
+        for folder, root in ((PACKAGE, PACKAGE.parent), (Path("tests"), Path("tests"))):
+            for path in sorted((REPOSITORY / folder).rglob("*.py")):
+                inner = path.relative_to(REPOSITORY / root).with_suffix("")
+                self.module[path.relative_to(REPOSITORY)] = ".".join(inner.parts).removesuffix(".__init__")
+        self.uses = {path: set(_imported(REPOSITORY / path)) for path in self.module}
+        for path in self.tests():
+            # What the fixtures of its folders use.
+            self.uses[path] |= {".".join((*folder.parts[1:], "conftest")) for folder in path.parents[:-1]}
+
+    def tests(self):
+        """Files that hold tests."""
+        return [path for path in self.module if path.name.startswith("test_")]
+
+    def rings(self, path, user_of=None):
+        """A file, those that import it, those that import one of these, and so on; all of them users of a module."""
+        ring, seen = {path}, {path}
+        while ring:
+            yield ring
+            names = {self.module[p] for p in ring}
+            ring = {p for p, used in self.uses.items() if names & used and user_of in (None, *used)} - seen
+            seen |= ring
+
+    def compiled_with(self, path):
+        """Files whose compiled code holds a file's: its own, and of all that call its loops, through others too."""
+        return set().union(*self.rings(path, COMPILER)) if COMPILER in self.uses[path] else {path}
+
+    def tests_of(self, path, most):
+        """A file's own tests, then those that the fewest imports lead to; of these first those of its own rooms."""
+        mirror, ranks = Path("tests") / path.relative_to(PACKAGE).with_name(f"test_{path.name}"), {}
+        for n_imports, ring in enumerate(self.rings(path)):
+            for test in ring.intersection(self.tests()):
+                n_shared = sum(one == other for one, other in zip(test.parts, mirror.parts, strict=False))
+                ranks[test] = (test != mirror, n_imports, -n_shared, str(test))
+        return sorted(ranks, key=ranks.__getitem__)[:most]
 
 
-def tests_of(path):
-    """The file's own tests, those of its sub-room, and those of its room, as far as there are any."""
-    inner = Path(path).relative_to(PACKAGE)
-    mirror = Path("tests") / inner.with_name(f"test_{inner.name}")
-    return [str(t) for t in (mirror, *mirror.parents[:-2]) if (REPOSITORY / t).exists() and t != Path("tests/data")]
+def _imported(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            yield from (node.module, *(f"{node.module}.{name.name}" for name in node.names))
+
+
+def _bounded():
+    """A fault must not take all memory of the machine."""
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
 
 
 def run_tests(tree, tests, limit):
-    """Outcome, and the first test that failed."""
+    """Outcome, and the first test that failed; one that hangs is noticed as well."""
     environment = os.environ | {"PYTHONPATH": str(tree / "src"), "OPENBLAS_NUM_THREADS": "1"}
-    for test in tests:
-        settings = {"cwd": tree, "env": environment, "timeout": limit, "text": True}
-        try:
-            done = subprocess.run([*COMMAND, test], **settings, capture_output=True, check=False)
-        except subprocess.TimeoutExpired:
-            return "timeout", test
-        if done.returncode not in (0, 5):  # all passed, or there are none
-            failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-            return "noticed", failed[0][:160] if failed else done.stdout[-160:]
-    return "unnoticed", ""
+    command = [*COMMAND, "-o", f"faulthandler_timeout={limit}", "-o", "faulthandler_exit_on_timeout=true", *tests]
+    done = subprocess.run(
+        command, cwd=tree, env=environment, text=True, capture_output=True, check=False, preexec_fn=_bounded
+    )
+    if done.returncode == 0:
+        return "unnoticed", ""
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return "noticed", failed[0][:160] if failed else (done.stdout + done.stderr)[-160:]
 
 
 def main():
@@ -165,10 +208,11 @@ def main():
     parser.add_argument("--n", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rooms", nargs="+", default=ROOMS)
-    parser.add_argument("--limit", type=float, default=600, help="seconds for a file or folder of tests")
+    parser.add_argument("--n-files", type=int, default=8, help="files of tests that may notice a fault")
+    parser.add_argument("--limit", type=float, default=300, help="seconds after which a test hangs")
     parser.add_argument("--out", type=Path, default="planted.jsonl")
     options = parser.parse_args()
-    out = options.out
+    out, imports = options.out, Imports()
     rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
     done = {(row["path"], row["line"]) for row in rows}
     with tempfile.TemporaryDirectory() as folder:
@@ -181,10 +225,10 @@ def main():
                 shutil.copytree(REPOSITORY / part, tree / part)
             shutil.copy2(REPOSITORY / "pyproject.toml", tree)
             (tree / path).write_text(new)
-            for stale in compiled_with(tree / PACKAGE, tree / path):
-                for compiled in (stale.parent / "__pycache__").glob(f"{stale.stem}.*"):
+            for stale in imports.compiled_with(Path(path)):
+                for compiled in (tree / stale.parent / "__pycache__").glob(f"{stale.stem}.*"):
                     compiled.unlink()
-            outcome, by = run_tests(tree, tests_of(path), options.limit)
+            outcome, by = run_tests(tree, imports.tests_of(Path(path), options.n_files), options.limit)
             old, fault = ((root / path).read_text().splitlines()[line - 1].strip() for root in (REPOSITORY, tree))
             rows.append(
                 {"path": path, "line": line, "kind": kind, "old": old, "new": fault, "outcome": outcome, "by": by}

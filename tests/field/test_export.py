@@ -9,6 +9,8 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.axis_grid import map_on_grid
 from magmatch.field.build import build_map
 from magmatch.field.export import write_netcdf, write_ply_cloud, write_vtk
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.values import FieldValues
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +83,37 @@ def test_a_grid_of_billions_is_refused(field_map):
 def test_a_grid_that_nobody_chose_has_bounded_size(field_map):
     assert map_on_grid(field_map).field.size < 3 * 200_000
     assert map_on_grid(field_map, cut=("x", 1.0)).field.shape[0] == 1
+
+
+class Anything:
+    """A map of a box whose field is its place, with a lengthscale far below what a grid of it could resolve."""
+
+    hyperparameters = Hyperparameters(1e-4, 1e-6, 1e-7, 1e-4)
+
+    def __init__(self, size):
+        corners = np.array([1.0, 2.0, -3.0]) + np.array([[0, 0, 0], size])
+        self.survey = Survey(corners, np.ones((2, 3)))
+
+    def evaluate(self, points):
+        return FieldValues(1e-6 * points)
+
+    def covariance(self, points):
+        return np.tile(np.diag([1.0, 4.0, 9.0]), (len(points), 1, 1))
+
+    def knows(self, points):
+        return points[:, 0] > 1.5
+
+
+@pytest.mark.parametrize("size", [(2.0, 3.0, 0.5), (4.0, 0.2, 0.0), (5.0, 0.0, 0.0)])
+def test_a_default_grid_has_about_a_hundred_thousand_points_whatever_the_shape(size):
+    grid = map_on_grid(Anything(size))
+    assert 60_000 < grid.is_known.size < 150_000
+    i, j, k = (n // 3 for n in grid.is_known.shape)
+    point = [axis[n] for axis, n in zip(grid.axes, (i, j, k), strict=True)]
+    np.testing.assert_allclose(grid.field[i, j, k], 1e-6 * np.array(point), rtol=1e-9)
+    np.testing.assert_allclose(grid.sd[i, j, k], [1, 2, 3])
+    assert grid.is_known[i, j, k] == (point[0] > 1.5)
+    for axis, low, high in zip(grid.axes, (1.0, 2.0, -3.0), size, strict=True):
+        assert axis[0] <= low + 1e-9
+        assert axis[-1] >= low + high - 1e-9
+        np.testing.assert_allclose(np.diff(axis), grid.spacing, rtol=1e-6)

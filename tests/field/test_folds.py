@@ -2,6 +2,7 @@
 """What is left out of a survey."""
 
 import numpy as np
+import pytest
 
 from magmatch.field.folds import cube_numbers, divide, has_path_order, path_segments
 
@@ -45,3 +46,21 @@ def test_every_part_is_left_out_once_or_in_the_rest():
     np.testing.assert_array_equal(np.sum([*folds.left_out[:2], *folds.rest], axis=0), 1)
     for fold in folds.left_out[:2]:
         assert not set(folds.part[fold]) & set(folds.part[~fold])
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e4])
+def test_order_and_parts_are_the_same_in_any_unit_of_length(unit):
+    for points in (WALK, CLOUD):
+        one, other = divide(points, 0.5), divide(unit * points, 0.5 * unit)
+        assert has_path_order(unit * points) == has_path_order(points) == one.is_path == other.is_path
+        assert len(one.left_out) == len(other.left_out)
+        # Rounding may put a sample on the other side.
+        for fold, scaled in zip(one.left_out, other.left_out, strict=True):
+            assert np.mean(fold == scaled) > 0.99
+
+
+def test_jumps_between_surveys_are_no_path_and_short_paths_have_ten_segments():
+    apart = np.concatenate([WALK, WALK + np.array([500.0, 0, 0])])
+    segment = path_segments(apart, 1.0)
+    assert segment[-1] + 1 == pytest.approx(2 * (path_segments(WALK, 1.0)[-1] + 1), abs=3)
+    assert path_segments(WALK, 1e3)[-1] == 9

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
@@ -154,3 +155,17 @@ def test_a_map_over_a_declared_box_is_saved_and_loaded(tmp_path):
     np.testing.assert_array_equal(again.covariance(at), built.covariance(at))
     spread = np.sqrt(np.trace(built.covariance(at), axis1=1, axis2=2))
     assert spread[0] < 0.3 * spread[2]
+
+
+def test_charges_stand_all_around_the_region_and_no_closer_than_they_may():
+    points, _ = room()
+    distance, spacing = 0.4, 0.2
+    shell = lay_shell(points, distance, spacing, 5000)
+    rng = np.random.default_rng(0)
+    out = rng.uniform(-0.6, BOX + 0.6, (200_000, 3))
+    at = out[np.abs(cKDTree(points).query(out)[0] - distance) < 0.01]
+    assert len(at) > 2000
+    apart = cKDTree(shell.sources).query(at)[0]
+    assert apart.max() < 1.3 * spacing
+    assert cKDTree(shell.sources).query(shell.sources, k=2)[0][:, 1].min() >= 0.8 * shell.spacing * (1 - 1e-9)
+    assert shell.spacing == pytest.approx(spacing)

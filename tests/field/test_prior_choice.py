@@ -12,7 +12,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice import choose_prior as choice
 from magmatch.field.prior_choice import verdict
-from magmatch.field.prior_choice.cross_validation import Candidate, compare
+from magmatch.field.prior_choice.cross_validation import Candidate, compare, compare_on_the_rest
 from magmatch.field.prior_choice.numbers import choose_all_numbers
 from magmatch.field.priors import DENSE_PRIORS, PRIORS
 from magmatch.field.variogram import typical_length
@@ -145,3 +145,24 @@ def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
     assert verdict.best([spline, harmonic]) is spline
     chosen, _ = choice.choose_prior(survey, config, RigidTransform.identity())
     assert chosen.prior == "harmonic"
+
+
+def test_errors_of_parts_are_those_of_fits_that_never_saw_them():
+    points, field = room(inside=False, n=500)
+    survey, folds = Survey(points, field), divide(points, 0.6)
+    (one,) = compared = compare({"spline": H}, survey, folds, None)
+    (every,) = compare_on_the_rest(compared, survey, folds)
+    model = PRIORS["spline"].build(points, field, H)
+
+    def errors(left_out):
+        for fold in left_out:
+            fit = model.infer(model.observe(points[~fold], field[~fold]))
+            square = ((fit.evaluate(points).field - field) ** 2).sum(axis=1)
+            for part in np.unique(folds.part[fold]):
+                here = fold & (folds.part == part)
+                if here.sum() >= 3:
+                    yield 0.5 * np.log(square[here].mean())
+
+    np.testing.assert_allclose(one.log_errors, list(errors(folds.left_out)), atol=1e-6)
+    np.testing.assert_allclose(every.log_errors, list(errors([*folds.left_out, *folds.rest])), atol=1e-6)
+    assert one.error == np.exp(one.log_errors.mean())

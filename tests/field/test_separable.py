@@ -112,6 +112,15 @@ def test_the_cap_on_inducing_points_holds(seed, spacing, cap):
     assert grid.spacing >= spacing
 
 
+def test_nodes_are_no_farther_apart_than_the_cap_asks_for():
+    """Around one place as along a path, by a few shares of what a wider spacing saves."""
+    rng = np.random.default_rng(0)
+    path = np.c_[np.linspace(0, 30, 400), np.zeros((400, 2))]
+    for points, reach in ((1e-3 * rng.uniform(size=(5, 3)), 3.0), (path, 0.3)):
+        grid = lay_affordable_grid(points, 1e-2, lambda h, reach=reach: max(reach, h), 3000)
+        assert 0.6 * 3000 < len(grid) <= 3000
+
+
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, 1e-300])
 def test_impossible_spacing_is_refused(spacing):
     with pytest.raises(ValueError, match="cannot lay inducing points"):

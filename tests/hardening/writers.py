@@ -31,6 +31,7 @@ from magmatch.field.export import write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
+from magmatch.preparation.sensor_model import SensorModel
 from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
@@ -60,7 +61,7 @@ def result(seed):
 
 def report(seed):
     step = StepReport("hard iron", "applied", f"x {seed} uT", 1.0 + seed, 0.5, "uT")
-    return PreparationReport(f"log-{seed}", (100, 90), (step,), {"n_samples": 4000 + seed})
+    return PreparationReport(f"log-{seed}", (100, 90), (step,), {"n_samples": 4000 + seed}, SensorModel(), (), "0")
 
 
 def checkpoint(seed):

@@ -8,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import SurveyError
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.disturbances import find_contradictions
+from magmatch.preparation.disturbances import find_contradictions, find_spikes
 from magmatch.preparation.prepare import prepare
 from magmatch.simulation.corruption import Corruption, corrupt
 
@@ -56,6 +57,8 @@ def removed(disturbed):
 def test_flagging_removes_no_sample(flagged, disturbed):
     assert len(flagged[0]) == len(disturbed[0])
     assert flagged[1].n_samples == (1200, 1200)
+    assert flagged[1]["spikes"].words.endswith("kept")
+    assert flagged[1]["saturation"].words == "none found"
 
 
 def test_a_current_is_reported_with_its_coefficient(flagged, disturbed):
@@ -65,7 +68,10 @@ def test_a_current_is_reported_with_its_coefficient(flagged, disturbed):
 
 
 def test_a_channel_that_does_nothing_is_not_shown(flagged):
-    assert flagged[1]["channel noise"].outcome == "unchanged"
+    step = flagged[1]["channel noise"]
+    assert step.outcome == "unchanged"
+    assert step.words.endswith("not shown")
+    assert "not shown" not in flagged[1]["channel amps"].words
 
 
 def test_a_current_is_taken_off_where_asked_for(removed, disturbed):
@@ -78,6 +84,7 @@ def test_a_current_is_taken_off_where_asked_for(removed, disturbed):
 def test_spikes_are_found_and_removed(removed):
     assert removed[1]["spikes"].figures["runs"] == [[5.0, 5.0], [25.0, 25.0], [45.0, 45.0]]
     assert not np.isin([5.0, 25.0, 45.0], removed[0].times).any()
+    assert removed[1]["spikes"].words.endswith("left out")
 
 
 def test_repeated_readings_are_found(flagged):
@@ -114,3 +121,32 @@ def test_poses_that_are_a_little_off_beside_steel_are_no_metal_that_moved(hand_h
     points = clean.positions + drift
     found = find_contradictions(points, clean.field, choose_spline_hyperparameters(points, clean.field))
     assert found.mean() < 0.05
+
+
+@pytest.fixture(scope="module")
+def laps():
+    """Four laps of a circle, poses a little off, past metal on the second; where; and numbers of a map."""
+    rng, turn = np.random.default_rng(2), np.linspace(0, 8 * np.pi, 800)
+    x = 0.8 * np.c_[np.cos(turn), np.sin(turn), 0.2 * np.sin(3 * turn)]
+    off = x + 0.01 * rng.normal(size=x.shape)
+    b = 3e-6 * np.c_[np.sin(3 * off[:, 1]), np.sin(3 * off[:, 0]), np.cos(3 * off[:, 1]) + np.cos(4 * off[:, 0])]
+    b += [2e-5, 0, -4e-5] + 0.2e-6 * rng.normal(size=x.shape)
+    passing = (np.arange(800) >= 300) & (np.arange(800) < 340)
+    b[passing] += [8e-6, -6e-6, 7e-6]
+    return x, b, passing, Hyperparameters(0.5, 3e-6, 0.2e-6, 0.25, 100.0)
+
+
+@pytest.mark.parametrize(("length", "field"), [(1.0, 1.0), (100.0, 1.0), (1.0, 1e3)])
+def test_what_passed_on_one_lap_is_found_in_any_unit_and_nothing_else(laps, length, field):
+    x, b, passing, h = laps
+    scaled = replace(
+        h, lengthscale=length * h.lengthscale, spacing=length * h.spacing, signal_sd=field * h.signal_sd,
+        noise_sd=field * h.noise_sd,
+    )  # fmt: skip
+    found = find_contradictions(length * x, field * b, scaled)
+    assert found[passing].mean() > 0.8
+    assert found[~passing].mean() < 0.02
+    spiked = field * b
+    spiked[[50, 600]] += field * np.array([[2e-5, 0, 0], [0, -2e-5, 0]])
+    spikes = find_spikes(length * x, spiked, scaled, 10.0, in_order=True)
+    assert np.flatnonzero(spikes).tolist() == [50, 600]

@@ -79,3 +79,10 @@ def test_a_trajectory_of_its_own_is_used_and_one_pose_is_none(log):
     assert len(one) == 1
     with pytest.raises(ValueError, match="orientations"):
         SensorLog.of(replace(survey, orientations=None))
+
+
+def test_a_margin_is_taken_about_the_moved_stamps(log):
+    for offset, n in ((0.1, 192), (-0.1, 192)):
+        found, ends = log.covered(offset, 0.055), (log.covered(share * offset) for share in (1.55, 0.45))
+        assert found.sum() == n
+        np.testing.assert_array_equal(found, next(ends) & next(ends))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Each step alone: disturbances, resampling, Earth's field, report."""
 
+import json
 from datetime import date
 
 import numpy as np
@@ -16,6 +17,7 @@ from magmatch.preparation.disturbances import find_jumps, find_repeats, find_sat
 from magmatch.preparation.earth_field import Place, check_earth_field, earth_field
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.resampling import resample_by_distance, steps_of
+from magmatch.preparation.sensor_model import SensorModel
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=30)
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
@@ -41,6 +43,13 @@ def test_jumps_are_single_readings_off_their_neighbours(walk):
     readings = walk.field.copy()
     readings[[50, 900, 901]] += [0, 20e-6, 0]
     assert np.flatnonzero(find_jumps(readings, 10.0)).tolist() == [50, 900, 901]
+
+
+@pytest.mark.parametrize(("n", "is_jump"), [(1, True), (2, True), (5, False), (6, False)])
+def test_readings_that_bear_each_other_out_are_no_jump(walk, n, is_jump):
+    readings = walk.field.copy()
+    readings[500 : 500 + n] += 20e-6
+    assert find_jumps(readings, 10.0)[500 + n // 2] == is_jump
 
 
 def test_a_clean_walk_has_no_jumps(walk):
@@ -148,11 +157,22 @@ def test_impossible_places_are_refused(wrong):
 
 def test_a_report_is_saved_and_loaded(tmp_path):
     steps = (StepReport("spikes", "flagged", "3 samples", 3, 3, "samples", {"runs": [[0.0, 1.0]]}),)
-    report = PreparationReport("log.csv", (10, 10), steps, {"n_samples": 4000})
+    report = PreparationReport("log.csv", (10, 10), steps, {"n_samples": 4000}, SensorModel(), (), "0")
     report.save(tmp_path / "r.json")
     loaded = PreparationReport.load(tmp_path / "r.json")
     assert loaded.to_dict() == report.to_dict()
     assert "spikes  flagged" in loaded.table()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("sensor", None), ("sensor", {"matrix": [[1]], "shift": [0]}), ("n_samples", [3]), ("steps", [4])],
+)
+def test_a_value_of_a_report_that_cannot_be_is_named(key, value, tmp_path):
+    report = PreparationReport("log.csv", (10, 10), (), {}, SensorModel(), (), "0")
+    (tmp_path / "r.json").write_text(json.dumps(report.to_dict() | {key: value}))
+    with pytest.raises(DataFormatError, match=f"key '{key}"):
+        PreparationReport.load(tmp_path / "r.json")
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": "other/1"}', '{"schema": "magmatch.preparation/1"}'])

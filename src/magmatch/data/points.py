@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Points and grids for ParaView and its kin: PLY and legacy VTK, binary, double precision."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import BinaryIO
 
 import numpy as np
@@ -37,7 +37,7 @@ def write_vtk_grid(
     """Write numbers on a regular grid (m), (nx, ny, nz) or (nx, ny, nz, 3), as legacy VTK (structured points)."""
     shape = [len(axis) for axis in axes]
     origin: Vector3 = np.array([axis[0] for axis in axes])
-    head = f"DIMENSIONS {_row(shape)}\nORIGIN {_row(origin.tolist())}\nSPACING {_row([spacing] * 3)}"
+    head = f"DIMENSIONS {spaced(shape)}\nORIGIN {spaced(origin.tolist())}\nSPACING {spaced([spacing] * 3)}"
     stream.write(_vtk_head("STRUCTURED_POINTS") + head.encode())
     # VTK counts x fastest.
     flat = {name: np.moveaxis(v, (0, 1, 2), (2, 1, 0)).reshape(-1, *v.shape[3:]) for name, v in values.items()}
@@ -59,5 +59,6 @@ def _big_endian(values: np.ndarray) -> bytes:
     return np.ascontiguousarray(values, dtype=">f8").tobytes()
 
 
-def _row(numbers: list[float] | list[int]) -> str:
+def spaced(numbers: Iterable[float]) -> str:
+    """Numbers of a text file, each to its last bit."""
     return " ".join(map(repr, numbers))

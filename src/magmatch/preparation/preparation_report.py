@@ -3,16 +3,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from magmatch._version import __version__
-from magmatch.data.document import read_document, write_document
-from magmatch.errors import DataFormatError
+from pydantic import GetPydanticSchema
+from pydantic_core.core_schema import no_info_after_validator_function
+from typing_extensions import TypedDict
+
+from magmatch.data.document import TypedDocument
 from magmatch.preparation.sensor_model import SensorModel
 
-SCHEMA = "magmatch.preparation/1"
-MAX_BYTES = 16 << 20
 # off: not checked. unchanged: checked, nothing to do. applied: the survey was changed. flagged: found, not changed.
 # unknown: not determined by the data.
 Outcome = Literal["off", "unchanged", "applied", "flagged", "unknown"]
@@ -47,8 +46,20 @@ class StepReport:
     figures: Mapping[str, Any] = field(default_factory=dict)
 
 
+class Correction(TypedDict):
+    """What a file holds of a sensor: ``b_true = matrix b_read - shift``, T, sensor frame."""
+
+    matrix: list[list[float]]
+    shift: list[float]
+
+
+READ_SENSOR = GetPydanticSchema(
+    lambda _, handler: no_info_after_validator_function(SensorModel.from_dict, handler.generate_schema(Correction))
+)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
-class PreparationReport:
+class PreparationReport(TypedDocument):
     """What was done to a log.
 
     Attributes
@@ -70,13 +81,17 @@ class PreparationReport:
         Of the package.
     """
 
+    SCHEMA = "magmatch.preparation/1"
+    KIND = "report of 'magmatch prepare'"
+    MAX_BYTES = 16 << 20
+
     name: str
     n_samples: tuple[int, int]
     steps: tuple[StepReport, ...]
     config: Mapping[str, Any]
-    sensor: SensorModel = field(default_factory=SensorModel)
-    inputs: tuple[Mapping[str, str], ...] = ()
-    version: str = __version__
+    sensor: Annotated[SensorModel, READ_SENSOR]
+    inputs: tuple[Mapping[str, str], ...]
+    version: str
 
     def __getitem__(self, step: str) -> StepReport:
         """Report of one step by its name."""
@@ -91,40 +106,8 @@ class PreparationReport:
         return "\n".join([*lines, *([f"off: {', '.join(off)}"] if off else [])])
 
     def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        steps = [{name: getattr(s, name) for name in StepReport.__dataclass_fields__} for s in self.steps]
-        return {
-            "schema": SCHEMA,
-            "name": self.name,
-            "n_samples": list(self.n_samples),
-            "steps": steps,
-            "config": dict(self.config),
-            "sensor": self.sensor.as_dict(),
-            "inputs": [dict(entry) for entry in self.inputs],
-            "version": self.version,
-        }
-
-    def save(self, path: str | Path) -> None:
-        """Write the report as JSON with a checksum, whole or not at all."""
-        write_document(path, self.to_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> "PreparationReport":
-        """Read a report; one that was changed after writing is refused."""
-        content = read_document(path, SCHEMA, "report of 'magmatch prepare'", MAX_BYTES)
-        try:
-            return cls(
-                content["name"],
-                (int(content["n_samples"][0]), int(content["n_samples"][1])),
-                tuple(StepReport(**step) for step in content["steps"]),
-                content["config"],
-                SensorModel.from_dict(content["sensor"]),
-                tuple(content["inputs"]),
-                content["version"],
-            )
-        except (ValueError, KeyError, TypeError, IndexError, OverflowError) as error:
-            words = f"missing {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:150]
-            raise DataFormatError(path, f"is not a report of 'magmatch prepare' ({SCHEMA}): {words}") from None
+        """What was done, ready for JSON; of the sensor what holds for any of its logs."""
+        return TypedDocument.to_dict(self) | {"sensor": self.sensor.as_dict()}
 
 
 def _change(step: StepReport) -> str:

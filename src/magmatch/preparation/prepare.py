@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magmatch._version import __version__
 from magmatch.arguments import column_of, expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.diagnoses import warn
@@ -113,6 +114,7 @@ def prepare(
     report = PreparationReport(
         survey.name, (len(survey), len(left)), tuple(steps), config.model_dump(mode="json"),
         model if sensor is None else model.after(sensor), ({"name": survey.name, "sha256": hash_survey(survey)},),
+        __version__,
     )  # fmt: skip
     return left, report
 

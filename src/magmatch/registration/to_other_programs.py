@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
+from magmatch.data.points import spaced
 from magmatch.errors import SurveyError
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Covariance6
@@ -72,7 +73,7 @@ def g2o_edge(
 ) -> str:
     """A measured relative pose as a line of g2o; covariance of xi in ``T Exp(xi)``, rotation first."""
     information = g2o_information(covariance, tangent)
-    return f"EDGE_SE3:QUAT {first} {second} {_pose(T)} {_row(information[np.triu_indices(6)].tolist())}"
+    return f"EDGE_SE3:QUAT {first} {second} {_pose(T)} {spaced(information[np.triu_indices(6)].tolist())}"
 
 
 def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTangent = "quaternion") -> None:
@@ -138,8 +139,4 @@ def write_static_transform(result: RegistrationResult, path: str | Path, base: s
 
 
 def _pose(T: RigidTransform) -> str:
-    return _row([*T.translation.tolist(), *T.rotation.as_quat().tolist()])
-
-
-def _row(numbers: list[float]) -> str:
-    return " ".join(map(repr, numbers))
+    return spaced([*T.translation.tolist(), *T.rotation.as_quat().tolist()])

@@ -4,6 +4,7 @@
 import bz2
 import struct
 
+import numpy as np
 import pytest
 
 from magmatch.data.logs.open import open_log
@@ -130,3 +131,28 @@ def test_a_chunk_that_became_a_bomb_is_refused(made, flight, tmp_path, refusal):
     packed = bz2.compress(bytes(5 << 20))
     path.write_bytes(raw[:start] + packed + raw[start + len(packed) :])
     assert "holds more" in refusal(path)
+
+
+@pytest.mark.parametrize("size", [300, *((1 << 20) - k for k in (130, 60, 10, 4, 0, -3))])
+def test_reading_goes_on_at_the_very_next_chunk_behind_a_hole(size, tmp_path):
+    """Random bytes hold no header; the mark of a chunk among them is none either."""
+    hole = np.random.default_rng(size).integers(1, 256, size, dtype=np.uint8).tobytes()
+    hole = hole[: size // 2] + b"\x04\x00\x00\x00op=\x05" + hole[size // 2 :]
+    connection = entry(
+        fields(op=b"\7", conn=ZERO, topic=b"/mag"),
+        fields(topic=b"/mag", type=b"sensor_msgs/MagneticField", md5sum=b"0", message_definition=b"x"),
+    )
+
+    def three(second):
+        stamps = (struct.pack("<II", second + k, 5) for k in range(3))
+        return chunk_of(b"".join(entry(fields(op=b"\2", conn=ZERO, time=stamp), b"x") for stamp in stamps))
+
+    head = bag(connection, three(100))
+    (tmp_path / "log.bag").write_bytes(head + hole + three(200))
+    log = open_log(tmp_path / "log.bag", recover=True)
+    try:
+        times = [t for _, t, _ in log.messages({"/mag"})]
+        assert times == [second * 10**9 + 5 for second in (100, 101, 102, 200, 201, 202)]
+        assert [(loss.start, loss.stop) for loss in log.losses()] == [(len(head), len(head) + len(hole))]
+    finally:
+        log.close()

@@ -4,7 +4,10 @@
 import json
 import struct
 
+import numpy as np
 import pytest
+
+from magmatch.data.logs.open import open_log
 
 SECOND = 1_000_000_000
 MAGIC = b"\x89MCAP0\r\n"
@@ -123,3 +126,20 @@ def test_an_mcap_file_made_wrong_is_refused(case, tmp_path, refusal):
     pytest.importorskip("zstandard")
     (tmp_path / "log.mcap").write_bytes(make())
     assert words in refusal(tmp_path / "log.mcap")
+
+
+@pytest.mark.parametrize("size", [300, (1 << 20) - 4, (1 << 20) - 1, 1 << 20, (1 << 20) + 1])
+@pytest.mark.parametrize("is_chunked", [False, True])
+def test_reading_goes_on_exactly_behind_a_hole_however_its_bytes_resemble_records(is_chunked, size, tmp_path):
+    """Random bytes hold the marks of records everywhere, but no length without a zero is one."""
+    first, second = (b"".join(message(1, GOOD_FIELD, t + k) for k in range(3)) for t in (100, 200))
+    hole = np.random.default_rng(size).integers(1, 256, size, dtype=np.uint8).tobytes()
+    head = MAGIC + TOPICS + (chunk(first) if is_chunked else first)
+    rest = (chunk(second) if is_chunked else second) + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
+    (tmp_path / "log.mcap").write_bytes(head + b"\xee" + hole + rest)
+    log = open_log(tmp_path / "log.mcap", recover=True)
+    try:
+        assert [t for _, t, _ in log.messages({"/mag"})] == [100, 101, 102, 200, 201, 202]
+        assert [(loss.start, loss.stop) for loss in log.losses()] == [(len(head), len(head) + 1 + size)]
+    finally:
+        log.close()

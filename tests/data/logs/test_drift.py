@@ -88,3 +88,9 @@ def test_logs_without_it_state_nothing(made, tmp_path):
     assert read_drift(made.mcap(tmp_path / "poses.mcap", poses)) is None
     (tmp_path / "walk.csv").write_text("x,y,z,bx,by,bz\n0,0,0,1e-5,0,0\n")
     assert read_drift(tmp_path / "walk.csv") is None
+
+
+def test_three_poses_tell_a_drift_and_two_do_not():
+    x = path(n=3, step=5.0)
+    np.testing.assert_allclose(drift(x, covariances(x, 0.2, 2.0, 1e-3)), (0.2, 2.0), rtol=1e-6)
+    assert drift(x[:2], covariances(x[:2], 0.2, 2.0, 1e-3)) is None

@@ -230,3 +230,13 @@ def test_split_recordings_are_one(made, flight, tmp_path):
     survey = read_survey(parts[0])
     np.testing.assert_array_equal(survey.times, expected.times)
     np.testing.assert_array_equal(survey.field, expected.field)
+
+
+def test_a_topics_rate_is_that_of_its_messages_over_the_time_between_them(made, flight, saved):
+    mag, odom = flight.series
+    (field,) = (
+        topic.facts() for topic in list_topics(saved(mag, odom), SurveyFormat())[0] if topic.name == mag.topic
+    )
+    t = mag.log_ns / SECOND
+    assert field["rate"] == pytest.approx(1 / np.median(np.diff(t)), rel=1e-5)
+    np.testing.assert_allclose(field["span"], [t[0], t[-1]])

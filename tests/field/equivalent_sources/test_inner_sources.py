@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Claims about charges among the samples: they stand for what is there, and only for that."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
@@ -145,6 +148,17 @@ def test_magnets_under_a_lane_are_found_where_they_are():
     np.testing.assert_allclose(strengths[order], moments, atol=1e-9)
 
 
+def test_no_magnet_is_moved_onto_the_sample_that_it_would_explain():
+    lanes, at = over_a_floor(), np.array([[0.3, 0.4, 0.03]])
+    field = dipoles(lanes, at, 1e-7 * np.eye(3)[2:]) + np.random.default_rng(1).normal(scale=NOISE, size=lanes.shape)
+    field[[190, 290]] += [[0, 0, 60e-6], [40e-6, 0, 0]]
+    found, _ = find_magnets(lanes, field, 0.3)
+    assert len(found) > 1
+    assert np.linalg.norm(found - at, axis=1).min() < 0.01
+    # Half the distance of neighbours.
+    assert np.linalg.norm(found[:, None] - lanes, axis=2).min() > 0.01
+
+
 def test_a_declared_box_is_kept_free_of_charges_whatever_the_data_show():
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
     assert HarmonicPrior(PRIOR.config, box).build(*room(0.5), H).basis.inner is None
@@ -156,3 +170,21 @@ def test_a_map_with_charges_in_holes_is_saved_and_loaded(tmp_path):
     built.save(tmp_path / "map")
     at = around_hole(20, 6)
     assert np.array_equal(type(built).load(tmp_path / "map").evaluate(at, 1).gradient, built.evaluate(at, 1).gradient)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_charges_in_a_hole_turn_with_it_and_keep_away_from_samples_and_layer(axis):
+    """Mirrored samples hold the mirrored hole; lattices lie alike from both ends."""
+    points = around_hole(700, 8)
+    flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+    shell = lay_shell(points, 0.4, 0.2, 600)
+    other = replace(shell, sources=shell.sources * flip)
+    (found, group), (mirrored, _) = hole_charges(shell, points), hole_charges(other, points * flip)
+    assert len(found) > 10
+    assert cKDTree(found * flip).query(mirrored)[0].max() < 1e-9
+    assert len(mirrored) == len(found)
+    nearest = cKDTree(points).query(points, k=2)[0][:, 1]
+    assert cKDTree(points).query(found)[0].min() >= max(2.4 * np.median(nearest), 0.4 * 0.4) - 1e-12
+    assert cKDTree(shell.sources).query(found)[0].min() > 0.5 * 0.4
+    for k in np.unique(group):
+        assert np.ptp(found[group == k], axis=0).max() <= max(2.4 * np.median(nearest), 0.4 * 0.4)

@@ -91,3 +91,16 @@ def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(n
     assert 0.93 < coverage(honest) < 0.97
     # The mean stays: noise and prior grew alike.
     assert honest.noise_sd / honest.prior_scale == pytest.approx(sure.noise_sd / sure.prior_scale)
+
+
+def test_what_neighbours_on_a_path_share_may_be_their_poses_error_and_widens_nothing():
+    """The same samples in the order of a walk and in none: only there a shared misfit counts."""
+    s = np.linspace(0, 2 * np.pi, 400)
+    walk = BOX * (0.5 + 0.45 * np.c_[np.sin(5 * s), np.sin(4 * s + 1), np.sin(7 * s + 2)])
+    field = field_at(walk, 0.0) + np.random.default_rng(1).normal(scale=NOISE, size=walk.shape)
+    field += 3 * NOISE * np.sin(40 * s)[:, None]
+    shuffled = np.random.default_rng(2).permutation(400)
+    on_path, in_none = (
+        calibrated(PRIORS["curl_free"], walk[rows], field[rows], H).inflation for rows in (np.arange(400), shuffled)
+    )
+    assert on_path < in_none - 0.3

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What spacing a survey can afford."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.affordability import affordable_spacing
+from magmatch.field.selection.affordability import affordable_spacing, is_affordable
+from magmatch.field.tiles.region_model import fit_operations
 
 
 def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeypatch):
@@ -13,3 +16,16 @@ def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeyp
     spacing = affordable_spacing(x, Hyperparameters(0.35, 1e-6, 1e-7, 0.1))
     assert spacing > 0.1
     assert "widened" in caplog.text
+
+
+def test_a_survey_affords_what_its_number_of_samples_allows_and_no_wider_spacing_than_it_must(monkeypatch):
+    x, h = np.random.default_rng(1).uniform(0, 3, (400, 3)), Hyperparameters(0.5, 1e-6, 1e-7, 0.25)
+    share = fit_operations(x, h) / (4e9 + 2e5 * 400)
+    assert is_affordable(x, h, 1.01 * share)
+    assert not is_affordable(x, h, 0.99 * share)
+    monkeypatch.setattr("magmatch.field.selection.affordability.MOST_OPERATIONS", (1e7, 1e5))
+    spacing = affordable_spacing(x, h)
+    costs = [fit_operations(x, replace(h, lengthscale=2 * s, spacing=s)) for s in (spacing, spacing / 1.25)]
+    assert costs[0] <= 1e7 + 400e5 < costs[1]
+    # A field that nobody could lay cells over is not asked what it costs.
+    assert not is_affordable(1e4 * x, h, 1e30)

@@ -9,7 +9,7 @@ from magmatch.field.build import build_map, map_samples
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
-from magmatch.field.selection.outliers import reweighted_residuals
+from magmatch.field.selection.outliers import find_outliers, reweighted_residuals
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.simulation.simulate import simulate
@@ -101,6 +101,23 @@ def test_a_lift_that_passed_on_one_lap_of_four_is_left_out():
     missing = np.setdiff1d(np.arange(2400.0), kept.times)
     assert len(missing) >= 50
     assert np.mean((missing >= 1000) & (missing < 1060)) > 0.95
+
+
+def test_samples_of_one_pass_deny_nothing_and_those_of_another_do():
+    """One walk past a bump that is narrower than the splines, alone and beside a second one that never met it."""
+    rng = np.random.default_rng(8)
+    s = np.linspace(1, 3, 400)
+    lane = np.c_[s, np.full(400, 1.0), np.full(400, 0.3)]
+    bump = 25 * UT * np.exp(-(((s - 2) / 0.03) ** 2))[:, None] * [0.6, 0.0, 0.8]
+    beside = lane[::-1] + np.array([0.0, 0.05, 0.0])
+    for x, b, n_out in (
+        (lane, field_at(lane) + bump, 0),
+        (np.r_[lane, beside], np.r_[field_at(lane) + bump, field_at(beside)], 5),
+    ):
+        noisy = b + 0.1 * UT * rng.normal(size=b.shape)
+        model = PRIORS["spline"].build(x, noisy, Hyperparameters(0.5, 8 * UT, 0.3 * UT, 0.25, 100.0))
+        is_out = find_outliers(Survey(x, noisy), model.infer(model.observe(x, noisy)))
+        assert n_out <= is_out.sum() <= 4 * n_out
 
 
 def test_a_survey_that_contradicts_itself_everywhere_is_kept_with_a_word(caplog):

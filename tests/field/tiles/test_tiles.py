@@ -342,3 +342,11 @@ def test_where_single_precision_does_not_do_a_factor_is_double():
     light, exact = (f(model.observe(x[:400], b[:400])) for f in (model.infer_in_single_precision, model.infer))
     assert light.factors.light.precision == np.float64
     assert np.array_equal(light.weights, exact.weights)
+
+
+def test_a_tile_sees_half_a_lengthscale_beyond_its_core_within_bounds():
+    margins = [Tiling.suited_to(0.1 * cells, 0.1, 2.5).margin for cells in (1.0, 4.0, 8.0, 11.0, 40.0)]
+    assert margins == [5, 5, 7, 8, 9]
+    assert Tiling.suited_to(0.5, 0.25, 2.9).reach == 2
+    low, high = (np.array(corner) for corner in Tiling(0.2, margin=4, reach=2, core=8, blend=2).box((1, 0, -1)))
+    np.testing.assert_array_equal([low, high], [[0, -8, -16], [16, 8, 0]])

@@ -92,3 +92,11 @@ def test_a_rough_pose_says_where_the_target_lies_already():
 def test_what_never_fits_keeps_a_share():
     found = spread_inside(PosePrior(1.0), slab(0.5, 0.5, 0.5), rod(500.0), lambda share: 1e4 * (share - 1))
     assert -12 < found.log_share_inside < -6
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 5), (5, 2, 3), (3, 5, 2)])
+def test_one_point_is_inside_as_often_as_cells_fill_what_their_corners_stand_for(shape):
+    n = int(np.prod(shape))
+    base = Raster.knowing(np.array([7.0, -3, 1]), SPACING, shape, np.arange(n), np.zeros((n, 3)), np.ones(n))
+    found = spread_inside(PosePrior(1.0), base, np.zeros((1, 3)), weight).log_share_inside
+    assert found == pytest.approx(np.log(np.prod(1 - 1 / np.array(shape))), abs=0.08)

@@ -12,7 +12,11 @@ from scipy.spatial.distance import cdist
 from scipy.stats import chi2 as chi2_of
 from scipy.stats import multivariate_normal, norm
 
-from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
+from hand_made import some_field
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely, predict_stretches
 
 NOISE = PathNoise(1.1e-6, 0.8, 0.3e-6, 0.5e-6, 1.4, 0.6, 0.02, 0.06, 4.0, spread=0.4, n_stretches=9)
 
@@ -35,7 +39,7 @@ def test_a_components_covariance_is_the_sum_of_what_lasts_what_is_shared_the_map
     for i, j in np.ndindex(*d.shape):
         expected = 1.1e-6**2 * np.exp(-d[i, j] / 0.8) + 0.5e-6**2
         expected += 1.4**2 * sd[i] * sd[j] * np.exp(-(d[i, j] ** 2) / (2 * 0.6**2)) + (i == j) * 0.3e-6**2
-        assert found[i, j] == pytest.approx(expected, rel=1e-12)
+        np.testing.assert_allclose(found[i, j], expected, rtol=1e-12)
     np.testing.assert_array_equal(NOISE.isotropic(d, np.stack([sd, sd]))[1], found)
 
 
@@ -142,3 +146,28 @@ def test_how_walks_differ_is_learned_beside_what_chance_makes_of_them(scatter):
     excess = max(np.mean(np.log(np.array(chi2) / 36) ** 2) - 2 / 36, 0.0)
     assert found.spread**2 == pytest.approx((5 * 0.5**2 + 20 * excess) / 25, rel=1e-6)
     assert (excess > 0.1) == (scatter > 0)
+
+
+def test_left_out_stretches_hold_the_field_where_they_lie_and_what_the_rest_misses_of_it():
+    """Of laps beside one another through a known field, each stretch told by the other laps."""
+    angle, noise = np.linspace(0, 10 * np.pi, 1500), 3e-7
+    x = (1.0 + 0.005 * angle)[:, None] * np.c_[np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)]
+    truth, length = some_field(1), 0.5
+    survey = Survey(x, truth.evaluate(x).field + noise * np.random.default_rng(0).standard_normal(x.shape))
+    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=noise, spacing=0.25)
+    field_map = build_map(survey, numbers)
+    found = predict_stretches(field_map, length, np.random.default_rng(0))
+    T = field_map.T_map_model
+    z = []
+    for one in found:
+        here = truth.evaluate(T.apply(one.positions), 1).rotated(T.inv())
+        # Means of curved pieces, of some samples each.
+        np.testing.assert_allclose(one.field, here.field, atol=5 * noise)
+        assert np.median(np.abs(one.gradient - here.gradient)) < 0.1 * np.abs(here.gradient).max()
+        steps = np.linalg.norm(np.diff(one.positions, axis=0), axis=1)
+        assert np.median(steps) == pytest.approx(0.25 * length, rel=0.3)
+        assert 8 <= len(one.positions) <= 5 / 0.25 + 1
+        z.append(one.residual / np.sqrt(noise**2 / 6 + one.map_sd**2)[:, None])
+    # Two of five stretches of five lengths of this path of 34 m.
+    assert len(found) == pytest.approx(0.4 * 34 / 2.5, abs=1.5)
+    assert 0.6 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.4

@@ -12,7 +12,13 @@ from magmatch.features.invariants import rotation_invariants, traceless_symmetri
 from magmatch.field.build import build_map
 from magmatch.field.values import FieldValues
 from magmatch.geometry import random_transform, rotate_vectors, transform_points
-from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, common_length, correlation_length_of, prepare
+from magmatch.registration.prepared.prepared_map import (
+    MEDIAN_CHI2_3,
+    common_length,
+    correlation_length_of,
+    height_range,
+    prepare,
+)
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +105,8 @@ def test_a_constant_field_changes_over_no_less_than_its_maps_functions():
     assert prepared.correlation_length >= field_map.hyperparameters.spacing
     # A raster a hundred times finer than that took minutes.
     assert prepared.raster.spacing >= field_map.hyperparameters.spacing / 16
+
+
+def test_heights_are_those_of_the_surveys_frame_and_a_length_beyond(field_map, prepared):
+    expected = np.ptp(field_map.survey.positions[:, 2]) + prepared.correlation_length
+    assert height_range(prepared) == pytest.approx(expected)

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from magmatch.features.features import Features
 from magmatch.registration.published.matching import MatchingConfig, match_features
@@ -32,6 +33,17 @@ def test_nearest_agrees_with_brute_force():
     apart = np.linalg.norm(target[:, None] - base, axis=2)
     assert np.array_equal(matches.base_rows, apart.argmin(axis=1))
     assert np.allclose(matches.distance, apart.min(axis=1))
+
+
+def test_of_many_keypoints_each_finds_its_nearest_as_well():
+    """More pairs than are compared at once."""
+    rng = np.random.default_rng(1)
+    base, target = rng.random((2000, 4)), rng.random((4500, 4))
+    matches = match_features(features(base), features(target), ALL)
+    distance, nearest = cKDTree(base).query(target)
+    assert np.array_equal(matches.base_rows, nearest)
+    assert np.array_equal(matches.target_rows, np.arange(4500))
+    np.testing.assert_allclose(matches.distance, distance, atol=1e-12)
 
 
 def test_the_closest_share_is_kept():

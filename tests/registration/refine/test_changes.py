@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import eigvalsh
 from scipy.spatial.transform import RigidTransform
 
-from hand_made import EARTH, Polynomial, box, prepared_map
+from hand_made import EARTH, Polynomial, box, prepared_map, some_field
 from magmatch.geometry import perturbation, random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.pose_prior import PosePrior
@@ -189,6 +190,28 @@ def test_where_nothing_changed_the_odds_are_those_of_a_constant_field_beside_a_k
     # ln N(0; noise) - ln N(constant; CONSTANT^2 + noise / n); what noise leaves is as large on both sides.
     expected = 1.5 * np.log(1 + 120 * (1e-4 / sd) ** 2) + 0.5 * (EARTH**2).sum() / 1e-4**2
     assert found.log_ratio == pytest.approx(expected, abs=6)
+
+
+def test_charges_that_stand_for_nothing_leave_turns_as_well_known_and_scores_that_scatter_as_stated():
+    """Against a refinement without them; they answer a shift, a turn of the Earth's field hardly."""
+    rng = np.random.default_rng(2)
+    base, target = (prepared_map(some_field(3, bend=40e-6), box(rng, 400), rng) for _ in range(2))
+    ordinary = refine(base, target, RigidTransform.identity(), FLAT, REFINEMENT, rng)
+    config = ChangeConfig(n_samples=400, n_charges=100)
+    found = refine_beside_changes(base, target, ordinary, np.ones(400, dtype=bool), FLAT, config, rng)
+    (block,), scores = found.pose.blocks, found.pose.blocks[0].scores[:, :6]
+    # That the same data chose the charges counts sixteenfold.
+    information = 16 * block.information[:6, :6]
+    share = eigvalsh(information, ordinary.blocks[0].information[:6, :6])
+    assert 0 < share[0] < 0.3
+    assert 0.7 < share[3] < share[5] < 1
+    np.testing.assert_allclose(block.information, block.information.T, rtol=1e-9, atol=1e-9 * block.information.max())
+    np.testing.assert_array_equal(block.curvature, block.information)
+    scatter = eigvalsh(16 * scores.T @ scores, information)
+    assert 0.4 < scatter.min() < scatter.max() < 1.4
+    # At rest: what is left to go is a fraction of a standard deviation.
+    assert 16 * scores.sum(axis=0) @ np.linalg.solve(information, scores.sum(axis=0)) < 0.5
+    assert block.residual2.mean() == pytest.approx(3 * found.noise, rel=0.1)
 
 
 def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):

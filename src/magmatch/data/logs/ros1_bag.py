@@ -270,13 +270,13 @@ def _record(stream: BinaryIO, position: int) -> tuple[Header, int, int]:
 
 def _resume(stream: BinaryIO, position: int, size: int) -> int:
     """Where the next chunk begins, found by the field that every chunk's header has; else the end of the file."""
-    block = 1 << 20
+    block, first = 1 << 20, position
     while position < size:
         stream.seek(position)
         window = stream.read(block + len(_CHUNK_MARK))
         mark = window.find(_CHUNK_MARK)
         while mark >= 0:
-            for start in range(position + mark - 4, max(position, position + mark - 120) - 1, -1):
+            for start in range(position + mark - 4, max(first, position + mark - 120) - 1, -1):
                 try:
                     header, _, _ = _record(stream, start)
                 except _FAULTS:

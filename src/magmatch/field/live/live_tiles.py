@@ -102,7 +102,7 @@ class LiveTiles:
         return values, covariance, known
 
     def fit(self, index: Index) -> SplinePosterior:
-        """FittedTile a tile to all that has been measured in it and around it."""
+        """Fit a tile to all that has been measured in it and around it."""
         blocks = [self.blocks[i] for i in self._around(index)]
         kept = np.concatenate([block.kept for block in blocks])
         cells = lay_cells(kept[:, :3], self.tiling.spacing, self.hyperparameters.reach, self.tiling.box(index))
