@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hours of samples through a service that is killed again and again: what is lost, and whether memory grows.
 
-Clients walk through one hall as fast as the service answers, each a walk of its own. Now and then one of the
-processes is killed (-9), the service itself among them. Counted are answers, states that resumed, samples that had
-to be sent again (those since the last checkpoint), poses farther from the truth than five standard deviations, which
-another's pose would be, and resident memory along the way. Ends by itself.
+Clients walk through one hall as fast as the service answers, each a walk of its own and with some samples under way.
+Now and then one of the processes is killed (-9), the service itself among them. Counted are answers, states that
+resumed, samples that had to be sent again (those since the last checkpoint), poses farther from the truth than five
+standard deviations, which another's pose would be, and resident memory along the way: of all processes together, and
+by how much one grew after its first hour of samples. Ends by itself.
 
 Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
 """
@@ -21,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from bench_serve import children_of, make_map, memory_of
+from bench_serve import children_of, make_map
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
@@ -30,6 +31,9 @@ from magmatch.serve.messages import read_pose
 from serving import packed, samples, serving, wait_until
 
 TRIES = 2000
+# Samples that a client has sent and has no answer to yet: with one, both would wait for the way there and back.
+UNDER_WAY = 16
+RATE = 10.0
 
 
 class Walker(threading.Thread):
@@ -62,10 +66,12 @@ class Walker(threading.Thread):
                 if next_row <= done:
                     self.n_again += done + 1 - next_row
                     self.oldest_again = max(self.oldest_again, self.came[done] - self.came[next_row])
-                for n in range(next_row, len(rows)):
-                    wire.send(packed(rows[n]))
-                    self.note(n, read_pose(wire.recv(timeout=60)))
-                    done = max(done, n)
+                for n in range(next_row, len(rows) + UNDER_WAY):
+                    if n < len(rows):
+                        wire.send(packed(rows[n]))
+                    if (answered := n - UNDER_WAY) >= next_row:
+                        self.note(answered, read_pose(wire.recv(timeout=60)))
+                        done = max(done, answered)
                 self.is_done = True
                 return
             time.sleep(1.0)
@@ -94,7 +100,8 @@ def main() -> None:
         folder = Path(name)
         make_map(folder / "hall.map")
         walkers = [Walker(seed, asked.hours / asked.clients, where) for seed in range(1, asked.clients + 1)]
-        total, n_kills, memory = sum(len(w.log) for w in walkers), 0, []
+        total, n_kills = sum(len(w.log) for w in walkers), 0
+        memory: dict[int, list[tuple[int, float]]] = {}
         while any(not w.is_done for w in walkers) and time.monotonic() < until:
             with serving(folder / "hall.map", "--states", folder / "states") as service:
                 where["live"] = service.live
@@ -108,7 +115,24 @@ def main() -> None:
           f"{sum(w.n_again for w in walkers)} samples sent again, the oldest "
           f"{max(w.oldest_again for w in walkers):.1f} s old")  # fmt: skip
     print(f"{sum(w.n_stated for w in walkers)} poses stated, {sum(w.n_wrong for w in walkers)} not this walk's")
-    print("resident MB along the way: " + " ".join(f"{m:.0f}" for m in memory[:: max(len(memory) // 12, 1)]))
+    report_memory(memory, total)
+
+
+def report_memory(memory: dict[int, list[tuple[int, float]]], total: int) -> None:
+    """Of all together in each twelfth of the samples, and by how much one process grew after its first hour."""
+    parts: list[dict[int, float]] = [{} for _ in range(12)]
+    grown, longest, hour = [], 0, RATE * 3600
+    for pid, rows in memory.items():
+        for n, mb in rows:
+            part = parts[min(12 * n // total, 11)]
+            part[pid] = max(part.get(pid, 0.0), mb)
+        later = [mb for n, mb in rows if n >= rows[0][0] + hour]
+        if later:
+            grown.append(max(later) - later[0])
+            longest = max(longest, rows[-1][0] - rows[0][0])
+    print("resident MB of each twelfth's largest process: " + " ".join(f"{max(p.values()):.0f}" for p in parts if p))
+    print(f"{len(grown)} processes lived for more than an hour of samples, one for {longest / hour:.1f} h; "
+          f"after the first hour the largest grew by {max(grown, default=0.0):.1f} MB")  # fmt: skip
 
 
 def watch(service, walkers, total, most, n_before, rng, memory, until) -> int:
@@ -116,8 +140,12 @@ def watch(service, walkers, total, most, n_before, rng, memory, until) -> int:
     n = 0
     while any(not w.is_done for w in walkers) and time.monotonic() < until:
         time.sleep(0.5)
-        memory.append(memory_of(service))
-        share = sum(w.n_answers for w in walkers) / total
+        n_answers = sum(w.n_answers for w in walkers)
+        for pid in [service.process.pid, *children_of(service.process.pid)]:
+            with suppress(OSError):
+                pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+                memory.setdefault(pid, []).append((n_answers, pages * os.sysconf("SC_PAGE_SIZE") / 1e6))
+        share = n_answers / total
         if share * (most + 1) < n_before + n + 1 or n_before + n >= most:
             continue
         n += 1
