@@ -1,23 +1,29 @@
-"""One short walk against many buildings: CEA hidden among simulated ones.
+"""One short survey against many places: CEA, simulated corridors and rooms, and recordings, all in one folder.
 
-    python benchmarks/experiments/many_buildings.py FOLDER [--buildings 100] [--tries 50] [--lengths 10]
-        [--simulated 50] [--from DIR] [--seed 700] [--floor 2]
+    python benchmarks/experiments/many_buildings.py FOLDER [--buildings 100] [--rooms 0] [--others] [--among 0]
+        [--tries 50] [--simulated 50] [--second 0] [--lengths 10] [--from DIR] [--seed 700] [--floor 2] [--absent]
 
-FOLDER keeps the maps and their indexes from run to run. A simulated building is a corridor around a rectangle of its
-own size, walked twice along either side; CEA is walk one through both floors. Targets are stretches of CEA's walk
-two (`--tries`) and walks along the middle of as many different simulated corridors (`--simulated`), each in a random
-frame of its own. Right = the right building first, and in it within 0.25 m and 3 deg. With ``--absent`` each target's
-own building is taken out of the atlas, so that nothing is right. Seconds are per query in one process with the atlas
-open; those of opening it are printed besides.
+FOLDER keeps the maps and their indexes from run to run; other maps in it are places, too. A simulated building is a
+corridor around a rectangle of its own size, walked twice along either side; a room is one of `many_rooms.py`; CEA is
+walk one through both floors, and ``--others`` adds the other recordings. Targets are stretches of CEA's walk two
+(`--tries`), walks along the middle of as many different simulated corridors (`--simulated`), and second surveys of as
+many rooms (`--second`), each in a random frame of its own. Right = the right place first, and in it within 0.25 m and 3 deg. ``--among 100 1000`` asks
+each target twice, among its own place and 99, and 999, others (0: all). With ``--absent`` each target's own place is
+taken out, so that nothing is right. Seconds are per query in one process with the folder open; those of opening it
+are printed besides.
 """
 
+import argparse
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from many_rooms import ROOM, rooms
 from short_walks import MAX_DEG, MAX_M, stretches
 
 import magmatch as mm
@@ -25,11 +31,22 @@ from magmatch.data.recordings import load_recordings
 from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
+from magmatch.simulation.scenario import SimulatedPair
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
 from magmatch_evaluation.script import arguments, pose_error, timed
 
 HALF_WIDTH, HEIGHT, CORNER, CLEARANCE = 1.5, 1.2, 1.5, 0.5
 LANES = (-0.35, 0.35)
+# Rooms' seeds begin here. Of the other recordings one each of a place: walks, an area, a volume, a floor.
+FIRST_ROOM = 700_000
+OTHERS = {
+    "kok": {"eight", "square", "library", "mall"},
+    "aalto": {"invensense-1"},
+    "jidling": {"volume"},
+    "kaist": {"floor"},
+}
+# Buildings that are large: a map of one takes twice as long.
+N_LARGE = 120
 STEP, NOISE_SD, ANOMALY_SD = 0.08, 0.4e-6, 12e-6
 EARTH = np.array([17.83e-6, 0.0, -44.57e-6])
 
@@ -43,9 +60,10 @@ class Building:
 
     @classmethod
     def of(cls, number: int) -> "Building":
-        """The building of a number, always the same."""
+        """The building of a number, always the same; those after the first hundred are half as long and wide."""
         rng = np.random.default_rng([4242, number])
-        size = (float(rng.uniform(12, 22)), float(rng.uniform(7, 12)))
+        scale = 1.0 if number < N_LARGE else 0.5
+        size = (scale * float(rng.uniform(12, 22)), scale * float(rng.uniform(7, 12)))
         length = loop_length(size, CORNER)
         sources = along_corridor(partial(around_loop, size, CORNER), length, HALF_WIDTH, rng)
         building = cls(size, ())
@@ -73,22 +91,44 @@ class Building:
         return self.measured(np.concatenate([self.path(side) for side in LANES]), rng)
 
 
-def make_maps(folder: Path, n: int, cea: mm.Survey) -> None:
-    """Build the maps that are not there yet."""
+def surveys(asked: argparse.Namespace, cea: mm.Survey) -> Iterator[tuple[str, Callable[[], mm.Survey]]]:
+    """Names of all places, and what makes their surveys."""
+    for number in range(asked.buildings - 1):
+        yield f"building-{number:03d}", partial(building_survey, number)
+    yield "cea", lambda: cea
+    for name in islice(rooms(FIRST_ROOM, asked.rooms), asked.rooms):
+        yield f"{name}.base", lambda name=name: room(name).base
+    if asked.others:
+        for source, names in OTHERS.items():
+            for name, survey in load_recordings(source, asked.recordings).items():
+                if name in names:
+                    yield f"{source}-{name}", lambda survey=survey: survey
+
+
+def make_maps(folder: Path, places: Iterable[tuple[str, Callable[[], mm.Survey]]]) -> list[str]:
+    """Build the maps that are not there yet; names of all."""
     folder.mkdir(parents=True, exist_ok=True)
-    start, n_built = time.perf_counter(), 0
-    for number in range(n - 1):
-        path = folder / f"building-{number:03d}.map"
-        if not path.exists():
-            rng = np.random.default_rng([1, number])
-            survey = Building.of(number).surveyed(rng)
-            # Each building has a frame of its own.
-            mm.build_map(survey.transformed(random_transform(rng))).save(path)
+    start, n_built, names = time.perf_counter(), 0, []
+    for name, make in places:
+        names.append(f"{name}.map")
+        if not (folder / names[-1]).exists():
+            mm.build_map(make()).save(folder / names[-1])
             n_built += 1
-    if not (folder / "cea.map").exists():
-        mm.build_map(cea).save(folder / "cea.map")
-        n_built += 1
     print(f"{n_built} maps built in {time.perf_counter() - start:.0f} s")
+    return names
+
+
+def building_survey(number: int) -> mm.Survey:
+    """A building's survey; each has a frame of its own."""
+    rng = np.random.default_rng([1, number])
+    survey = Building.of(number).surveyed(rng)
+    return survey.transformed(random_transform(rng))
+
+
+def room(name: str) -> SimulatedPair:
+    """The two surveys of a room: name is ``overlap-SEED``."""
+    percent, seed = map(int, name.split("-"))
+    return mm.simulate("office-random", seed, ROOM.model_copy(update={"overlap": percent / 100}))
 
 
 def simulated_target(number: int, length: float, rng: np.random.Generator) -> tuple[mm.Survey, mm.Survey]:
@@ -101,23 +141,44 @@ def simulated_target(number: int, length: float, rng: np.random.Generator) -> tu
     return walk.transformed(random_transform(again))
 
 
-def judge(atlas: mm.Atlas, target: mm.Survey, name: str, rng: np.random.Generator, *, is_absent: bool) -> tuple:
-    """Localise one target from a random frame."""
+def second_survey(name: str) -> mm.Survey:
+    """Of a room, in the frame of its map."""
+    pair = room(name)
+    return pair.target.transformed(pair.T_base_target)
+
+
+def among(atlas: mm.Atlas, n: int, name: str, *, is_absent: bool) -> mm.Atlas:
+    """A place among others, n in all, and the same others for all places but those."""
+    others = [entry for entry in atlas.entries if entry.name != name]
+    chosen = np.random.default_rng(len(others)).permutation(len(others))[: n - 1 if n else None]
+    kept = {others[k].name for k in chosen} | (set() if is_absent else {name})
+    return replace(atlas, entries=tuple(entry for entry in atlas.entries if entry.name in kept))
+
+
+def judge(atlas: mm.Atlas, sizes: list[int], target: mm.Survey, name: str, rng: np.random.Generator, *,
+          is_absent: bool) -> list[tuple]:  # fmt: skip
+    """Localise one target from a random frame, among each number of places."""
     T_base_target = random_transform(rng)
-    moved = target.transformed(T_base_target.inv())
-    if is_absent:
-        atlas = replace(atlas, entries=tuple(entry for entry in atlas.entries if entry.name != name))
-    result, *seconds = timed(mm.localize, atlas, moved)
-    distance, angle = pose_error(result, T_base_target, moved.centroid)
-    is_right = result.base == name and distance <= MAX_M and np.degrees(angle) <= MAX_DEG
-    return result.base == name, is_right, result.is_accepted, seconds, str(result.status), result.seconds
+    moved, found = target.transformed(T_base_target.inv()), []
+    for n in sizes:
+        result, *seconds = timed(mm.localize, among(atlas, n, name, is_absent=is_absent), moved)
+        distance, angle = pose_error(result, T_base_target, moved.centroid)
+        is_right = result.base == name and distance <= MAX_M and np.degrees(angle) <= MAX_DEG
+        found.append((result.base == name, is_right, result.is_accepted, seconds, str(result.status), result.seconds))
+    return found
 
 
-def report(name: str, length: float, outcomes: list[tuple]) -> None:
+def resident() -> str:
+    """Memory of this process, MB: its own, and pages of files that are mapped, which others share."""
+    lines = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines() if "Rss" in line)
+    return ", ".join(f"{key} {int(lines[key].split()[0]) / 1024:.0f} MB" for key in ("RssAnon", "RssFile"))
+
+
+def report(name: str, outcomes: Sequence[tuple]) -> None:
     of_building, right, accepted, seconds, status, stages = zip(*outcomes, strict=True)
     n = len(outcomes)
     print(
-        f"{name} {length:.0f} m: {n} tries, right building first {sum(of_building)}, and right pose {sum(right)} "
+        f"{name}: {n} tries, right building first {sum(of_building)}, and right pose {sum(right)} "
         f"({sum(right) / n:.0%}), accepted and right {sum(r and a for r, a in zip(right, accepted, strict=True))}, "
         f"accepted and wrong {sum(a and not r for r, a in zip(right, accepted, strict=True))}; "
         f"{dict(Counter(status))}\n    seconds per query: median {np.median(seconds, axis=0)[0]:.2f}, "
@@ -129,25 +190,31 @@ def report(name: str, length: float, outcomes: list[tuple]) -> None:
 
 def main() -> None:
     asked = arguments(
-        __doc__, (), recordings=None, buildings=100, tries=50, simulated=50, lengths=[10.0], seed=700, floor=2,
-        absent=False,
+        __doc__, (), recordings=None, buildings=100, rooms=0, others=False, among=[0], tries=50, simulated=50,
+        second=0, lengths=[10.0], seed=700, floor=2, absent=False,
     )  # fmt: skip
     folder = Path(asked.words[0])
     walks = load_recordings("cea", asked.recordings)
-    make_maps(folder, asked.buildings, walks["training"])
+    wanted = make_maps(folder, surveys(asked, walks["training"]))
     indexing = timed(mm.open_atlas, folder).clock
+    before = resident()
     atlas, opening, _ = timed(mm.open_atlas, folder)
-    print(f"indexed in {indexing:.1f} s, opened again in {opening:.2f} s")
-    atlas = replace(atlas, entries=atlas.entries[: asked.buildings - 1] + atlas.entries[-1:])
+    size = sum(path.stat().st_size for path in folder.iterdir())
+    print(f"{len(atlas.entries)} places, {size / 1e6:.0f} MB; indexed in {indexing:.1f} s, opened again in "
+          f"{opening:.2f} s; resident {before}, open {resident()}")  # fmt: skip
     for length in asked.lengths:
         rng = np.random.default_rng([asked.seed, int(length)])
-        run = partial(judge, rng=rng, is_absent=asked.absent)
-        walk = walks[f"test-floor{asked.floor}"]
-        real = [run(atlas, s, "cea.map") for s in stretches(walk, length, asked.tries, rng)]
-        report(f"CEA floor {asked.floor}", length, real) if real else None
-        numbers = rng.choice(len(atlas.entries) - 1, min(asked.simulated, len(atlas.entries) - 1), replace=False)
-        made = [run(atlas, simulated_target(int(k), length, rng), f"building-{k:03d}.map") for k in numbers]
-        report("simulated", length, made) if made else None
+        walk, second = walks[f"test-floor{asked.floor}"], [n for n in wanted if n.endswith(".base.map")]
+        targets = {f"CEA floor {asked.floor}": (("cea.map", s) for s in stretches(walk, length, asked.tries, rng))}
+        numbers = rng.choice(asked.buildings - 1, min(asked.simulated, asked.buildings - 1), replace=False)
+        targets["simulated"] = ((f"building-{k:03d}.map", simulated_target(int(k), length, rng)) for k in numbers)
+        chosen = rng.choice(len(second), min(asked.second, len(second)), replace=False) if second else []
+        targets["rooms"] = ((second[k], second_survey(second[k].removesuffix(".base.map"))) for k in chosen)
+        for kind, some in targets.items():
+            found = [judge(atlas, asked.among, s, name, rng, is_absent=asked.absent) for name, s in some]
+            for n, outcomes in zip(asked.among, zip(*found, strict=True), strict=False):
+                report(f"{kind} {length:.0f} m, among {n or len(atlas.entries)} places", outcomes)
+        print(f"resident {resident()}")
 
 
 if __name__ == "__main__":

@@ -2,19 +2,22 @@
 """Which maps may hold a target: a few hypotheses in each, and how well they agree.
 
 For a walk, pairs of points propose poses, and those that agree with each other are votes: in the right map many pairs
-propose the same pose, in any other map each proposes a different one. Votes need only the maps' pair tables, so a
-hundred maps can be compared without reading their fields. Other targets score a few poses against each map's field.
+propose one and the same pose, in any other map each proposes its own. Votes need the maps' pair tables only, so
+maps are asked without reading their fields, and of thousands only those that hold pairs like the walk's. Other
+targets score a few poses against each map's field; of thousands, against those that their pairs vote for.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
+from magmatch.features.pairs import pair_invariants, whiten_pairs
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.prepared.walk import Walk, walk_of
+from magmatch.registration.prepared.walk import MAX_BINS, Walk, walk_of
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
     choose_anchors,
@@ -27,11 +30,12 @@ from magmatch.registration.search.pair_search import (
     PairTable,
     choose_pairs,
     hypotheses,
-    similar_pairs,
 )
 from magmatch.registration.search.scoring import score_poses, weigh_samples
-from magmatch.typing import Scalars
+from magmatch.typing import Indices, Matrix, Scalars
 
+# Maps that are asked for poses, at most: a folder ten times larger than that costs little more.
+MAX_ASKED = 100
 # Pairs of the walk that vote, and base pairs that each is tried on.
 N_PAIRS, N_NEIGHBOURS = 40, 6
 # The same for points with their frames, and samples that judge each pose.
@@ -45,38 +49,85 @@ SHARED_LENGTH = 1.15
 
 
 def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:
-    """Share of a walk's pairs that agree on one pose, in each of many maps."""
+    """Share of a walk's pairs that agree on one pose, in the maps that hold pairs most like them; 0 elsewhere."""
     few = config.model_copy(update={"n_pairs": N_PAIRS, "n_neighbours": N_NEIGHBOURS})
-    walks: dict[int, Walk] = {}
-    votes = np.zeros(len(tables))
-    for k, table in enumerate(tables):
+    asked: dict[int, Question] = {}
+    questions = []
+    for table in tables:
         step = round(float(np.log(table.length) / np.log(SHARED_LENGTH)))
-        if step not in walks:
-            walks[step] = walk_of(target, SHARED_LENGTH**step)
-        votes[k] = votes_for(table, walks[step], few, np.random.default_rng(seed))
+        if step not in asked:
+            walk = walk_of(target, SHARED_LENGTH**step)
+            asked[step] = Question.of(walk, table, few, np.random.default_rng(seed))
+        questions.append(asked[step])
+    votes = np.zeros(len(tables))
+    alike = np.array([one.likeness(table) for one, table in zip(questions, tables, strict=True)])
+    for k in np.argsort(-alike, kind="stable")[:MAX_ASKED]:
+        votes[k] = questions[k].votes(tables[k], few.n_neighbours)
     return votes
 
 
-def votes_for(table: PairTable, walk: Walk, config: PairSearchConfig, rng: np.random.Generator) -> float:
-    """Share of the walk's pairs that agree on the pose most of them agree on."""
-    i, j = choose_pairs(walk, table, config, rng)
-    if not len(i) or not len(table.first):
-        return 0.0
-    similar, distance2 = similar_pairs(table, walk, i, j, config.n_neighbours)
-    poses = hypotheses(table, walk, i, j, similar)
-    centers = poses.carry(walk.positions.mean(axis=0))
-    # Pairs that resemble none of the base are all nearest to its outliers, in one place: such agreement means little.
-    weights = np.exp(-distance2.ravel() / DISTANCE2)
-    angle, distance = SAME_ROTATION, SAME_PLACE * table.length
-    largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
-    return float(largest / len(i))
+class Question(NamedTuple):
+    """What tables of one scale are asked of a walk: some pairs of its bins, and their invariants."""
+
+    walk: Walk
+    first: Indices
+    second: Indices
+    invariants: Matrix
+
+    @classmethod
+    def of(cls, walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator) -> "Question":
+        """Draw pairs that suit a table."""
+        i, j = choose_pairs(walk, table, config, rng)
+        x, b = walk.positions, walk.field
+        return cls(walk, i, j, pair_invariants(x[i], x[j], b[i], b[j]))
+
+    def likeness(self, table: PairTable) -> float:
+        """How much pairs near the walk's in a table's tree weigh: what costs a hundredth of a vote, and bounds it."""
+        if not len(self.first) or not len(table.first):
+            return 0.0
+        _, distance2 = table.tree.query(self._whitened(table), 1, n_leaves=1)
+        return float(_weights(distance2).mean())
+
+    def votes(self, table: PairTable, n_neighbours: int) -> float:
+        """Share of the pairs that agree on the pose most of them agree on."""
+        if not len(self.first) or not len(table.first):
+            return 0.0
+        k = min(n_neighbours, len(table.first))
+        similar, distance2 = table.tree.query(self._whitened(table), k)
+        poses = hypotheses(table, self.walk, self.first, self.second, similar)
+        centers = poses.carry(self.walk.positions.mean(axis=0))
+        weights, angle, distance = _weights(distance2).ravel(), SAME_ROTATION, SAME_PLACE * table.length
+        largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
+        return float(largest / len(self.first))
+
+    def _whitened(self, table: PairTable) -> Matrix:
+        return whiten_pairs(self.invariants, table.sd_position, table.sd_field, table.field_norm)
+
+
+def _weights(distance2: Matrix) -> Matrix:
+    """Pairs unlike any of the base fall to its most unlike ones, all in one place: such agreement means little."""
+    return np.asarray(np.exp(-distance2 / DISTANCE2))
 
 
 def count_agreement(
-    bases: Iterable[PreparedMap], target: PreparedMap, config: RegistrationConfig, seed: int
+    tables: list[PairTable],
+    load: Callable[[int], PreparedMap],
+    target: PreparedMap,
+    config: RegistrationConfig,
+    seed: int,
 ) -> Scalars:
-    """Score of the best of a few poses of a target, in each of many maps."""
-    return np.array([_best_score(base, target, config.invariants, np.random.default_rng(seed)) for base in bases])
+    """Score of the best of a few poses of a target, in each map that most of its pairs of points vote for; else 0."""
+    few = config.walks.search.model_copy(update={"n_pairs": N_PAIRS, "n_neighbours": N_NEIGHBOURS})
+    rng = np.random.default_rng(seed)
+    some = rng.permutation(len(target.points))[:MAX_BINS]
+    walk = Walk(target.T_map_model, target.points[some], target.point_field[some], np.ones(len(some)))
+    scores, votes = np.zeros(len(tables)), np.zeros(len(tables))
+    if len(tables) > MAX_ASKED:
+        for k, table in enumerate(tables):
+            votes[k] = Question.of(walk, table, few, np.random.default_rng(seed)).votes(table, N_NEIGHBOURS)
+    for k in np.argsort(-votes, kind="stable")[:MAX_ASKED]:
+        scores[k] = _best_score(load(int(k)), target, config.invariants, np.random.default_rng(seed))
+    return scores
 
 
 def _best_score(

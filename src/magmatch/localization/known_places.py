@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map, or a folder of maps, each prepared once for any number of bodies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 from magmatch.atlas.atlas import MAX_LOADED, Atlas, AtlasEntry, open_atlas
 from magmatch.data.fingerprint import hash_survey
@@ -17,6 +18,7 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import SUFFIX, MapIndex, open_index
 
 Place = FieldMap | MapIndex | Atlas
+T = TypeVar("T")
 
 
 class KnownPlaces:
@@ -26,14 +28,14 @@ class KnownPlaces:
     ----------
     place : FieldMap, MapIndex or Atlas
     loader : Executor, optional
-        Prepares maps in the background; without one, the first body that needs a map waits for it.
+        Makes maps ready and counts votes beside all else; without one, whoever needs them waits.
     """
 
     def __init__(self, place: Place, loader: Executor | None = None) -> None:
         self.place, self.loader = place, loader
         self._making: dict[AtlasEntry | None, Future[KnownMap]] = {}
         self._ready: dict[AtlasEntry | None, KnownMap] = {}
-        self._fingerprints: dict[AtlasEntry | None, str] = {}
+        self._fingerprint: str | None = None
 
     @property
     def entries(self) -> Sequence[AtlasEntry | None]:
@@ -41,22 +43,31 @@ class KnownPlaces:
         return self.place.entries if isinstance(self.place, Atlas) else (None,)
 
     def fingerprint(self, entry: AtlasEntry | None) -> str:
-        """Tell a version of a map from others: by its samples and its field length."""
-        if entry not in self._fingerprints:
-            field_map = self.of(entry).index.field_map
-            self._fingerprints[entry] = f"{hash_survey(field_map.survey)} {self.of(entry).length!r}"
-        return self._fingerprints[entry]
+        """Tell a version of a map from others: by its index's key, or by its samples and its field length."""
+        if entry is not None:
+            return str(entry.index.content.attributes["key"])
+        if self._fingerprint is None:
+            self._fingerprint = f"{hash_survey(self.of(entry).index.field_map.survey)} {self.of(entry).length!r}"
+        return self._fingerprint
 
     def soon(self, entry: AtlasEntry | None) -> KnownMap | None:
         """Give a map as `of` does, or None while the loader makes it ready."""
         if self.loader is None or entry in self._ready:
             return self.of(entry)
         if entry not in self._making:
-            self._making[entry] = self.loader.submit(self._make, entry)
-        if not self._making[entry].done():
-            return None
-        self._ready[entry] = self._making.pop(entry).result()
-        return self.of(entry)
+            self._making[entry] = self.aside(self._make, entry)
+        # Whoever asked for a map may have stopped waiting for it.
+        for other in [key for key, future in self._making.items() if future.done()]:
+            self._ready[other] = self._making.pop(other).result()
+        return self.of(entry) if entry in self._ready else None
+
+    def aside(self, function: Callable[..., T], *arguments: Any) -> Future[T]:
+        """Let the loader do something; without one it is done at once."""
+        if self.loader is not None:
+            return self.loader.submit(function, *arguments)
+        done: Future[T] = Future()
+        done.set_result(function(*arguments))
+        return done
 
     def of(self, entry: AtlasEntry | None) -> KnownMap:
         """Give the map of an atlas's entry, or the only one, ready; those that were needed last stay so."""

@@ -2,6 +2,7 @@
 """The maps that a body may be in: one, or those of a folder that its path votes for."""
 
 from collections.abc import Sequence
+from concurrent.futures import Future
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.registration.index.map_index import MapIndex
+from magmatch.typing import Scalars
 
 # Path between two votes of a folder's maps, in field lengths.
 VOTE_EVERY = 2.0
@@ -30,6 +32,7 @@ class Places:
         self._bins: list[Bin] = []
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
+        self._voting: Future[Scalars] | None = None
         self._awaited: list[AtlasEntry] = []
         self.bin_length, self.why_none = 1.0, "the body has moved too little"
         if isinstance(place, Atlas):
@@ -66,11 +69,14 @@ class Places:
     def _vote(self, atlas: Atlas) -> None:
         """Vote for maps from time to time; beliefs in maps that are no longer likely are dropped."""
         self._n_until_vote -= 1
-        if self._n_until_vote > 0:
+        if self._n_until_vote <= 0 and self._voting is None:
+            self._n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
+            p, b = (np.stack(rows) for rows in zip(*((one.p, one.R @ one.z) for one in self._bins), strict=True))
+            tables = [entry.table for entry in atlas.entries]
+            self._voting = self.known.aside(count_votes, tables, Survey(p, b), atlas.config.walks.search, 0)
+        if self._voting is None or not self._voting.done():
             return
-        self._n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
-        p, b = (np.stack(rows) for rows in zip(*((one.p, one.R @ one.z) for one in self._bins), strict=True))
-        votes = count_votes([entry.table for entry in atlas.entries], Survey(p, b), atlas.config.walks.search, 0)
+        votes, self._voting = self._voting.result(), None
         voted = shortlist(atlas.entries, votes)
         self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
         self._awaited = [entry for entry in voted if entry not in self.likely]

@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from magmatch.serve.gate import Gate
 from magmatch.serve.live import PROTOCOL, Live, close
 from magmatch.serve.logs.uploads import receive_log
-from magmatch.serve.logs.work import Verb, read_question, work_on_log
+from magmatch.serve.logs.work import Verb, read_question, work_on_log, work_on_sent_log
 from magmatch.serve.metrics import CONTENT_TYPE
 from magmatch.serve.openapi import openapi, openapi_page
 from magmatch.serve.refusals import RefusedError
@@ -75,8 +75,11 @@ async def _log(service: Service, verb: Verb, request: Request) -> Response:
     with TemporaryDirectory(prefix="magmatch-") as folder:
         upload = Path(folder) / "log"
         await receive_log(request, upload, service.config)
-        arguments = (verb, service.place, version, upload, question, service.config)
-        document = await service.workers.run(work_on_log, *arguments)
+        # A cluster does not see this folder, and nobody's token is its business.
+        is_here = service.config.dask is None
+        work, sent = (work_on_log, upload) if is_here else (work_on_sent_log, upload.read_bytes())
+        config = service.config.model_copy(update={"token": None})
+        document = await service.workers.run(work, verb, service.place, version, sent, question, config)
     service.metrics.logs.labels(verb).inc()
     return JSONResponse(document)
 

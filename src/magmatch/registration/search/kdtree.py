@@ -58,8 +58,15 @@ class NeighbourTree:
             bounds += [(low, middle), (middle, high)]
         return cls(points[order], order, axes, values)
 
-    def query(self, targets: np.ndarray, k: int) -> tuple[Indices, Matrix]:
+    def query(self, targets: np.ndarray, k: int, n_leaves: int = 1 << MAX_DEPTH) -> tuple[Indices, Matrix]:
         """Rows of the k nearest points of each target, nearest first, and their squared distances.
+
+        Parameters
+        ----------
+        targets : (t, d) array
+        k : int
+        n_leaves : int
+            That are looked into for each, at most: with few, points that are near, not always the nearest.
 
         Returns
         -------
@@ -72,23 +79,23 @@ class NeighbourTree:
             raise ValueError(msg)
         found = np.zeros((len(targets), k), dtype=np.int64)
         distance2 = np.full((len(targets), k), np.inf)
-        _query(self.points, self.axes, self.values, targets, found, distance2)
+        _query(self.points, self.axes, self.values, targets, n_leaves, found, distance2)
         return np.asarray(self.rows[found], dtype=np.int64), distance2
 
 
 @compiled
-def _query(points, axes, values, targets, found, distance2):  # type: ignore[no-untyped-def]
+def _query(points, axes, values, targets, n_leaves, found, distance2):  # type: ignore[no-untyped-def]
     n, d = points.shape
     k, n_inner = found.shape[1], len(axes)
     nodes, lows, highs = np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64)
     # Distance from the target to each waiting node's box, axis by axis.
     gaps, gap = np.zeros((MAX_DEPTH, d)), np.zeros(d)
     for t in range(len(targets)):
-        near = distance2[t]
+        near, n_left = distance2[t], n_leaves
         nodes[0], lows[0], highs[0], n_waiting = 0, 0, n, 1
         for c in range(d):
             gaps[0, c] = 0.0
-        while n_waiting:
+        while n_waiting and n_left > 0:
             n_waiting -= 1
             node, low, high = nodes[n_waiting], lows[n_waiting], highs[n_waiting]
             gap2 = 0.0
@@ -108,6 +115,7 @@ def _query(points, axes, values, targets, found, distance2):  # type: ignore[no-
                 n_waiting += 1
                 node = 2 * node + 1 + (beyond >= 0)
                 low, high = (low, middle) if beyond < 0 else (middle, high)
+            n_left -= 1
             for p in range(low, high):
                 d2 = 0.0
                 for c in range(d):

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -38,6 +39,7 @@ log = logging.getLogger(__name__)
 Verb = Literal["localize", "register"]
 # Settings of a format that name files, which no client may.
 FILES = {"trajectory", "extrinsic"}
+_one_at_a_time = threading.Lock()
 
 
 class LogQuestion(BaseModel):
@@ -111,6 +113,16 @@ def work_on_log(
     except Exception:
         log.exception("a log was not worked on")
         return RefusedError(500, "the service made a mistake with this log; please report it")
+
+
+def work_on_sent_log(
+    verb: Verb, place: Path, version: str, content: bytes, question: LogQuestion, config: ServeConfig
+) -> dict[str, Any] | RefusedError:
+    """Do the same on a machine that does not see the file; one at a time, whose maps no other thread changes."""
+    with TemporaryDirectory(prefix="magmatch-") as folder, _one_at_a_time:
+        upload = Path(folder) / "log"
+        upload.write_bytes(content)
+        return work_on_log(verb, place, version, upload, question, config)
 
 
 def _answer(

@@ -2,17 +2,22 @@
 """Processes that work on whole logs: those of this machine, or a Dask cluster's."""
 
 import asyncio
+import logging
 import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from magmatch.errors import import_extra
+from magmatch.errors import ConfigurationError, import_extra
 from magmatch.serve.bodies.trackers import TRACKER
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.logs.work import begin_worker
 from magmatch.serve.refusals import RefusedError
+
+log = logging.getLogger(__name__)
+# Seconds within which a cluster's scheduler has to answer.
+CONNECT_WITHIN = 5.0
 
 
 class LogWorkers:
@@ -20,32 +25,15 @@ class LogWorkers:
 
     def __init__(self, config: ServeConfig) -> None:
         self._config, self._n = config, 0
-        self._client: Any = None
-        if config.dask is not None:
-            self._client = import_extra("distributed", "a Dask cluster", "distributed").Client(config.dask)
-        self._executor = self._begin()
-
-    def _begin(self) -> Executor:
-        if self._client is not None:
-            executor: Executor = self._client.get_executor(pure=False)
-            return executor
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self._config.log_workers, context, initializer=begin_worker)
+        self._pool: Pool | Cluster = Pool(config) if config.dask is None else Cluster(config, config.dask)
 
     async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Result of a function; a `RefusedError` where there is no room, or where that is the result."""
         if self._n >= self._config.max_logs:
             raise RefusedError(503, f"{self._n} logs wait already; try again later", retry_after=30)
         self._n += 1
-        executor = self._executor
         try:
-            found = await asyncio.wrap_future(executor.submit(function, *arguments))
-        except BrokenProcessPool:
-            if self._executor is executor:
-                self._executor = self._begin()
-            raise RefusedError(
-                503, "the process that worked on this log ended; send it again", retry_after=5
-            ) from None
+            found = await self._pool.run(function, *arguments)
         finally:
             self._n -= 1
         if isinstance(found, RefusedError):
@@ -54,10 +42,87 @@ class LogWorkers:
 
     def close(self) -> None:
         """End all work."""
+        self._pool.close()
+
+
+class Pool:
+    """Processes of this machine."""
+
+    def __init__(self, config: ServeConfig) -> None:
+        self._config = config
+        self._executor = self._begin()
+
+    def _begin(self) -> Executor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(self._config.log_workers, context, initializer=begin_worker)
+
+    async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Result of a function; other processes take the place of those that died."""
+        executor = self._executor
+        try:
+            return await asyncio.wrap_future(executor.submit(function, *arguments))
+        except BrokenProcessPool:
+            if self._executor is executor:
+                self._executor = self._begin()
+            raise RefusedError(
+                503, "the process that worked on this log ended; send it again", retry_after=5
+            ) from None
+
+    def close(self) -> None:
+        """End all work."""
         self._executor.shutdown(wait=False, cancel_futures=True)
         for process in multiprocessing.active_children():
             if process.name != TRACKER:
                 process.kill()
         self._executor.shutdown()
-        if self._client is not None:
-            self._client.close()
+
+
+class Cluster:
+    """A Dask cluster; where it loses its scheduler, the next log connects anew."""
+
+    def __init__(self, config: ServeConfig, address: str) -> None:
+        self._config, self._address = config, address
+        self._distributed: Any = import_extra("distributed", "a Dask cluster", "distributed")
+        try:
+            self._client = self._connect()
+        except (OSError, ValueError) as error:
+            log.debug("no cluster: %s", error)
+            msg = f"{address}: expected a Dask scheduler there, found none that answers"
+            raise ConfigurationError(msg) from None
+
+    def _connect(self) -> Any:
+        return self._distributed.Client(self._address, timeout=CONNECT_WITHIN, set_as_default=False)
+
+    async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Result of a function; what is raised is the cluster's fault, as functions give their own as a result."""
+        under_way: Future[Any] = Future()
+        try:
+            if self._client.status != "running":
+                await self._renew()
+            async with asyncio.timeout(self._config.max_work_time):
+                under_way = self._client.get_executor(pure=False).submit(function, *arguments)
+                return await asyncio.wrap_future(under_way)
+        except TimeoutError:
+            under_way.cancel()
+            most = self._config.max_work_time
+            raise RefusedError(503, f"no worker was done with this log within {most:g} s", retry_after=30) from None
+        except (Exception, asyncio.CancelledError, CancelledError) as error:
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():
+                raise
+            log.warning("the cluster lost a log: %s: %s", type(error).__name__, error)
+            raise RefusedError(503, "the cluster that works on logs lost this one; send it again", 30) from None
+
+    async def _renew(self) -> None:
+        """Connect again, beside all else."""
+        loop, old = asyncio.get_running_loop(), self._client
+        client = await loop.run_in_executor(None, self._connect)
+        if self._client is not old:  # another log was faster
+            old = client
+        else:
+            self._client = client
+        await loop.run_in_executor(None, old.close)
+
+    def close(self) -> None:
+        """Leave the cluster; what it still works on is forgotten there."""
+        self._client.close()
