@@ -4,13 +4,13 @@
         [--tries 50] [--simulated 50] [--second 0] [--lengths 10] [--from DIR] [--seed 700] [--floor 2] [--absent]
 
 FOLDER keeps the maps and their indexes from run to run; other maps in it are places, too. A simulated building is a
-corridor around a rectangle of its own size, walked twice along either side; a room is one of `many_rooms.py`; CEA is
-walk one through both floors, and ``--others`` adds the other recordings. Targets are stretches of CEA's walk two
-(`--tries`), walks along the middle of as many different simulated corridors (`--simulated`), and second surveys of as
-many rooms (`--second`), each in a random frame of its own. Right = the right place first, and in it within 0.25 m and 3 deg. ``--among 100 1000`` asks
-each target twice, among its own place and 99, and 999, others (0: all). With ``--absent`` each target's own place is
-taken out, so that nothing is right. Seconds are per query in one process with the folder open; those of opening it
-are printed besides.
+corridor around a rectangle of its own size, walked twice along either side; a room is one of `many_rooms.py`; CEA
+is walk one through both floors, and ``--others`` adds the other recordings. Targets are stretches of CEA's walk two
+(`--tries`), walks along the middle of as many different simulated corridors (`--simulated`), and second surveys of
+as many rooms (`--second`), each in a random frame of its own. Right = the right place first, and in it within 0.25
+m and 3 deg. ``--among 100 1000`` asks each target twice, among its own place and 99, and 999, others (0: all). With
+``--absent`` each target's own place is taken out, so that nothing is right. Seconds are per query in one process
+with the folder open; those of opening it are printed besides.
 """
 
 import argparse

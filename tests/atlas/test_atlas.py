@@ -50,6 +50,16 @@ def test_a_survey_of_a_room_is_found_in_its_own_map(atlas, rooms):
     assert np.degrees(angle) < 1
 
 
+def test_where_only_the_likeliest_map_is_asked_for_poses_it_is_the_right_one(atlas, rooms, walk_in, monkeypatch):
+    targets = [walk_in("hall.map", np.random.default_rng(4)), rooms[1]["cellar.map"][0].target]
+    asked_all = [localize(atlas, target) for target in targets]
+    monkeypatch.setattr("magmatch.atlas.retrieval.MAX_ASKED", 1)
+    for target, expected in zip(targets, asked_all, strict=True):
+        found = localize(atlas, target)
+        assert (found.base, found.is_accepted) == (expected.base, True)
+        np.testing.assert_array_equal(found.T_base_target.as_matrix(), expected.T_base_target.as_matrix())
+
+
 def test_without_its_own_room_a_walk_is_refused(atlas, walk_in, tmp_path):
     for name in ("attic.map", "hall.map"):
         copy_map(atlas.folder / name, tmp_path / name)

@@ -31,7 +31,7 @@ def test_logs_are_worked_on_by_a_cluster_that_holds_the_maps_and_may_die(hall, t
     body = (tmp_path / "log.csv").read_bytes()
     with cluster() as one:
         address, port = one.scheduler_address, int(one.scheduler_address.rpartition(":")[2])
-        words = ("--workers", f"dask://{address}", "--states", tmp_path / "states", "--port", "0")
+        words = ("--workers", f"dask://{address}", "--states", tmp_path / "states")
         service = Service(hall.map, *words)
         try:
             first, again = asked(service, body), asked(service, body)

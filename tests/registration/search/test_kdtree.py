@@ -32,3 +32,13 @@ def test_neighbours_are_those_of_scipy_on_many_points():
 def test_more_neighbours_than_points_are_refused():
     with pytest.raises(ValueError, match="at most as many"):
         NeighbourTree.of(np.zeros((3, 2))).query(np.zeros((1, 2)), 4)
+
+
+def test_one_leaf_is_enough_to_find_a_point_of_the_tree_and_finds_none_nearer_than_the_nearest():
+    rng = np.random.default_rng(2)
+    tree = NeighbourTree.of(points := rng.standard_normal((5_000, 7)).astype(np.float32))
+    np.testing.assert_array_equal(tree.query(points, 1, n_leaves=1)[1], 0.0)
+    targets = rng.standard_normal((200, 7))
+    near, nearest = tree.query(targets, 1, n_leaves=1)[1], tree.query(targets, 1)[1]
+    assert (near >= nearest).all()
+    assert (near > nearest).any()

@@ -95,10 +95,10 @@ class Cluster:
 
     async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Result of a function; what is raised is the cluster's fault, as functions give their own as a result."""
+        if self._client.status != "running":
+            await self._renew()
         under_way: Future[Any] = Future()
         try:
-            if self._client.status != "running":
-                await self._renew()
             async with asyncio.timeout(self._config.max_work_time):
                 under_way = self._client.get_executor(pure=False).submit(function, *arguments)
                 return await asyncio.wrap_future(under_way)
@@ -116,13 +116,14 @@ class Cluster:
     async def _renew(self) -> None:
         """Connect again, beside all else."""
         loop, old = asyncio.get_running_loop(), self._client
-        client = await loop.run_in_executor(None, self._connect)
-        if self._client is not old:  # another log was faster
-            old = client
-        else:
-            self._client = client
-        await loop.run_in_executor(None, old.close)
+        try:
+            client = await loop.run_in_executor(None, self._connect)
+        except OSError:
+            raise RefusedError(503, "the cluster that works on logs does not answer", retry_after=30) from None
+        # Another log may have been faster.
+        self._client, left = (client, old) if self._client is old else (self._client, client)
+        await loop.run_in_executor(None, left.close, CONNECT_WITHIN)
 
     def close(self) -> None:
         """Leave the cluster; what it still works on is forgotten there."""
-        self._client.close()
+        self._client.close(CONNECT_WITHIN)
