@@ -46,7 +46,7 @@ def test_logs_are_worked_on_by_a_cluster_that_holds_the_maps_and_may_die(hall, t
     try:
         # The scheduler is gone.
         status, headers, said = asked(service, body)
-        assert (status, said["message"].count("\n"), "Retry-After" in headers) == (503, 0, True)
+        assert (status, said["message"].count("\n"), "retry-after" in headers) == (503, 0, True)
         assert service.ask("/health")[0] == 200
         with cluster(port):
             assert wait_until(lambda: (now := asked(service, body))[0] == 200 and now)[2]["status"] == "localized"
