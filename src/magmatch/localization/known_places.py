@@ -28,7 +28,7 @@ class KnownPlaces:
     ----------
     place : FieldMap, MapIndex or Atlas
     loader : Executor, optional
-        Makes maps ready and counts votes beside all else; without one, whoever needs them waits.
+        Prepares maps and counts votes in the background; without one, the body that needs them waits.
     """
 
     def __init__(self, place: Place, loader: Executor | None = None) -> None:
