@@ -19,7 +19,6 @@ from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.maps import require_target, survey_of
-from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import choose_search
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
@@ -132,12 +131,8 @@ def _compare_map(
     strategy = MapStrategy.of(target, atlas.config, seed, clock)
     tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
-        tables = [entry.table for entry in atlas.entries]
-
-        def load(k: int) -> PreparedMap:
-            return atlas.load(atlas.entries[k]).base
-
-        votes = count_agreement(tables, load, strategy.prepared, atlas.config, seed)
+        bases = (atlas.load(entry).base for entry in atlas.entries)
+        votes = count_agreement(bases, strategy.prepared, atlas.config, seed)
     return strategy.target, _best_of(atlas, shortlist(atlas.entries, votes), strategy, clock)
 
 

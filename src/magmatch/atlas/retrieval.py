@@ -4,10 +4,10 @@
 For a walk, pairs of points propose poses, and those that agree with each other are votes: in the right map many pairs
 propose one and the same pose, in any other map each proposes its own. Votes need the maps' pair tables only, so
 maps are asked without reading their fields, and of thousands only those that hold pairs like the walk's. Other
-targets score a few poses against each map's field; of thousands, against those that their pairs vote for.
+targets score a few poses against each map's field.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from magmatch.data.survey import Survey
 from magmatch.features.pairs import pair_invariants, whiten_pairs
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.prepared.walk import MAX_BINS, Walk, walk_of
+from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
     choose_anchors,
@@ -110,24 +110,10 @@ def _weights(distance2: Matrix) -> Matrix:
 
 
 def count_agreement(
-    tables: list[PairTable],
-    load: Callable[[int], PreparedMap],
-    target: PreparedMap,
-    config: RegistrationConfig,
-    seed: int,
+    bases: Iterable[PreparedMap], target: PreparedMap, config: RegistrationConfig, seed: int
 ) -> Scalars:
-    """Score of the best of a few poses of a target, in each map that most of its pairs of points vote for; else 0."""
-    few = config.walks.search.model_copy(update={"n_pairs": N_PAIRS, "n_neighbours": N_NEIGHBOURS})
-    rng = np.random.default_rng(seed)
-    some = rng.permutation(len(target.points))[:MAX_BINS]
-    walk = Walk(target.T_map_model, target.points[some], target.point_field[some], np.ones(len(some)))
-    scores, votes = np.zeros(len(tables)), np.zeros(len(tables))
-    if len(tables) > MAX_ASKED:
-        for k, table in enumerate(tables):
-            votes[k] = Question.of(walk, table, few, np.random.default_rng(seed)).votes(table, N_NEIGHBOURS)
-    for k in np.argsort(-votes, kind="stable")[:MAX_ASKED]:
-        scores[k] = _best_score(load(int(k)), target, config.invariants, np.random.default_rng(seed))
-    return scores
+    """Score of the best of a few poses of a target, in each of many maps."""
+    return np.array([_best_score(base, target, config.invariants, np.random.default_rng(seed)) for base in bases])
 
 
 def _best_score(
