@@ -14,7 +14,10 @@ from magmatch.registration.prepared.raster import rasterize
 from magmatch.registration.refine.refinement import RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.search.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
-from magmatch.registration.weigh.evidence import null_models_of, weigh_pose
+from magmatch.registration.weigh.cells import (
+    null_models_of,
+)
+from magmatch.registration.weigh.evidence import weigh_pose
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,11 @@ from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
+from magmatch.registration.weigh.cells import (
+    null_models_of,
+)
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
-from magmatch.registration.weigh.evidence import null_models_of, weigh_pose
+from magmatch.registration.weigh.evidence import weigh_pose
 from magmatch.registration.weigh.map_covariance import map_covariance
 
 RNG = np.random.default_rng(0)

@@ -14,15 +14,14 @@ from magmatch.geometry import rotation_matrix
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
-from magmatch.registration.weigh.covariance import joint_covariance
-from magmatch.registration.weigh.evidence import (
+from magmatch.registration.weigh.cells import (
     CellComparison,
-    Change,
     agreeing_cells,
     compare_cells,
     null_models_of,
-    weigh_pose,
 )
+from magmatch.registration.weigh.covariance import joint_covariance
+from magmatch.registration.weigh.evidence import Change, weigh_pose
 from magmatch.registration.weigh.null_model import average_cells
 
 FIELD = some_field(3, slope=10e-6, bend=0.0)  # linear: what is interpolated is exact, in every frame

@@ -12,15 +12,13 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinedPose, step_between
-from magmatch.registration.weigh.evidence import (
+from magmatch.registration.weigh.cells import (
     UNCHANGED_SHARES,
-    Change,
     NullModels,
-    PoseEvidence,
     agreeing_cells,
     compare_cells,
-    weigh_pose,
 )
+from magmatch.registration.weigh.evidence import Change, PoseEvidence, weigh_pose
 from magmatch.typing import Indices
 
 # Shares of the cells that are tried beside a change, whatever agrees without one.

@@ -1,30 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Evidence for a pose: cells of the target that agree or disagree with the base's field."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.special import gammaln
 
-from magmatch.geometry import rotate_vectors, transform_points
-from magmatch.registration.prepared.cubes import cube_keys
-from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refine.refinement import RefinedPose
+from magmatch.registration.weigh.cells import NullModels, compare_back, compare_cells
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.registration.weigh.null_model import CellMeans, NullModel, UnrelatedField, average_cells
-from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vector3, Vectors
-
-# Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
-CORRELATED_NOISE_SHARE = 0.1
-# Share of a cell's samples that must lie inside the other map for it to count.
-WHOLE = 0.99
-# Tried shares of cells that have not changed.
-UNCHANGED_SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.28)
+from magmatch.typing import Indices, Matrix, Scalars, Vector3, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,50 +87,6 @@ def overlap_weight(share: Scalars | float) -> Scalars:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class NullModels:
-    """Null hypotheses of a pair: what either survey looks like on its own.
-
-    Attributes
-    ----------
-    target : NullModel
-        Of all its cells.
-    base : UnrelatedField
-        Which of its cells lie in the overlap depends on the pose.
-    side : float, m
-        Of the cells.
-    noise_variance : float, T^2
-        Of one sample of both surveys together.
-    """
-
-    target: NullModel
-    base: UnrelatedField
-    side: float
-    noise_variance: float
-
-    def of_base(self, positions: Points, field: Vectors) -> NullModel:
-        """Of those samples of the base that a pose puts inside the target."""
-        cells = average_cells(positions, self.side)
-        return self.base.over(cells, cells.mean(field), _cell_noise(self.noise_variance, cells))
-
-
-def null_models_of(base: PreparedMap, target: PreparedMap) -> NullModels:
-    """State the null hypotheses of a pair; the numbers of either field are the most likely ones."""
-    side, noise_variance = common_length(base, target), base.noise_sd**2 + target.noise_sd**2
-
-    def alone(survey: PreparedMap) -> tuple[UnrelatedField, NullModel]:
-        cells = average_cells(survey.samples, side)
-        field, noise = cells.mean(survey.sample_field), _cell_noise(noise_variance, cells)
-        unrelated = UnrelatedField.most_likely(cells, field, noise, survey.correlation_length)
-        return unrelated, unrelated.over(cells, field, noise)
-
-    return NullModels(alone(target)[1], alone(base)[0], side, noise_variance)
-
-
-def _cell_noise(noise_variance: float, cells: CellMeans) -> Scalars:
-    return np.asarray(noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Change:
     """The change of the field between two surveys, under one pose.
 
@@ -175,8 +119,8 @@ def weigh_pose(
 ) -> PoseEvidence:
     """Weigh a pose by the cells for and against it.
 
-    Both surveys' cells are asked. That the target's are explained by the base's map, and the base's by the target's,
-    are two estimates of one number, ``log p(both | pose) / p(base) p(target)``: their mean is the better one.
+    The target's cells are compared with the base's map, and the base's cells with the target's map. Both estimate
+    one number, ``log p(both | pose) / p(base) p(target)``; their mean is the better estimate.
 
     Parameters
     ----------
@@ -186,7 +130,7 @@ def weigh_pose(
         Null hypotheses of this pair.
     prior : PosePrior
     change : Change, optional
-        What has changed between the surveys; then the target's cells alone are asked, as it was estimated with them.
+        What has changed between the surveys. Only the target's cells are then compared: it was estimated from them.
 
     Returns
     -------
@@ -206,10 +150,8 @@ def weigh_pose(
         return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
-    ratios, misfits = (
-        [null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)],
-        [seen.misfit(null_model, rows)],
-    )
+    ratios = [null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)]
+    misfits = [seen.misfit(null_model, rows)]
     if change is not None:
         ratios = [(change.log_ratio, ratios[0][1])]
     else:
@@ -241,102 +183,6 @@ def weigh_pose(
         1.0 if change is None else change.unchanged,
         change is not None,
     )
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class CellComparison:
-    """The base's field at the target's samples, and averaged over its cells.
-
-    Attributes
-    ----------
-    is_known : (n,) bool array
-        Samples where the base knows the field.
-    sample_chi2 : (n,) array
-        Squared residual of each sample over its expected variance.
-    rows : (r,) int array
-        Cells that lie in the overlap.
-    residual : (c, 3) array, T
-        Mean of each cell.
-    map_variance : (c,) array, T^2
-        Of the base.
-    drift_variance : (c,) array, T^2
-        Of one component, through positions that are off by as much as either survey states.
-    """
-
-    is_known: Mask
-    sample_chi2: Scalars
-    rows: Indices
-    residual: Vectors
-    map_variance: Scalars
-    drift_variance: Scalars
-
-    def misfit(self, null_model: NullModel, rows: Indices) -> float:
-        """Normalised rms of some cells' residuals: about 1 when noise, map and stated drift explain them."""
-        variance = null_model.noise[rows] + self.map_variance[rows] + self.drift_variance[rows]
-        return float(np.sqrt(np.mean((self.residual[rows] ** 2).sum(axis=1) / variance) / 3))
-
-
-def compare_cells(
-    base: PreparedMap,
-    target: PreparedMap,
-    T_base_target: RigidTransform,
-    field: Vectors,
-    null_model: NullModel,
-) -> CellComparison:
-    """Residuals of the target's cells under a pose."""
-    cells = null_model.cells
-    expected, sd, G, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
-    residual = rotate_vectors(field, T_base_target) - expected
-    rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > WHOLE)
-    sample_chi2 = (residual**2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd**2)
-    off = field_variance(G, base.drift.sd**2 + target.drift.sd**2)
-    map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
-    return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
-
-
-def compare_back(
-    base: PreparedMap, target: PreparedMap, pose: RefinedPose, nulls: NullModels
-) -> tuple[NullModel, CellComparison]:
-    """Do as `compare_cells` does, from the other side: cells of the base that a pose puts inside the target."""
-    T = pose.T_base_target
-    expected, sd, G, is_known = target.raster.lookup(transform_points(base.samples, T.inv()))
-    _, cell = np.unique(cube_keys(base.samples, nulls.side), return_inverse=True)
-    inside = (np.bincount(cell, is_known) / np.bincount(cell) > WHOLE)[cell]
-    field, sd = base.sample_field[inside], sd[inside]
-    residual = field - rotate_vectors(pose.sensor.correct(expected[inside]), T)
-    null_model = nulls.of_base(base.samples[inside], field)
-    cells = null_model.cells
-    sample_chi2 = (residual**2).sum(axis=1) / (nulls.noise_variance + sd**2)
-    off = field_variance(G[inside], base.drift.sd**2 + target.drift.sd**2)
-    map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
-    rows = np.arange(len(cells.counts))
-    return null_model, CellComparison(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
-
-
-def agreeing_cells(
-    seen: CellComparison, null_model: NullModel, shares: Sequence[float] = UNCHANGED_SHARES
-) -> tuple[Indices, float, float]:
-    """Cells that the base explains, if something has changed in the others.
-
-    Returns
-    -------
-    rows : (r,) int array
-        The share of cells, those with the smallest residuals, that gives most evidence for the pose.
-    log_ratio : float, nats
-        Of these cells, minus the penalty.
-    price : float, nats
-        The penalty for choosing these cells.
-    """
-    chi2 = (seen.residual**2).sum(axis=1) / (null_model.noise + seen.map_variance)
-    ordered, n = seen.rows[np.argsort(chi2[seen.rows], kind="stable")], len(seen.rows)
-    best: tuple[Indices, float, float] = (seen.rows, -np.inf, 0.0)
-    for share in shares if n else ():
-        rows = np.sort(ordered[: max(1, round(share * n))])
-        price = float(gammaln(n + 1) - gammaln(len(rows) + 1) - gammaln(n - len(rows) + 1))
-        log_ratio, _ = null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)
-        if log_ratio - price > best[1]:
-            best = rows, log_ratio - price, price
-    return best
 
 
 def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:

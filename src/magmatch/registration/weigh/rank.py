@@ -12,8 +12,11 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
 from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
+from magmatch.registration.weigh.cells import (
+    null_models_of,
+)
 from magmatch.registration.weigh.change_search import poses_beside_changes
-from magmatch.registration.weigh.evidence import PoseEvidence, null_models_of, weigh_pose
+from magmatch.registration.weigh.evidence import PoseEvidence, weigh_pose
 
 # Poses that differ by less, in standard deviations, converged to the same optimum.
 SAME_OPTIMUM_SDS = 0.5
