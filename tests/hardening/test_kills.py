@@ -63,4 +63,10 @@ def test_nothing_else_opens_files_for_writing():
         if any(mark in path.read_text(encoding="utf-8") for mark in marks)
     }
     # Unpacked and sent logs are passing copies in a folder of their own; a lock has no content.
-    assert users == {"atomic.py", "data/tables/gzipped.py", "serve/logs/uploads.py", "serve/bodies/checkpoints.py"}
+    assert users == {
+        "atomic.py",
+        "data/tables/gzipped.py",
+        "serve/logs/uploads.py",
+        "serve/logs/work.py",
+        "serve/bodies/checkpoints.py",
+    }
