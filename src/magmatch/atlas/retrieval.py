@@ -35,7 +35,7 @@ from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
 
 # Maps that are asked for poses, at most: a folder ten times larger than that costs little more.
-MAX_ASKED = 100
+MAX_ASKED = 300
 # Pairs of the walk that vote, and base pairs that each is tried on.
 N_PAIRS, N_NEIGHBOURS = 40, 6
 # The same for points with their frames, and samples that judge each pose.
