@@ -236,9 +236,12 @@ def children_of(pid: int) -> list[int]:
 
 def memory_of(service) -> float:
     """Resident MB of the service and its children."""
-    pids = [service.process.pid, *children_of(service.process.pid)]
-    pages = (int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)
-    return sum(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return sum(map(resident, [service.process.pid, *children_of(service.process.pid)]))
+
+
+def resident(pid: int) -> float:
+    """MB of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 Clients walk through one hall as fast as the service answers, each a walk of its own and with some samples under way.
 Now and then one of the processes is killed (-9), the service itself among them. Counted are answers, states that
 resumed, samples that had to be sent again (those since the last checkpoint), poses farther from the truth than five
-standard deviations, which another's pose would be, and resident memory along the way: of all processes together, and
+standard deviations, which another's pose would be, and resident memory along the way: of the largest process, and
 by how much one grew after its first hour of samples. Ends by itself.
 
 Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
@@ -22,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from bench_serve import children_of, make_map
+from bench_serve import children_of, make_map, resident
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
@@ -119,7 +119,7 @@ def main() -> None:
 
 
 def report_memory(memory: dict[int, list[tuple[int, float]]], total: int) -> None:
-    """Of all together in each twelfth of the samples, and by how much one process grew after its first hour."""
+    """Of the largest process in each twelfth of the samples, and how much one grew after its first hour."""
     parts: list[dict[int, float]] = [{} for _ in range(12)]
     grown, longest, hour = [], 0, RATE * 3600
     for pid, rows in memory.items():
@@ -143,8 +143,7 @@ def watch(service, walkers, total, most, n_before, rng, memory, until) -> int:
         n_answers = sum(w.n_answers for w in walkers)
         for pid in [service.process.pid, *children_of(service.process.pid)]:
             with suppress(OSError):
-                pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-                memory.setdefault(pid, []).append((n_answers, pages * os.sysconf("SC_PAGE_SIZE") / 1e6))
+                memory.setdefault(pid, []).append((n_answers, resident(pid)))
         share = n_answers / total
         if share * (most + 1) < n_before + n + 1 or n_before + n >= most:
             continue

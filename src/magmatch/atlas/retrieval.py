@@ -14,7 +14,7 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.features.pairs import pair_invariants, whiten_pairs
+from magmatch.features.pairs import pair_invariants
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk, walk_of
@@ -85,23 +85,19 @@ class Question(NamedTuple):
         """How much pairs near the walk's in a table's tree weigh: what costs a hundredth of a vote, and bounds it."""
         if not len(self.first) or not len(table.first):
             return 0.0
-        _, distance2 = table.tree.query(self._whitened(table), 1, n_leaves=1)
+        _, distance2 = table.nearest(self.invariants, 1, n_leaves=1)
         return float(_weights(distance2).mean())
 
     def votes(self, table: PairTable, n_neighbours: int) -> float:
         """Share of the pairs that agree on the pose most of them agree on."""
         if not len(self.first) or not len(table.first):
             return 0.0
-        k = min(n_neighbours, len(table.first))
-        similar, distance2 = table.tree.query(self._whitened(table), k)
+        similar, distance2 = table.nearest(self.invariants, n_neighbours)
         poses = hypotheses(table, self.walk, self.first, self.second, similar)
         centers = poses.carry(self.walk.positions.mean(axis=0))
         weights, angle, distance = _weights(distance2).ravel(), SAME_ROTATION, SAME_PLACE * table.length
         largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
         return float(largest / len(self.first))
-
-    def _whitened(self, table: PairTable) -> Matrix:
-        return whiten_pairs(self.invariants, table.sd_position, table.sd_field, table.field_norm)
 
 
 def _weights(distance2: Matrix) -> Matrix:

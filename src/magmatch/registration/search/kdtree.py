@@ -15,6 +15,8 @@ from magmatch.typing import Indices, Matrix
 # Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
 LEAF = 24
 MAX_DEPTH = 40
+# More than any tree has.
+EVERY_LEAF = 1 << MAX_DEPTH
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,7 +60,7 @@ class NeighbourTree:
             bounds += [(low, middle), (middle, high)]
         return cls(points[order], order, axes, values)
 
-    def query(self, targets: np.ndarray, k: int, n_leaves: int = 1 << MAX_DEPTH) -> tuple[Indices, Matrix]:
+    def query(self, targets: np.ndarray, k: int, n_leaves: int = EVERY_LEAF) -> tuple[Indices, Matrix]:
         """Rows of the k nearest points of each target, nearest first, and their squared distances.
 
         Parameters

@@ -17,7 +17,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.invariant_search import distinct_poses
-from magmatch.registration.search.kdtree import NeighbourTree
+from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
@@ -60,7 +60,7 @@ class PairTable:
     field : (k, 3) array, T
     first, second : (p,) int arrays
         Rows of the points that make each pair.
-    tree : cKDTree
+    tree : NeighbourTree
         Of the whitened invariants.
     length : float, m
         The base's correlation length.
@@ -80,6 +80,11 @@ class PairTable:
     sd_field: float
     field_norm: float
     gradient_rms: float
+
+    def nearest(self, invariants: Matrix, k: int, n_leaves: int = EVERY_LEAF) -> tuple[Indices, Matrix]:
+        """Rows of the pairs with the most similar invariants, and squared distances; see `NeighbourTree.query`."""
+        whitened = whiten_pairs(invariants, self.sd_position, self.sd_field, self.field_norm)
+        return self.tree.query(whitened, min(k, len(self.first)), n_leaves)
 
 
 def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: PairSearchConfig) -> PairTable:
@@ -170,8 +175,7 @@ def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighb
         Squared distances in standard deviations.
     """
     invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
-    k = min(n_neighbours, len(table.first))
-    return table.tree.query(whiten_pairs(invariants, table.sd_position, table.sd_field, table.field_norm), k)
+    return table.nearest(invariants, n_neighbours)
 
 
 def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:

@@ -14,7 +14,7 @@ from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.null_model import CellMeans, NullModel, UnrelatedField, average_cells
-from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
 # Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
 CORRELATED_NOISE_SHARE = 0.1
@@ -34,6 +34,8 @@ class NullModels:
         Of all its cells.
     base : UnrelatedField
         Which of its cells lie in the overlap depends on the pose.
+    base_cubes : (n,) int array
+        Cell that each of the base's samples lies in.
     side : float, m
         Of the cells.
     noise_variance : float, T^2
@@ -42,30 +44,38 @@ class NullModels:
 
     target: NullModel
     base: UnrelatedField
+    base_cubes: Indices
     side: float
     noise_variance: float
 
     def of_base(self, positions: Points, field: Vectors) -> NullModel:
         """Of those samples of the base that a pose puts inside the target."""
-        cells = average_cells(positions, self.side)
-        return self.base.over(cells, cells.mean(field), _cell_noise(self.noise_variance, cells))
+        return self.base.over(*_in_cells(positions, field, self.side, self.noise_variance))
 
 
 def null_models_of(base: PreparedMap, target: PreparedMap) -> NullModels:
     """State the null hypotheses of a pair; the hyperparameters of either field have maximum likelihood."""
     side, noise_variance = common_length(base, target), base.noise_sd**2 + target.noise_sd**2
 
-    def alone(survey: PreparedMap) -> tuple[UnrelatedField, NullModel]:
-        cells = average_cells(survey.samples, side)
-        field, noise = cells.mean(survey.sample_field), _cell_noise(noise_variance, cells)
-        unrelated = UnrelatedField.most_likely(cells, field, noise, survey.correlation_length)
-        return unrelated, unrelated.over(cells, field, noise)
+    of_target, of_base = (
+        _in_cells(survey.samples, survey.sample_field, side, noise_variance) for survey in (target, base)
+    )
+    _, base_cubes = np.unique(cube_keys(base.samples, side), return_inverse=True)
+    return NullModels(
+        UnrelatedField.most_likely(*of_target, target.correlation_length).over(*of_target),
+        UnrelatedField.most_likely(*of_base, base.correlation_length),
+        base_cubes,
+        side,
+        noise_variance,
+    )
 
-    return NullModels(alone(target)[1], alone(base)[0], side, noise_variance)
 
-
-def _cell_noise(noise_variance: float, cells: CellMeans) -> Scalars:
-    return np.asarray(noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE))
+def _in_cells(
+    positions: Points, field: Vectors, side: float, noise_variance: float
+) -> tuple[CellMeans, Vectors, Scalars]:
+    """Cells of some samples, their mean field, and its noise variance."""
+    cells = average_cells(positions, side)
+    return cells, cells.mean(field), noise_variance * (1 / cells.counts + CORRELATED_NOISE_SHARE)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -95,6 +105,18 @@ class CellComparison:
     map_variance: Scalars
     drift_variance: Scalars
 
+    @classmethod
+    def of(
+        cls, cells: CellMeans, rows: Indices, residual: Vectors, seen: tuple[Scalars, Tensors, Mask],
+        base: PreparedMap, target: PreparedMap,
+    ) -> "CellComparison":  # fmt: skip
+        """Average the samples' residuals; `seen` is the other map's spread and gradient there, and whether known."""
+        sd, gradient, is_known = seen
+        sample_chi2 = (residual**2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd**2)
+        off = field_variance(gradient, base.drift.sd**2 + target.drift.sd**2)
+        map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
+        return cls(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
+
     def misfit(self, null_model: NullModel, rows: Indices) -> float:
         """Normalised rms of some cells' residuals: about 1 when noise, map and stated drift explain them."""
         variance = null_model.noise[rows] + self.map_variance[rows] + self.drift_variance[rows]
@@ -113,10 +135,7 @@ def compare_cells(
     expected, sd, G, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
     residual = rotate_vectors(field, T_base_target) - expected
     rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > WHOLE)
-    sample_chi2 = (residual**2).sum(axis=1) / (base.noise_sd**2 + target.noise_sd**2 + sd**2)
-    off = field_variance(G, base.drift.sd**2 + target.drift.sd**2)
-    map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
-    return CellComparison(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
+    return CellComparison.of(cells, rows, residual, (sd, G, is_known), base, target)
 
 
 def compare_back(
@@ -125,17 +144,13 @@ def compare_back(
     """Residuals of those of the base's cells that a pose puts inside the target, with their null model."""
     T = pose.T_base_target
     expected, sd, G, is_known = target.raster.lookup(transform_points(base.samples, T.inv()))
-    _, cell = np.unique(cube_keys(base.samples, nulls.side), return_inverse=True)
-    inside = (np.bincount(cell, is_known) / np.bincount(cell) > WHOLE)[cell]
-    field, sd = base.sample_field[inside], sd[inside]
+    cubes = nulls.base_cubes
+    inside = (np.bincount(cubes, is_known) / np.bincount(cubes) > WHOLE)[cubes]
+    field = base.sample_field[inside]
     residual = field - rotate_vectors(pose.sensor.correct(expected[inside]), T)
     null_model = nulls.of_base(base.samples[inside], field)
-    cells = null_model.cells
-    sample_chi2 = (residual**2).sum(axis=1) / (nulls.noise_variance + sd**2)
-    off = field_variance(G[inside], base.drift.sd**2 + target.drift.sd**2)
-    map_variance, drift_variance = cells.mean(np.column_stack([sd**2, off])).T
-    rows = np.arange(len(cells.counts))
-    return null_model, CellComparison(is_known, sample_chi2, rows, cells.mean(residual), map_variance, drift_variance)
+    seen, rows = (sd[inside], G[inside], is_known[inside]), np.arange(len(null_model.cells.counts))
+    return null_model, CellComparison.of(null_model.cells, rows, residual, seen, base, target)
 
 
 def agreeing_cells(

@@ -150,16 +150,14 @@ def weigh_pose(
         return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
-    ratios = [null_model.log_ratio(seen.residual[rows], seen.map_variance[rows], rows)]
-    misfits = [seen.misfit(null_model, rows)]
-    if change is not None:
-        ratios = [(change.log_ratio, ratios[0][1])]
-    else:
+    sides = [(null_model, seen, rows)]
+    if change is None:
         of_base, back = compare_back(base, target, pose, nulls)
-        if len(back.rows):
-            ratios.append(of_base.log_ratio(back.residual, back.map_variance, back.rows))
-            misfits.append(back.misfit(of_base, back.rows))
+        sides += [(of_base, back, back.rows)] if len(back.rows) else []
+    ratios = [null.log_ratio(side.residual[r], side.map_variance[r], r) for null, side, r in sides]
     log_ratio, attainable = np.mean(ratios, axis=0)
+    if change is not None:
+        log_ratio = change.log_ratio
     # An implausible difference between the sensors is evidence against the pose.
     log_ratio -= 0.5 * float(((pose.sensor.parameters / pose.sensor_sd) ** 2).sum())
     r2, variance = (seen.residual[rows] ** 2).sum(axis=1), null_model.noise[rows] + seen.map_variance[rows]
@@ -179,7 +177,7 @@ def weigh_pose(
         float(log_ratio + price),
         float(attainable + price),
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
-        max(misfits),
+        max(side.misfit(null, r) for null, side, r in sides),
         1.0 if change is None else change.unchanged,
         change is not None,
     )
