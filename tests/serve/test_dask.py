@@ -2,12 +2,12 @@
 """Whole logs on a Dask cluster: right answers, maps held in memory, and what is said when parts of it die."""
 
 import json
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import pytest
 
 from magmatch.serve.logs.work import _place
-from serving import Service, serving, wait_until
+from serving import serving, wait_until
 
 distributed = pytest.importorskip("distributed")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
@@ -29,29 +29,23 @@ def test_logs_are_worked_on_by_a_cluster_that_holds_the_maps_and_may_die(hall, t
     log = hall.walk(2)[0]
     log.save(tmp_path / "log.csv")
     body = (tmp_path / "log.csv").read_bytes()
-    with cluster() as one:
-        address, port = one.scheduler_address, int(one.scheduler_address.rpartition(":")[2])
-        words = ("--workers", f"dask://{address}", "--states", tmp_path / "states")
-        service = Service(hall.map, *words)
-        try:
+    with ExitStack() as outlasting:
+        with cluster() as one:
+            address, port = one.scheduler_address, int(one.scheduler_address.rpartition(":")[2])
+            words = ("--workers", f"dask://{address}", "--states", tmp_path / "states")
+            service = outlasting.enter_context(serving(hall.map, *words))
             first, again = asked(service, body), asked(service, body)
             assert (first[0], first[2]["status"], first[2]["map"]) == (200, "localized", again[2]["map"])
             assert first[2]["trajectory"] == again[2]["trajectory"]
             with distributed.Client(address, set_as_default=False) as client:
                 (held,) = client.run(lambda: tuple(_place.cache_info())).values()
                 assert held[:2] == (1, 1)  # read once, found in memory once
-        except BaseException:
-            service.end()
-            raise
-    try:
         # The scheduler is gone.
         status, headers, said = asked(service, body)
         assert (status, said["message"].count("\n"), "retry-after" in headers) == (503, 0, True)
         assert service.ask("/health")[0] == 200
         with cluster(port):
             assert wait_until(lambda: (now := asked(service, body))[0] == 200 and now)[2]["status"] == "localized"
-    finally:
-        service.end()
 
 
 def test_a_cluster_that_is_not_there_is_said_so(hall, tmp_path):
