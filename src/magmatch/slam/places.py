@@ -146,7 +146,9 @@ class Places:
         """Add the certain closures, except those of some windows, and solve; returns how many were found."""
         known = {(c.first, c.second) for c in self.graph.closures}
         closures = [
-            c for c in tie(path, candidates, self.graph) if (c.first, c.second) not in known and c.second not in but
+            c
+            for c in tie(path, candidates, self.graph, self.paths)
+            if (c.first, c.second) not in known and c.second not in but
         ]
         self.graph.closures += closures
         if closures:

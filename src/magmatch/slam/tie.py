@@ -10,6 +10,8 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import transform_error, transform_from_matrix
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import REACH, PoseGraph
 from magmatch.slam.graph.ties import Closure
 from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
@@ -94,8 +96,8 @@ def _candidates(
     return found
 
 
-def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph) -> list[Closure]:
-    """Closures that are sure, of a log's windows in their order."""
+def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph, paths: Sequence[Path]) -> list[Closure]:
+    """Closures that are sure, of a log's windows in their order, with nodes of any log."""
     config = graph.config
     candidates = [sorted(c, key=lambda k: -k.match.evidence)[:MOST_CANDIDATES] for c in candidates]
     placed = [
@@ -115,8 +117,14 @@ def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph) -> list
         if probability >= config.min_probability:
             odds = float(np.log(probability / max(1 - probability, 1e-12)))
             one_a_pass = _one_a_pass([found[k] for k in same], graph)
-            closures += [Closure(c.node, window.node, c.T_node_window, c.match.covariance, odds) for c in one_a_pass]
+            closures += [_closure(c, window.node, paths[graph.log[c.node]], odds, config) for c in one_a_pass]
     return closures
+
+
+def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfig) -> Closure:
+    """A candidate as a factor of the graph: its node and the path beside it are apart by some odometry."""
+    covariance = c.match.covariance + covariance_beside(path, c.node, c.T_node_window, config)
+    return Closure(c.node, node, c.T_node_window, covariance, odds)
 
 
 def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indices:

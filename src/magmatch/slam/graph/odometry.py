@@ -74,6 +74,31 @@ def covariance_of_end(path: Path, C: Covariance6, config: SlamConfig, *, from_st
     return np.asarray(A @ C @ A.T + loads @ loads.T)
 
 
+def covariance_beside(path: Path, node: int, T_node_other: RigidTransform, config: SlamConfig) -> Covariance6:
+    """Covariance that odometry adds to a pose which the field shows relative to the path beside it, not to a node.
+
+    Parameters
+    ----------
+    path : Path
+    node : int
+        Node of that path in whose window the pose lies.
+    T_node_other : RigidTransform
+    config : SlamConfig
+
+    Returns
+    -------
+    (6, 6) array
+        Of xi in ``T_node_other Exp(xi)``.
+    """
+    k = node - path.first_node
+    rows = np.flatnonzero(path.number == k)
+    apart = path.survey.positions[rows] - path.centers[k] - T_node_other.translation
+    beside = int(rows[np.argmin(np.linalg.norm(apart, axis=1))])
+    shift, loads, _ = _between(path, int(path.middles[k]), beside, config)
+    loads = adjoint(T_node_other.inv() * RigidTransform.from_translation(shift)) @ loads
+    return np.asarray(loads @ loads.T)
+
+
 def _between(path: Path, a: int, b: int, config: SlamConfig) -> tuple[Vector3, Matrix, Matrix]:
     """From one sample to another: the shift, what each unit error does to the end, and what the lasting ones do."""
     points = path.survey.positions[np.unique(np.linspace(a, b, BEND_POINTS).astype(np.int64))]

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What odometry adds to a pose that the field shows beside the path, not at a node."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.survey import Survey
+from magmatch.slam.bending import bend
+from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.graph.odometry import covariance_beside
+from magmatch.slam.windows import cut
+
+CONFIG = SlamConfig(odometry=OdometryConfig(sd=(0.1, 2.0), scale_sd=0.01, turn_sd=1.0))
+S = np.linspace(0, 12.0, 241)
+POSITIONS = np.column_stack([S, 0.3 * np.sin(S), 0 * S])
+
+
+@pytest.fixture(scope="module")
+def path():
+    survey = Survey(POSITIONS, np.tile([2e-5, 0.0, -4e-5], (len(S), 1)), times=S)
+    (path,) = cut([survey], 1.0, CONFIG)
+    return path
+
+
+def test_beside_the_node_itself_odometry_adds_nothing(path):
+    C = covariance_beside(path, 1, RigidTransform.from_translation([0.0, 0.4, 0.0]), CONFIG)
+    # The nearest sample is the node's or its neighbour, a step of 5 cm.
+    assert np.sqrt(np.diagonal(C)).max() < 0.02
+
+
+def test_along_the_path_it_grows_as_odometry_does(path):
+    k = 0
+    sd = [
+        np.sqrt(covariance_beside(path, k, RigidTransform.from_translation(p - path.centers[k]), CONFIG)[3, 3])
+        for p in path.survey.positions[path.middles[k] : path.middles[k] + 50 : 10]
+    ]
+    assert np.all(np.diff(sd) > 0)
+
+
+def test_it_is_the_spread_of_many_walks(path):
+    """A pose known exactly beside the end of a window, stated from the node in the window's middle."""
+    k, last = 0, int(np.flatnonzero(path.number == 0)[-1])
+    a = int(path.middles[k])
+    other = RigidTransform.from_components(
+        path.survey.positions[last] - path.centers[k] + [0.0, 0.5, 0.0], Rotation.from_rotvec([0, 0, 2.0])
+    )
+    stated = covariance_beside(path, k, other, CONFIG)
+    loads = bend(path.survey.positions[a : last + 1], 0, CONFIG.odometry, upright=True, planar=False)[-1]
+    shift = path.survey.positions[last] - path.centers[k]
+    rng, found = np.random.default_rng(0), []
+    for _ in range(4000):
+        error = loads @ rng.standard_normal(loads.shape[1])
+        # Where the sample beside it truly is; the pose keeps its place relative to that.
+        moved = RigidTransform.from_components(shift + error[3:], Rotation.from_rotvec(error[:3]))
+        true = moved * RigidTransform.from_translation(-shift) * other
+        xi = true.inv() * other
+        found.append(np.concatenate([xi.rotation.as_rotvec(), xi.translation]))
+    sampled = np.cov(np.array(found).T)
+    scale = np.sqrt(np.maximum(np.diagonal(stated), 1e-8))
+    np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.1)
+    assert np.sqrt(stated[3, 3]) > 0.03
