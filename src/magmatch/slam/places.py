@@ -156,13 +156,15 @@ class Places:
         return len(closures)
 
     def stretch(self, node: int) -> Base:
-        """A window and its neighbours as a base, odometry's frame."""
+        """A window, the one it is paired with, and the neighbours of both as a base, odometry's frame."""
         assert self.maker is not None
-        if node not in self.made:
-            path = self.paths[self.graph.log[node]]
-            rows = np.flatnonzero(np.abs(path.nodes[path.number] - node) <= 1)
-            self.made[node] = self.maker.make(path.survey.subset(rows), path.nodes[path.number][rows])
-        return self.made[node]
+        path = self.paths[self.graph.log[node]]
+        first = node - (node - path.first_node) % 2
+        if first not in self.made:
+            of = path.nodes[path.number]
+            rows = np.flatnonzero((of >= first - 1) & (of <= first + 2))
+            self.made[first] = self.maker.make(path.survey.subset(rows), of[rows])
+        return self.made[first]
 
     def whole(self, path: Path) -> Base:
         """A whole log as a base, as the graph has it now."""
