@@ -1,6 +1,7 @@
 """Walks by dead reckoning, corrected by their field alone: each alone, and those of one place together.
 
     python benchmarks/experiments/slam_walks.py --data DIR --out DIR [--sets infcenter,museum] [--jobs 2]
+        [--save NAME]
 
 DIR holds ``dodolilo/infcenter/walk[1-9].csv`` and ``ipin2023/pdr/route[1-5]_[1-4].csv`` with ``*_truth.csv`` beside
 each. Error: rms of positions at the true points after one rigid alignment in the plane, of a walk or of all walks
@@ -18,11 +19,11 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
-from magmatch_evaluation.saved_table import show
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
 
 COLUMNS = ("walks", "tuned on", "m", "odometry, m", "corrected, m", "ratio", "frames", "closures", "s a metre")
-SUMS = ("walks alone", "tuned on", "n", "odometry, rms m", "corrected, rms m", "median ratio", "largest ratio")
+SUMS = ("walks", "tuned on", "n", "odometry, rms m", "corrected, rms m", "median ratio", "largest ratio", "frames")
 PLACES = {
     "infcenter": [("dodolilo/infcenter", [f"walk{k}" for k in range(1, 10)])],
     "museum": [("ipin2023/pdr", [f"route{r}_{k}" for k in range(1, 5)]) for r in range(1, 6)],
@@ -86,7 +87,7 @@ def is_tuned(name: str) -> bool:
 
 
 def main() -> None:
-    asked = arguments(__doc__, data=Path, out=Path, sets="infcenter,museum", jobs=os.cpu_count())
+    asked = arguments(__doc__, data=Path, out=Path, sets="infcenter,museum", jobs=os.cpu_count(), save=saver)
     asked.out.mkdir(parents=True, exist_ok=True)
     wanted = list(names(asked.sets.split(",")))
     rows = kept(asked.out / "walks.jsonl", wanted, partial(work, data=asked.data), jobs=asked.jobs)
@@ -110,11 +111,17 @@ def main() -> None:
             if some:
                 b, a = np.array(some).T
                 rms = [f"{np.sqrt(np.mean(v**2)):.2f}" for v in (b, a)]
-                sums.append(
-                    [place, "yes" if tuned else "no", len(b), *rms, f"{np.median(a / b):.2f}", f"{(a / b).max():.2f}"]
-                )
+                ratios = f"{np.median(a / b):.2f}", f"{(a / b).max():.2f}"
+                sums.append([f"{place}, each alone", "yes" if tuned else "no", len(b), *rms, *ratios, ""])
+    for row, line in zip(found, table, strict=True):
+        walks = row["name"].split(": ")[1].split()
+        if len(walks) > 1:
+            _, was_tuned, _, before, after, ratio, frames, *_ = line
+            sums.append(
+                [f"{walks[0]} to {walks[-1]} together", was_tuned, len(walks), before, after, ratio, "", frames]
+            )
     show(COLUMNS, table, None)
-    show(SUMS, sums, None)
+    show(SUMS, sums, asked.save, found)
 
 
 if __name__ == "__main__":
