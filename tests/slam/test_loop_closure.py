@@ -15,7 +15,7 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
-    (found, *_) = matches(window, places.stretch(closure.first), window.config, rough)
+    (found, *_) = matches(window, places.stretch(closure.first, closure.second), window.config, rough)
     assert np.linalg.norm(found.T_base_log.apply(window.center) - T.apply(window.center)) < 0.1
     assert found.evidence > 0
-    assert not matches(window, places.stretch(closure.first), window.config, 100.0)
+    assert not matches(window, places.stretch(closure.first, closure.second), window.config, 100.0)

@@ -20,7 +20,7 @@ from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import forget_closures, solve
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.loop_closure import residuals
+from magmatch.slam.loop_closure import SAME_SHIFT, residuals
 from magmatch.slam.numbers import guessed_noise, shared_numbers
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.steps import Steps
@@ -53,6 +53,8 @@ class Places:
         Fixed points, and the log that passed each.
     steps : Steps
         Where intermediate results are stored.
+    looked : dict
+        Candidates of each window where the graph last predicted it.
     """
 
     paths: list[Path]
@@ -61,7 +63,8 @@ class Places:
     biases: list[tuple[Vector3, Vector3]] = field(default_factory=list)
     anchors: list[tuple[Anchor, int]] = field(default_factory=list)
     steps: Steps = field(default_factory=Steps)
-    made: dict[int, Base] = field(default_factory=dict)
+    looked: dict[int, list[Candidate]] = field(default_factory=dict)
+    made: dict[tuple[int, int], Base] = field(default_factory=dict)
     far: dict[tuple[int, int], Base] = field(default_factory=dict)
 
     def copied(self) -> "Places":
@@ -125,7 +128,8 @@ class Places:
             mine = np.flatnonzero(component == component[window.node])
             return near_candidates(window, mine[mine < window.node], self.graph, self.stretch)
 
-        return of_numbers(self.steps(lambda: numbers_of(look())))
+        found = self.looked[window.node] = of_numbers(self.steps(lambda: numbers_of(look())))
+        return found
 
     def others(self, path: Path) -> list[Path]:
         """Earlier logs that nothing ties to this one."""
@@ -155,16 +159,17 @@ class Places:
             solve(self.graph)
         return len(closures)
 
-    def stretch(self, node: int) -> Base:
-        """A window, the one it is paired with, and the neighbours of both as a base, odometry's frame."""
+    def stretch(self, node: int, before: int) -> Base:
+        """A window, the one it is paired with, and the neighbours of both as a base for a later window."""
         assert self.maker is not None
         path = self.paths[self.graph.log[node]]
         first = node - (node - path.first_node) % 2
-        if first not in self.made:
+        last = min(first + 2, before - 1) if path is self.paths[self.graph.log[before]] else first + 2
+        if (first, last) not in self.made:
             of = path.nodes[path.number]
-            rows = np.flatnonzero((of >= first - 1) & (of <= first + 2))
-            self.made[first] = self.maker.make(path.survey.subset(rows), of[rows])
-        return self.made[first]
+            rows = np.flatnonzero((of >= first - 1) & (of <= last))
+            self.made[first, last] = self.maker.make(path.survey.subset(rows), of[rows])
+        return self.made[first, last]
 
     def whole(self, path: Path) -> Base:
         """A whole log as a base, as the graph has it now."""
@@ -175,7 +180,7 @@ class Places:
         return self.far[key]
 
     def learn_noise(self) -> None:
-        """Learn from the closures the noise that does not repeat."""
+        """Learn the noise that does not repeat from closures, and where the graph alone says what is passed again."""
         assert self.maker is not None
         stretches = [s for s in self._repeats() if len(s.positions) >= MIN_BINS]
         if len(stretches) < PRIOR_STRETCHES:
@@ -187,10 +192,18 @@ class Places:
 
     def _repeats(self) -> Iterator[Stretch]:
         windows = {w.node: w for path in self.paths for w in path.windows}
-        for c in self.graph.closures:
-            window = windows[c.second]
-            T = self.graph.center(c.first) * c.T_first_second * window.T_log_node.inv()
-            yield residuals(window, self.stretch(c.first), T)
+        pairs = {(c.first, c.second): c.T_first_second for c in self.graph.closures}
+        closed = {second for _, second in pairs}
+        for node, candidates in self.looked.items():
+            if candidates and node not in closed:
+                best = max(candidates, key=lambda c: c.match.evidence)
+                C = self.graph.relative_covariances(np.array([best.node]), node)[0]
+                if np.linalg.eigvalsh(C[3:, 3:])[-1] < (SAME_SHIFT * windows[node].length) ** 2:
+                    pairs[best.node, node] = best.T_node_window
+        for (first, second), T in pairs.items():
+            window = windows[second]
+            T_base_log = self.graph.center(first) * T * window.T_log_node.inv()
+            yield residuals(window, self.stretch(first, second), T_base_log)
 
 
 def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:

@@ -18,12 +18,12 @@ from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, R
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
-# Nodes so near along one log are not compared: their windows share a base.
-APART = 3
+# Nodes nearer than this along one log are not compared: their windows adjoin.
+APART = 2
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
-# The base about a node and its neighbour.
-Stretch = Callable[[int], Base]
+# The base about a node and its neighbour, of path before another node.
+Stretch = Callable[[int, int], Base]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,7 +67,7 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
     covariances = graph.relative_covariances(firsts, b)
     sd = np.sqrt(np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1])
     is_near = np.linalg.norm(graph.p[firsts] - graph.p[b], axis=1) <= half + window.length + REACH * sd
-    bases = {int(a): stretch(int(a)) for a in firsts[is_near]}
+    bases = {int(a): stretch(int(a), b) for a in firsts[is_near]}
     searched: list[Base] = []
     for (a, base), C in zip(bases.items(), covariances[is_near], strict=True):
         if any(base is other for other in searched):
@@ -143,10 +143,13 @@ def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indice
 
 
 def _one_a_pass(candidates: list[Candidate], graph: PoseGraph) -> list[Candidate]:
-    """Of candidates at neighbouring nodes, whose stretches share samples, the first."""
+    """The first candidate, and of each other pass the first, unless that pass speaks against the place."""
     kept: list[Candidate] = []
     for c in candidates:
-        if all(graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART for k in kept):
+        # Neighbouring nodes are one pass.
+        if (not kept or c.match.evidence > 0) and all(
+            graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART for k in kept
+        ):
             kept.append(c)
     return kept
 
