@@ -160,16 +160,15 @@ class Places:
         return len(closures)
 
     def stretch(self, node: int, before: int) -> Base:
-        """A window, the one it is paired with, and the neighbours of both as a base for a later window."""
+        """A window and its neighbours as a base for a later window, odometry's frame."""
         assert self.maker is not None
         path = self.paths[self.graph.log[node]]
-        first = node - (node - path.first_node) % 2
-        last = min(first + 2, before - 1) if path is self.paths[self.graph.log[before]] else first + 2
-        if (first, last) not in self.made:
+        last = min(node + 1, before - 1) if path is self.paths[self.graph.log[before]] else node + 1
+        if (node, last) not in self.made:
             of = path.nodes[path.number]
-            rows = np.flatnonzero((of >= first - 1) & (of <= last))
-            self.made[first, last] = self.maker.make(path.survey.subset(rows), of[rows])
-        return self.made[first, last]
+            rows = np.flatnonzero((of >= node - 1) & (of <= last))
+            self.made[node, last] = self.maker.make(path.survey.subset(rows), of[rows])
+        return self.made[node, last]
 
     def whole(self, path: Path) -> Base:
         """A whole log as a base, as the graph has it now."""

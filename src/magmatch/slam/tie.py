@@ -22,7 +22,7 @@ from magmatch.typing import Indices, Matrix, Scalars
 APART = 2
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
-# The base about a node and its neighbour, of path before another node.
+# The base about a node, of path before another.
 Stretch = Callable[[int, int], Base]
 
 
@@ -67,16 +67,11 @@ def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: 
     covariances = graph.relative_covariances(firsts, b)
     sd = np.sqrt(np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1])
     is_near = np.linalg.norm(graph.p[firsts] - graph.p[b], axis=1) <= half + window.length + REACH * sd
-    bases = {int(a): stretch(int(a), b) for a in firsts[is_near]}
-    searched: list[Base] = []
-    for (a, base), C in zip(bases.items(), covariances[is_near], strict=True):
-        if any(base is other for other in searched):
-            continue
-        searched.append(base)
-        T_a_b = graph.pose(a).inv() * graph.pose(b)
-        rough = Rough(graph.center(a) * T_a_b * window.T_log_node.inv(), C)
+    for a, C in zip(firsts[is_near], covariances[is_near], strict=True):
+        T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
+        rough = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
         # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
-        found += [c for c in _candidates(window, base, rough, graph.center) if bases.get(c.node) is base]
+        found += [c for c in _candidates(window, stretch(int(a), b), rough, graph.center) if c.node == a]
     return found
 
 
