@@ -84,21 +84,8 @@ class ResultTable:
 def saver(name: str) -> Saver:
     """Give the function that saves a benchmark's table: the type of its option ``--save NAME``.
 
-    The commit is noted now, before hours of work during which others may commit.
-
-    Parameters
-    ----------
-    name : str
-        Of a file in ``benchmarks/results``, where title, note and covers stand already.
-
-    Returns
-    -------
-    Saver
-
-    Raises
-    ------
-    ArgumentTypeError
-        There is no such file, or the code that the figures depend on is not committed.
+    NAME is a file in ``benchmarks/results``, where title, note and covers stand already. The commit is noted now,
+    before hours of work during which others may commit; `ArgumentTypeError` where covered code is not committed.
     """
     path, old = FOLDER / f"{name}.json", None
     try:

@@ -129,16 +129,9 @@ def quantile(ordered: np.ndarray, q: float) -> float:
 
 
 def wilson_interval(n_successes: int, n: int, z: float = Z95) -> tuple[float, float]:
-    """Interval of a probability from counts; (0, 1) without any trial.
+    """Interval of a probability from counts: both roots of ``(p - k/n)^2 = z^2 p (1 - p) / n``; (0, 1) without trial.
 
-    Notes
-    -----
-    Both roots of ``(p - k/n)^2 = z^2 p (1 - p) / n``.
-
-    References
-    ----------
-    E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22, 1927,
-    doi:10.1080/01621459.1927.10502953.
+    E. B. Wilson, JASA 22, 1927, doi:10.1080/01621459.1927.10502953.
 
     Examples
     --------

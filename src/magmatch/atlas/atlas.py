@@ -143,21 +143,7 @@ def is_atlas(path: str | Path) -> bool:
 
 
 def maps_in(folder: Path) -> Iterator[Path]:
-    """Saved maps of a folder, in the order of their names.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    DataFormatError
-        No such folder.
-    """
+    """Saved maps of a folder, in the order of their names; `DataFormatError` where there is no such folder."""
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_file())
     except OSError as error:

@@ -99,15 +99,7 @@ MISTAKES = {
 
 
 def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
-    """List the errors of a survey's frames and units.
-
-    Parameters
-    ----------
-    survey : Survey
-        One that passes `require_survey`.
-    unit : str
-        The unit in which the field was read.
-    """
+    """List the errors of a survey's frames and units; it passes `require_survey`, and was read in that unit."""
     return [*_of_magnitude(survey, unit), *_of_frames(survey)]
 
 

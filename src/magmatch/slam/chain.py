@@ -41,14 +41,8 @@ def smooth(
 ) -> list[Scalars]:
     """Probability of each candidate of each window; the remainder to one is that of nowhere.
 
-    Parameters
-    ----------
-    windows : list of list of Placed
-        Candidates, window by window.
-    log_transitions : list of (a, b) array
-        Between neighbouring windows: log density of b's pose as odometry predicts it from a's.
-    revisit, keeps_on : float
-        Share of windows that lie somewhere; and of those, whose next window does too.
+    ``log_transitions`` (a, b) between neighbouring windows: log density of b's pose as odometry predicts it from a's;
+    ``revisit``: share of windows that lie somewhere; ``keeps_on``: of those, share whose next window does too.
     """
     leaves = 1 - keeps_on
     enters = leaves * revisit / (1 - revisit)

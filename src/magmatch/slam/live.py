@@ -56,10 +56,7 @@ class LiveLog:
     def add(self, t: float, T_odom_body: RigidTransform, field: Any) -> bool:
         """Add a sample; returns whether poses or windows changed.
 
-        Raises
-        ------
-        ValueError
-            The time does not increase, or a number is not finite; the sample is not added.
+        `ValueError` where the time does not increase or a number is not finite: the sample is not added.
         """
         t = float(column_of([t], "t", "s", 1)[0])
         expect_transform(T_odom_body, "T_odom_body")

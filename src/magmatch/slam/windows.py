@@ -129,16 +129,9 @@ class Path:
 
 
 def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int = 0, first: int = 0) -> list[Path]:
-    """Divide logs into windows of equal path length.
+    """Divide logs into windows of equal path length; ``length`` (m) is that over which the field changes.
 
-    Parameters
-    ----------
-    surveys : sequence of Survey
-    length : float, m
-        Over which the field changes.
-    config : SlamConfig
-    log, first : int
-        Number of the first of them, and its first node.
+    ``log`` and ``first`` are the number of the first log and of its first node.
     """
     paths: list[Path] = []
     for survey in surveys:

@@ -95,25 +95,7 @@ class CholeskyFactor:
 def factorise(
     elimination: Elimination, matrix: StencilMatrix, precision: npt.DTypeLike = np.float64
 ) -> CholeskyFactor:
-    """Factorise a positive definite matrix.
-
-    Parameters
-    ----------
-    elimination : Elimination
-        Order and fronts for the matrix' cells.
-    matrix : StencilMatrix
-    precision : numpy type
-        Of the factor.
-
-    Returns
-    -------
-    CholeskyFactor
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite; names the pivot.
-    """
+    """Factorise a positive definite matrix; `numpy.linalg.LinAlgError` names the pivot of one that is not."""
     pivots, below, blocks = _blocks(elimination, precision)
     root = len(elimination.fronts) - 1
     updates = [blocks[0][:0]] * len(elimination.fronts)
