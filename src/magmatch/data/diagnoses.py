@@ -164,7 +164,7 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
 
 
 def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]) -> tuple[str, float] | None:
-    """The mistake whose undoing leaves least scatter, and how many times less than as declared; None if none does."""
+    """The mistake whose correction scatters least, and how many times less than as declared; None if none does."""
     scatter = _Scatter.of(points)
     for free_iron in (True,) if _stands_still(*declared) else (False, True):
         least, name = min((scatter(*turned, free_iron=free_iron), name) for name, turned in undone.items())
@@ -175,7 +175,7 @@ def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]
 
 
 def _stands_still(field: Vectors, q: Rotation) -> bool:
-    """Whether a field as of Earth shows in the survey's frame, beside a constant in the sensor's.
+    """Whether a field like the Earth's is constant in the survey's frame, apart from a constant in the sensor's.
 
     Along what the sensor does not turn about; about that, the two cannot be told apart.
     """
@@ -277,7 +277,7 @@ class _Walked:
 
 
 def _axes() -> dict[str, np.ndarray]:
-    """The 24 ways in which right-handed axes lie along right-handed axes, by name; as they are first."""
+    """The 24 permutations and signs of the axes that stay right-handed, by name; the identity first."""
     found = {}
     for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
         axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
