@@ -33,42 +33,21 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One method in one experiment.
+    """One method in one experiment."""
 
-    Attributes
-    ----------
-    n : int
-        Trials.
-    n_posed, n_accepted, n_right : int
-        With any pose; accepted; accepted and within tolerance.
-    n_false : int
-        Accepted though out of tolerance, or though there was nothing to find.
-    n_faults : int
-        Broke down.
-    success : (float, float)
-        Wilson's 95 % interval of the rate of `n_right` (of refusals, where there is nothing to find).
-    distance, angle_deg : Spread
-        m, deg.
-    nees : float
-        Mean per degree of freedom over accepted trials that state a covariance; NaN without any.
-    seconds : float
-        Median.
-    peak_bytes : int
-        Largest.
-    """
-
-    n: int
-    n_posed: int
+    n: int  # trials
+    n_posed: int  # with any pose; accepted; accepted and within tolerance
     n_accepted: int
     n_right: int
-    n_false: int
-    n_faults: int
+    n_false: int  # accepted though out of tolerance, or though there was nothing to find
+    n_faults: int  # broke down
+    # (float, float): wilson's 95 % interval of the rate of `n_right` (of refusals, where there is nothing to find)
     success: tuple[float, float]
-    distance: Spread
+    distance: Spread  # m, deg
     angle_deg: Spread
-    nees: float
-    seconds: float
-    peak_bytes: int
+    nees: float  # mean per degree of freedom over accepted trials that state a covariance; NaN without any
+    seconds: float  # median
+    peak_bytes: int  # largest
 
 
 # By (experiment, method), in the order of the experiments and their methods.

@@ -25,19 +25,11 @@ MAX_LOADED = 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AtlasEntry:
-    """One map of an atlas.
+    """One map of an atlas."""
 
-    Attributes
-    ----------
-    path : Path
-        The saved map.
-    table : PairTable
-        Its pairs of points, mapped into memory.
-    """
-
-    path: Path
+    path: Path  # the saved map
     index: IndexFile
-    table: PairTable
+    table: PairTable  # its pairs of points, mapped into memory
 
     @property
     def name(self) -> str:

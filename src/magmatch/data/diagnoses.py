@@ -51,18 +51,11 @@ Turned = tuple[Vectors, Rotation]
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """One error of a survey.
+    """One error of a survey."""
 
-    Attributes
-    ----------
-    kind : str
-        ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``.
-    measured, remedy : str
-        The evidence for it, and what to do.
-    """
-
+    # ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``
     kind: str
-    measured: str
+    measured: str  # the evidence for it, and what to do
     remedy: str
 
     def __str__(self) -> str:
@@ -223,21 +216,11 @@ class _Scatter:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Walked:
-    """Where a path leads.
+    """Where a path leads."""
 
-    Attributes
-    ----------
-    heading : (n,) array, rad
-        At each sample, about z.
-    rows : (k,) int array
-        Samples in the middle of strides.
-    direction : (k, 3) array
-        Of each stride.
-    """
-
-    heading: Scalars
-    rows: np.ndarray
-    direction: Vectors
+    heading: Scalars  # (n,), rad: at each sample, about z
+    rows: np.ndarray  # (k,): samples in the middle of strides
+    direction: Vectors  # (k, 3): of each stride
 
     @classmethod
     def of(cls, survey: Survey) -> "_Walked | None":

@@ -43,24 +43,13 @@ class Mapped(Protocol):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MapGrid:
-    """A map on a grid along the axes of its frame.
+    """A map on a grid along the axes of its frame."""
 
-    Attributes
-    ----------
-    axes : three (n,) arrays, m
-        Coordinates along x, y, z.
-    spacing : float, m
-    field, sd : (nx, ny, nz, 3) arrays, T
-        Field and standard deviation of its components.
-    is_known : (nx, ny, nz) bool array
-        Where the map has data nearby.
-    """
-
-    axes: tuple[Scalars, Scalars, Scalars]
-    spacing: float
-    field: np.ndarray
-    sd: np.ndarray
-    is_known: np.ndarray
+    axes: tuple[Scalars, Scalars, Scalars]  # each (n,), m: coordinates along x, y, z
+    spacing: float  # m
+    field: np.ndarray  # (nx, ny, nz, 3), T: field and standard deviation of its components
+    sd: np.ndarray  # (nx, ny, nz, 3), T
+    is_known: np.ndarray  # (nx, ny, nz): where the map has data nearby
 
     def values(self) -> dict[str, np.ndarray]:
         """What VTK and NetCDF hold, by name."""

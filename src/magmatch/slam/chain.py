@@ -16,24 +16,12 @@ from magmatch.typing import Covariance6, Matrix, Scalars
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Placed:
-    """A window's candidate pose in a frame that its neighbours' candidates share.
+    """A window's candidate pose in a frame that its neighbours' candidates share."""
 
-    Attributes
-    ----------
-    T : RigidTransform
-        Shared frame from the window's node.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the node.
-    log_odds : float
-        Over nowhere, prior included.
-    log_prior : float
-        Density of the prior at the pose, per m^3 and rad^3.
-    """
-
-    T: RigidTransform
-    covariance: Covariance6
-    log_odds: float
-    log_prior: float
+    T: RigidTransform  # shared frame from the window's node
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node
+    log_odds: float  # over nowhere, prior included
+    log_prior: float  # density of the prior at the pose, per m^3 and rad^3
 
 
 def smooth(

@@ -33,19 +33,11 @@ _NO_SINGLES, _NO_DOUBLES = np.zeros(0, np.float32), np.zeros(0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CholeskyFactor:
-    """``A = L L^T`` in the order of an elimination.
-
-    Attributes
-    ----------
-    pivots : list of (n, n) arrays
-        Lower triangle of each front's own unknowns.
-    below : list of (k, n) arrays
-        Rows of L of each front's border.
-    """
+    """``A = L L^T`` in the order of an elimination."""
 
     elimination: Elimination
-    pivots: list[np.ndarray]
-    below: list[np.ndarray]
+    pivots: list[np.ndarray]  # each (n, n): lower triangle of each front's own unknowns
+    below: list[np.ndarray]  # each (k, n): rows of L of each front's border
 
     @property
     def log_determinant(self) -> float:
