@@ -7,6 +7,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from tolerances import guard
+
+guard()
+
 SECONDS = 20
 MEBIBYTES = 700
 LENGTHS = (0, 1, 0x7F, 0xFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)

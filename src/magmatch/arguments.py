@@ -53,16 +53,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
 def points_of(values: Any, name: str = "points", unit: str = "m", thing: str = "row") -> Points:
     """Finite numbers in rows of three: (n, 3), whatever array, table or list they came in; rows go by position.
 
-    Parameters
-    ----------
-    values : (n, 3) array-like
-    name, unit, thing : str
-        What they are, in what, and what one row is: for messages.
-
-    Raises
-    ------
-    ValueError
-        Another shape, no numbers, NaN or infinity.
+    ``name``, ``unit`` and ``thing`` (what a row is) are for the `ValueError` of anything else.
     """
     array = numbers_of(values, name, f"(n, 3), in {unit}")
     if array.ndim != 2 or array.shape[1] != 3:

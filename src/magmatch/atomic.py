@@ -72,7 +72,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def _naming(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
-    """Let errors of the machine speak of the file that was to be written; a full disk knows no names."""
+    """Name the file in errors of the operating system, which reports a full disk without a name."""
     try:
         yield
     except OSError as error:

@@ -59,7 +59,7 @@ def compile_known(module: str) -> None:
 
 
 def _is_ours(compilation: event.Event) -> bool:
-    """Whether a loop of this package compiles; those of others are none of our business."""
+    """Whether the loop being compiled belongs to this package."""
     return bool(compilation.data["dispatcher"].py_func.__module__.startswith("magmatch."))
 
 

@@ -151,52 +151,19 @@ def unit_vectors(vectors: Vectors) -> Vectors:
 
 
 def skew(v: Points) -> Tensors:
-    """Cross-product matrices: ``skew(a) @ b == a x b``.
-
-    Parameters
-    ----------
-    v : (n, 3) array
-        Vectors.
-
-    Returns
-    -------
-    (n, 3, 3) array
-        One antisymmetric matrix per row.
-    """
+    """Cross-product matrices (n, 3, 3) of vectors (n, 3): ``skew(a) @ b == a x b``."""
     S = np.zeros((len(v), 3, 3))
     S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
     return S - np.swapaxes(S, 1, 2)
 
 
 def exp_se3(xi: np.ndarray) -> RigidTransform:
-    """Exponential map of a tangent vector, rotation first.
-
-    Parameters
-    ----------
-    xi : (6,) array
-        Rotation vector (rad), then the translational part (m).
-
-    Returns
-    -------
-    RigidTransform
-        ``Exp(xi)``.
-    """
+    """Exponential map of a tangent vector (6,): rotation vector (rad), then the translational part (m)."""
     return RigidTransform.from_exp_coords(xi)
 
 
 def log_se3(T: RigidTransform) -> np.ndarray:
-    """Logarithm map: the tangent vector of a transform, rotation first.
-
-    Parameters
-    ----------
-    T : RigidTransform
-        A rigid motion.
-
-    Returns
-    -------
-    (6,) array
-        Rotation vector (rad), then the translational part (m).
-    """
+    """Logarithm map: tangent vector (6,) of a transform, rotation vector (rad) first, then m."""
     return np.asarray(T.as_exp_coords(), dtype=np.float64)
 
 
@@ -215,20 +182,7 @@ def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
 
 
 def random_transform(rng: np.random.Generator, max_translation: float = 5.0) -> RigidTransform:
-    """Uniformly random rotation and a translation uniform in a cube.
-
-    Parameters
-    ----------
-    rng : numpy Generator
-        Source of randomness.
-    max_translation : float, m
-        Half the side of the cube of translations.
-
-    Returns
-    -------
-    RigidTransform
-        A random rigid motion.
-    """
+    """Uniformly random rotation, and a translation uniform in a cube of twice ``max_translation`` (m)."""
     rotation = Rotation.random(rng=rng)
     return RigidTransform.from_components(rng.uniform(-max_translation, max_translation, 3), rotation)
 
@@ -256,18 +210,7 @@ def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: 
 
 
 def path_walked(positions: Points) -> Scalars:
-    """Path walked up to each position.
-
-    Parameters
-    ----------
-    positions : (n, 3) array, m
-        One after the other.
-
-    Returns
-    -------
-    (n,) array, m
-        From 0.
-    """
+    """Path walked up to each of consecutive positions: (n,), m, from 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
 
 

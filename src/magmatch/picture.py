@@ -14,15 +14,7 @@ BASE, TARGET, PAPER = "#00365F", "#D55E00", "#f2f4f6"
 
 
 def coloured_points(p: np.ndarray, values: np.ndarray, words: str) -> str:
-    """Points seen along their shortest side, coloured from their lowest value to their highest.
-
-    Parameters
-    ----------
-    p : (n, 3) array, m
-    values : (n,) array
-    words : str
-        What stands for the picture where it cannot be seen.
-    """
+    """Points (n, 3) along their shortest side, coloured by values; ``words`` stand in where that cannot be seen."""
     rows = np.linspace(0, len(p) - 1, min(len(p), MAX_POINTS)).astype(int)
     p, values = p[rows], values[rows]
     low, high = np.quantile(values, [0.02, 0.98]) if len(values) else (0.0, 1.0)

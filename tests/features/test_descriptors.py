@@ -43,8 +43,8 @@ def test_components_fall_into_twenty_bins_over_the_range():
 
 def test_components_outside_the_range_are_discarded():
     h = describe([[2.0, -2.0, 0.5], [0.3, 0.3, 0.3]])
-    assert np.allclose([h[30:50].sum(), h[50:70].sum(), h[70:90].sum()], [0.5, 0.5, 1.0])
-    assert np.allclose([h[:20].sum(), h[20:30].sum()], 1.0)
+    np.testing.assert_allclose([h[30:50].sum(), h[50:70].sum(), h[70:90].sum()], [0.5, 0.5, 1.0])
+    np.testing.assert_allclose([h[:20].sum(), h[20:30].sum()], 1.0)
 
 
 def test_missing_points_of_the_support_do_not_count():
@@ -65,4 +65,4 @@ def test_straight_up_falls_into_the_last_elevation_bin():
 def test_the_range_ignores_the_strongest_two_percent():
     field = np.tile([3e-5, 0, 4e-5], (1000, 1))
     field[:5] *= 100
-    assert np.isclose(component_range(field), 5e-5)
+    np.testing.assert_allclose(component_range(field), 5e-5)

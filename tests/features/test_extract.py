@@ -18,12 +18,12 @@ CONFIG = FeatureConfig(spacing=0.15)
 def assert_carried(moved, features, T):
     expected = features.transformed(T)
     assert len(moved) == len(features) > 0
-    assert np.allclose(moved.positions, expected.positions, rtol=0, atol=1e-9)
-    assert np.allclose(moved.field, expected.field, rtol=0, atol=1e-9 * np.abs(features.field).max())
+    np.testing.assert_allclose(moved.positions, expected.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(moved.field, expected.field, rtol=0, atol=1e-9 * np.abs(features.field).max())
     assert np.all((moved.local_frames * expected.local_frames.inv()).magnitude() < 1e-9)
     # A hard histogram moves a whole count where a vector lies within rounding of a bin's edge: with some 1e5 vectors
     # in 90 bins at random that is a chance of about 1e-6 per example, so none may differ here.
-    assert np.allclose(moved.descriptors, features.descriptors, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(moved.descriptors, features.descriptors, rtol=0, atol=1e-9)
 
 
 @given(seed=st.integers(0, 1000))

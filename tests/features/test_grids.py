@@ -51,7 +51,7 @@ def test_the_number_of_points_is_bounded(make_map, kind):
 def test_spacing_follows_the_lengthscale(make_map):
     field_map = make_map(0)
     config = FeatureConfig(spacing_in_lengthscales=0.3)
-    assert np.isclose(grid_spacing(field_map, config), 0.3 * field_map.hyperparameters.lengthscale)
+    np.testing.assert_allclose(grid_spacing(field_map, config), 0.3 * field_map.hyperparameters.lengthscale)
 
 
 @pytest.mark.parametrize("kind", ["region", "path"])
@@ -61,7 +61,9 @@ def test_support_is_what_lies_within_the_radius(make_map, kind):
     neighbours, distance = points.support(rows, 2.5)
     offset = points.positions[neighbours] - points.positions[rows][:, None]
     there = neighbours >= 0
-    assert np.allclose(np.linalg.norm(offset, axis=2)[there] / 0.15, np.broadcast_to(distance, there.shape)[there])
+    np.testing.assert_allclose(
+        np.linalg.norm(offset, axis=2)[there] / 0.15, np.broadcast_to(distance, there.shape)[there]
+    )
     apart = np.linalg.norm(points.positions[rows][:, None] - points.positions, axis=2) / 0.15
     assert np.array_equal(there.sum(axis=1), (apart < 2.5 + 1e-6).sum(axis=1) - 1)
 
@@ -75,5 +77,5 @@ def test_values_are_those_at_the_points_whichever_way_they_are_asked(make_map):
         field_map = make_map(0, x=x)
         points = inference_grid(field_map, FeatureConfig(spacing=0.15))
         asked, direct = evaluate_at(field_map, points, 2), field_map.evaluate(points.positions, 2)
-        assert np.allclose(asked.field, direct.field, atol=1e-15)
-        assert np.allclose(asked.second, direct.second, atol=1e-12)
+        np.testing.assert_allclose(asked.field, direct.field, atol=1e-15)
+        np.testing.assert_allclose(asked.second, direct.second, atol=1e-12)

@@ -35,7 +35,7 @@ def test_hessian_is_that_of_finite_differences(make_room, seed):
             a, b = h * np.eye(3)[i], h * np.eye(3)[j]
             corners = [magnitude(source, x + s * a + t * b) * s * t for s in (-1, 1) for t in (-1, 1)]
             # What a step of 0.2 mm leaves out, beside a source or where the field nearly vanishes.
-            assert np.allclose(
+            np.testing.assert_allclose(
                 sum(corners) / (4 * h * h), hessian[:, i, j], rtol=1e-3, atol=1e-4 * np.abs(hessian).max()
             )
 
@@ -46,7 +46,7 @@ def test_hessian_turns_as_a_tensor(make_room, seed):
     values = make_room(seed).values(some_points(seed), 2)
     T = RigidTransform.from_rotation(Rotation.random(rng=np.random.default_rng(seed)))
     turned = magnitude_hessian(values.rotated(T))
-    assert np.allclose(turned, rotate_tensors(magnitude_hessian(values), T), atol=1e-9 * np.abs(turned).max())
+    np.testing.assert_allclose(turned, rotate_tensors(magnitude_hessian(values), T), atol=1e-9 * np.abs(turned).max())
 
 
 @given(seed=st.integers(0, 1000))
@@ -101,7 +101,7 @@ def test_variance_of_a_block_is_that_nearby(make_map):
     rows = np.arange(len(points))
     exact = np.trace(field_map.covariance(points.positions), axis1=1, axis2=2) / 3
     slope = 1e-14 / field_map.posterior.high[0]
-    assert np.allclose(block_variance(field_map, points, rows), exact, rtol=0, atol=0.51 * 0.2 * slope)
+    np.testing.assert_allclose(block_variance(field_map, points, rows), exact, rtol=0, atol=0.51 * 0.2 * slope)
 
 
 def test_a_uniform_field_has_no_keypoint(make_map, make_room):

@@ -20,22 +20,22 @@ def test_axes_follow_the_printed_recipe():
     frames, strength = frames_of(field, [[1, 2]])
     near, far = np.exp(-1 / 8), np.exp(-4 / 8)
     x = np.array([near * 1, far * 4, 0]) / np.hypot(near, 4 * far)
-    assert np.allclose(frames[0].T, [x, np.cross([0, 0, 1], x), [0, 0, 1]])
-    assert np.isclose(strength[0], np.hypot(near, 4 * far) / (near + 4 * far))
+    np.testing.assert_allclose(frames[0].T, [x, np.cross([0, 0, 1], x), [0, 0, 1]])
+    np.testing.assert_allclose(strength[0], np.hypot(near, 4 * far) / (near + 4 * far))
 
 
 def test_points_outside_the_map_do_not_count():
     field = [[0, 0, 2e-5], [1e-5, 0, 3e-5], [0, 4e-5, -1e-5]]
     frames, _ = frames_of(field, [[1, -1]])
-    assert np.allclose(frames[0, :, 0], [1, 0, 0])
+    np.testing.assert_allclose(frames[0, :, 0], [1, 0, 0])
 
 
 def test_frames_are_rotations(make_map):
     features = extract_features(make_map(1), FINE)
     R = features.local_frames.as_matrix()
-    assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3), atol=1e-12)
-    assert np.allclose(np.linalg.det(R), 1)
-    assert np.allclose(R[:, :, 2], features.field / np.linalg.norm(features.field, axis=1, keepdims=True))
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1)
+    np.testing.assert_allclose(R[:, :, 2], features.field / np.linalg.norm(features.field, axis=1, keepdims=True))
 
 
 def test_a_field_that_vanishes_or_has_no_lateral_part_gives_no_frame():

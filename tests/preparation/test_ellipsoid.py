@@ -17,12 +17,14 @@ def turned(orientations, corruption, rng):
     return readings + 0.3e-6 * rng.standard_normal(readings.shape)
 
 
+# One huge spike, some, and many.
+@pytest.mark.parametrize(("n_spikes", "size"), [(1, 0.1), (5, 30e-6), (100, 1e-3)])
 @pytest.mark.parametrize("seed", range(5))
-def test_hard_and_soft_iron_are_found_in_spite_of_spikes(seed):
+def test_hard_and_soft_iron_are_found_in_spite_of_spikes(seed, n_spikes, size):
     rng = np.random.default_rng(seed)
     corruption = draw_corruption(rng, hard_iron=60e-6, soft_iron=0.1)
     readings = turned(Rotation.random(500, rng=rng), corruption, rng)
-    readings[:5] += 30e-6
+    readings[:n_spikes] += size * rng.standard_normal((n_spikes, 3))
     model, solution = fit_ellipsoid(readings)
     np.testing.assert_allclose(model.hard_iron, corruption.hard_iron, rtol=0, atol=0.15e-6)
     truth = corruption.soft_iron / np.cbrt(np.linalg.det(corruption.soft_iron))

@@ -60,10 +60,13 @@ def test_estimates_scatter_as_stated_and_what_is_not_there_is_shown_as_often_as_
     p = np.array([f.p_value["two"] for f in found])
     assert (p < 0.1).mean() < 0.2
     assert (p > 0.5).mean() > 0.4
-    shown = solved(field())
-    assert shown.p_value["one"] < 1e-6
-    square = np.sum((shown.estimate["two"] / shown.sd["two"]) ** 2) / 2
-    assert shown.p_value["two"] == pytest.approx(scipy.stats.f.sf(square, 2, 18), rel=0.5)
+    assert solved(field()).p_value["one"] < 1e-6
+    lone = solved(
+        field(truth={"one": TRUTH["one"], "two": np.array([5e-3, 0.0])}), BLOCKS | {"two": Block(TWO[:1], 0.1)}
+    )
+    z = lone.estimate["two"] / lone.sd["two"]
+    assert lone.p_value["two"] == pytest.approx(scipy.stats.f.sf(z[0] ** 2, 1, 19), rel=1e-6)
+    assert 1e-6 < lone.p_value["two"] < 0.05
 
 
 def test_errors_that_are_alike_along_the_path_widen_what_is_stated():

@@ -35,26 +35,11 @@ def evaluate(
     tell: Callable[[Progress], None] = lambda _: None,
     deadline: float = math.inf,
 ) -> list[AnyRow]:
-    """Run the trials of a plan that have not been run yet.
+    """Run the trials of a plan that have not been run yet; rows of the whole plan, in the plan's order.
 
-    Parameters
-    ----------
-    plan : Plan
-    folder : Path
-        Where rows are kept; those of an earlier run with the same settings are taken as they are.
-    jobs : int
-        Processes on this machine.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers do it instead.
-    tell : callable, optional
-        Is told of the progress.
-    deadline : float, s
-        No trial is begun after this, on the clock of `time.monotonic`.
-
-    Returns
-    -------
-    list of Row and MapRow
-        Of the whole plan, as far as it is done, in an order that does not depend on how often it was interrupted.
+    Rows are kept in the folder; those of an earlier run with the same settings are taken as they are. ``jobs`` are
+    processes on this machine; ``scheduler`` is the address of a Dask scheduler whose workers do it instead. No trial
+    is begun after the deadline, on the clock of `time.monotonic`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = [RowFile[AnyRow](folder / f"{kind.FILE}.jsonl", kind) for kind in (Row, MapRow)]

@@ -37,41 +37,19 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One row of a table, or one point of a curve.
+    """One row of a table, or one point of a curve."""
 
-    Attributes
-    ----------
-    name : str
-        Unique, as typed on the command line.
-    title : str
-        What is asked, in a few words.
-    group : str
-        Table or curve it belongs to.
-    make : callable
-        ``make(seed, recordings)``; its ``repr`` says all that what it makes depends on besides those.
-    n_seeds : int
-        Trials of the full run.
-    methods : tuple of str
-        Names of the methods that are asked.
-    tolerance : Tolerance
-    value : float or None
-        Where it is one point of a curve: its place on the axis, in the unit of the group.
-    dataset : str or None
-        Public recording that it needs.
-    floor : str
-        Accuracy of the data themselves, in words.
-    """
-
-    name: str
-    title: str
-    group: str
+    name: str  # unique, as typed on the command line
+    title: str  # what is asked, in a few words
+    group: str  # table or curve it belongs to
+    # ``make(seed, recordings)``; its ``repr`` says all that what it makes depends on besides those
     make: Callable[[int, Path | None], Pair | HeldOut]
-    n_seeds: int
-    methods: tuple[str, ...]
+    n_seeds: int  # trials of the full run
+    methods: tuple[str, ...]  # names of the methods that are asked
     tolerance: Tolerance = field(default_factory=Tolerance)
-    value: float | None = None
-    dataset: str | None = None
-    floor: str = ""
+    value: float | None = None  # where it is one point of a curve: its place on the axis, in the unit of the group
+    dataset: str | None = None  # public recording that it needs
+    floor: str = ""  # accuracy of the data themselves, in words
 
 
 WALK = Tolerance(0.25, 5.0)

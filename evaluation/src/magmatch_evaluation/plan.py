@@ -55,20 +55,8 @@ def make_plan(
 ) -> Plan:
     """Lay out the trials of a run.
 
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-    methods : dict of str to Method
-        Those that may be asked; an experiment's other methods are not.
-    n_seeds : int, optional
-        Most trials of each experiment and method; each experiment's own number by default.
-    first_seed : int
-    recordings : Path, optional
-        Folder of public recordings; by default the cache that ``magmatch datasets fetch`` fills.
-
-    Returns
-    -------
-    Plan
+    Methods are those that may be asked: an experiment's others are not. ``n_seeds`` bounds each experiment's own
+    number; recordings are by default those in the cache that ``magmatch datasets fetch`` fills.
     """
     folder = recordings or cache_folder()
     absent = {name: m.module for name, m in methods.items() if m.module is not None and not find_spec(m.module)}

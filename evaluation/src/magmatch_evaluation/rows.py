@@ -34,66 +34,34 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Row(Trial):
-    """What came of registering one pair.
-
-    Attributes
-    ----------
-    status, reason : str
-        Of the result; status ``fault`` where the method broke down.
-    is_accepted : bool
-    is_there : bool
-        Whether there was anything to be found.
-    distance, angle : float, m and rad
-        Error of the best pose, accepted or not; inf where there is none.
-    nees : float
-        Per degree of freedom; NaN where no covariance is stated.
-    n_base, n_target : int
-        Samples.
-    seconds : float, s
-        Of the processor, maps included.
-    peak_bytes : int
-    """
+    """What came of registering one pair."""
 
     FILE: ClassVar[str] = "rows"
 
-    status: str
+    status: str  # of the result; status ``fault`` where the method broke down
     reason: str
     is_accepted: bool
-    is_there: bool
-    distance: float
-    angle: float
-    nees: float
-    n_base: int
+    is_there: bool  # whether there was anything to be found
+    distance: float  # m and rad: error of the best pose, accepted or not; inf where there is none
+    angle: float  # m and rad
+    nees: float  # per degree of freedom; NaN where no covariance is stated
+    n_base: int  # samples
     n_target: int
-    seconds: float
+    seconds: float  # s: of the processor, maps included
     peak_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
 class MapRow(Trial):
-    """How well one model of the field predicted what was held out.
-
-    Attributes
-    ----------
-    reason : str
-        Why there is no figure; empty where there is.
-    field_rmse : float, T
-        Of 3-vectors.
-    gradient_rmse : float, T/m
-        Of the nine components together; NaN where truth or model have none.
-    coverage : float
-        Share of components within the stated 95 %; NaN where none is stated.
-    seconds : float, s
-        Of the processor.
-    """
+    """How well one model of the field predicted what was held out."""
 
     FILE: ClassVar[str] = "mapping"
 
-    reason: str
-    field_rmse: float
-    gradient_rmse: float
-    coverage: float
-    seconds: float
+    reason: str  # why there is no figure; empty where there is
+    field_rmse: float  # T: of 3-vectors
+    gradient_rmse: float  # T/m: of the nine components together; NaN where truth or model have none
+    coverage: float  # share of components within the stated 95 %; NaN where none is stated
+    seconds: float  # s: of the processor
 
 
 AnyRow = Row | MapRow

@@ -34,33 +34,17 @@ class Saver(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ResultTable:
-    """One table of the page of results.
+    """One table of the page of results."""
 
-    Attributes
-    ----------
-    title, note : str
-        The note says what the cells mean; it holds no result.
-    remark : str
-        About these figures alone; gone when they are taken anew.
-    command : str
-        Prints the figures.
-    commits : sequence of str
-        What the code was when they were taken; several where rows are of several, none where it was not recorded.
-    machine, date : str
-    covers : sequence of str
-        Folders and files that the figures depend on, from the root of the repository.
-    columns : sequence of str
-    rows : sequence of sequences of str
-    """
-
-    title: str
+    title: str  # the note says what the cells mean; it holds no result
     note: str
-    command: str
+    command: str  # prints the figures
+    # What the code was when they were taken; several where rows are of several, none where it was not recorded
     commits: Sequence[str]
     machine: str
     date: str
-    covers: Sequence[str]
-    remark: str
+    covers: Sequence[str]  # folders and files that the figures depend on, from the root of the repository
+    remark: str  # about these figures alone; gone when they are taken anew
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
 
@@ -84,21 +68,8 @@ class ResultTable:
 def saver(name: str) -> Saver:
     """Give the function that saves a benchmark's table: the type of its option ``--save NAME``.
 
-    The commit is noted now, before hours of work during which others may commit.
-
-    Parameters
-    ----------
-    name : str
-        Of a file in ``benchmarks/results``, where title, note and covers stand already.
-
-    Returns
-    -------
-    Saver
-
-    Raises
-    ------
-    ArgumentTypeError
-        There is no such file, or the code that the figures depend on is not committed.
+    NAME is a file in ``benchmarks/results``, where title, note and covers stand already. The commit is noted now,
+    before hours of work during which others may commit; `ArgumentTypeError` where covered code is not committed.
     """
     path, old = FOLDER / f"{name}.json", None
     try:

@@ -33,42 +33,21 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One method in one experiment.
+    """One method in one experiment."""
 
-    Attributes
-    ----------
-    n : int
-        Trials.
-    n_posed, n_accepted, n_right : int
-        With any pose; accepted; accepted and within tolerance.
-    n_false : int
-        Accepted though out of tolerance, or though there was nothing to find.
-    n_faults : int
-        Broke down.
-    success : (float, float)
-        Wilson's 95 % interval of the rate of `n_right` (of refusals, where there is nothing to find).
-    distance, angle_deg : Spread
-        m, deg.
-    nees : float
-        Mean per degree of freedom over accepted trials that state a covariance; NaN without any.
-    seconds : float
-        Median.
-    peak_bytes : int
-        Largest.
-    """
-
-    n: int
-    n_posed: int
+    n: int  # trials
+    n_posed: int  # with any pose; accepted; accepted and within tolerance
     n_accepted: int
     n_right: int
-    n_false: int
-    n_faults: int
+    n_false: int  # accepted though out of tolerance, or though there was nothing to find
+    n_faults: int  # broke down
+    # (float, float): wilson's 95 % interval of the rate of `n_right` (of refusals, where there is nothing to find)
     success: tuple[float, float]
-    distance: Spread
+    distance: Spread  # m, deg
     angle_deg: Spread
-    nees: float
-    seconds: float
-    peak_bytes: int
+    nees: float  # mean per degree of freedom over accepted trials that state a covariance; NaN without any
+    seconds: float  # median
+    peak_bytes: int  # largest
 
 
 # By (experiment, method), in the order of the experiments and their methods.
@@ -129,16 +108,9 @@ def quantile(ordered: np.ndarray, q: float) -> float:
 
 
 def wilson_interval(n_successes: int, n: int, z: float = Z95) -> tuple[float, float]:
-    """Interval of a probability from counts; (0, 1) without any trial.
+    """Interval of a probability from counts: both roots of ``(p - k/n)^2 = z^2 p (1 - p) / n``; (0, 1) without trial.
 
-    Notes
-    -----
-    Both roots of ``(p - k/n)^2 = z^2 p (1 - p) / n``.
-
-    References
-    ----------
-    E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22, 1927,
-    doi:10.1080/01621459.1927.10502953.
+    E. B. Wilson, JASA 22, 1927, doi:10.1080/01621459.1927.10502953.
 
     Examples
     --------

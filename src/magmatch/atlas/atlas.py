@@ -25,19 +25,11 @@ MAX_LOADED = 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AtlasEntry:
-    """One map of an atlas.
+    """One map of an atlas."""
 
-    Attributes
-    ----------
-    path : Path
-        The saved map.
-    table : PairTable
-        Its pairs of points, mapped into memory.
-    """
-
-    path: Path
+    path: Path  # the saved map
     index: IndexFile
-    table: PairTable
+    table: PairTable  # its pairs of points, mapped into memory
 
     @property
     def name(self) -> str:
@@ -143,21 +135,7 @@ def is_atlas(path: str | Path) -> bool:
 
 
 def maps_in(folder: Path) -> Iterator[Path]:
-    """Saved maps of a folder, in the order of their names.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    DataFormatError
-        No such folder.
-    """
+    """Saved maps of a folder, in the order of their names; `DataFormatError` where there is no such folder."""
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_file())
     except OSError as error:

@@ -38,21 +38,8 @@ def localize(
 ) -> RegistrationResult:
     """Find the map that holds a survey, and the pose in it; or say why there is none.
 
-    Parameters
-    ----------
-    atlas : Atlas
-        From `open_atlas`.
-    target : Survey or FieldMap
-    seed : int
-        Same atlas, target and seed give the same answer bit for bit.
-    progress : callable, optional
-        Called with the current step and the fraction done; see `magmatch.progress`.
-
-    Returns
-    -------
-    RegistrationResult
-        ``base`` names the map; alternatives name theirs. An answer is accepted only if no pose in any map comes close
-        to it, with the search penalty for all maps.
+    ``base`` of the result names the map; alternatives name theirs. An answer is accepted only if no pose in any map
+    comes close to it, with the search penalty for all maps. The same seed gives the same bits.
     """
     with followed(progress):
         return localize_keeping_map(atlas, target, seed=seed)[1]
@@ -61,20 +48,7 @@ def localize(
 def localize_keeping_map(
     atlas: Atlas, target: Survey | FieldMap, *, seed: int = 0
 ) -> tuple[Survey | FieldMap, RegistrationResult]:
-    """Find the map that contains a survey, and also return the target as it was used, for pictures.
-
-    Parameters
-    ----------
-    atlas, target, seed
-        As `localize` says.
-
-    Returns
-    -------
-    target : Survey or FieldMap
-        A survey only if the answer needed no map of it.
-    result : RegistrationResult
-        What `localize` gives.
-    """
+    """As `localize`; also gives the target as used, for pictures: a survey if the answer needed no map of it."""
     expect_kind(atlas, "atlas", (Atlas,), "open_atlas(folder) opens a folder of maps")
     require_target(target)
     whole_number_of(seed, "seed")

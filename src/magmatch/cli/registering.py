@@ -35,17 +35,11 @@ def with_wait(result: "RegistrationResult", loaded: float) -> "RegistrationResul
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReadBase:
-    """A base as it was read, with its index if there is one.
-
-    Attributes
-    ----------
-    key : str
-        From `index_key`, before a saved map was read; empty if there is nothing to store.
-    """
+    """A base as it was read, with its index if there is one."""
 
     path: Path
     base: "Survey | FieldMap | MapIndex"
-    key: str = ""
+    key: str = ""  # from `index_key`, before a saved map was read; empty if there is nothing to store
 
     def keep(self, used: "FieldMap | MapIndex | None", settings: "RegistrationConfig") -> None:
         """Store what was computed from a saved map next to it, and say once how to compute the rest in advance."""

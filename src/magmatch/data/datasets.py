@@ -20,35 +20,16 @@ _NO_LICENCE = (
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Dataset:
-    """A public recording at one commit of a public repository.
+    """A public recording at one commit of a public repository."""
 
-    Attributes
-    ----------
-    name : str
-        Short name, also the folder its files are kept in.
-    title : str
-        What was recorded, in one line.
-    citation : str
-        What to cite.
-    licence : str
-        What the files may be used for.
-    repository : str
-        Owner and name on GitHub.
-    commit : str
-        40 hex digits.
-    folder : str
-        Folder in the repository that holds the files.
-    files : dict of str to str
-        SHA-256 of each file, by its path below the folder (and below the local folder of the same name).
-    """
-
-    name: str
-    title: str
-    citation: str
-    licence: str
-    repository: str
-    commit: str
-    folder: str
+    name: str  # short name, also the folder its files are kept in
+    title: str  # what was recorded, in one line
+    citation: str  # what to cite
+    licence: str  # what the files may be used for
+    repository: str  # owner and name on GitHub
+    commit: str  # 40 hex digits
+    folder: str  # folder in the repository that holds the files
+    # SHA-256 of each file, by its path below the folder (and below the local folder of the same name)
     files: dict[str, str]
 
     def url(self, file: str) -> str:

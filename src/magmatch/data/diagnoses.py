@@ -51,18 +51,11 @@ Turned = tuple[Vectors, Rotation]
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """One error of a survey.
+    """One error of a survey."""
 
-    Attributes
-    ----------
-    kind : str
-        ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``.
-    measured, remedy : str
-        The evidence for it, and what to do.
-    """
-
+    # ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``
     kind: str
-    measured: str
+    measured: str  # the evidence for it, and what to do
     remedy: str
 
     def __str__(self) -> str:
@@ -99,15 +92,7 @@ MISTAKES = {
 
 
 def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
-    """List the errors of a survey's frames and units.
-
-    Parameters
-    ----------
-    survey : Survey
-        One that passes `require_survey`.
-    unit : str
-        The unit in which the field was read.
-    """
+    """List the errors of a survey's frames and units; it passes `require_survey`, and was read in that unit."""
     return [*_of_magnitude(survey, unit), *_of_frames(survey)]
 
 
@@ -172,7 +157,7 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
 
 
 def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]) -> tuple[str, float] | None:
-    """The mistake whose undoing leaves least scatter, and how many times less than as declared; None if none does."""
+    """The mistake whose correction scatters least, and how many times less than as declared; None if none does."""
     scatter = _Scatter.of(points)
     for free_iron in (True,) if _stands_still(*declared) else (False, True):
         least, name = min((scatter(*turned, free_iron=free_iron), name) for name, turned in undone.items())
@@ -183,7 +168,7 @@ def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]
 
 
 def _stands_still(field: Vectors, q: Rotation) -> bool:
-    """Whether a field as of Earth shows in the survey's frame, beside a constant in the sensor's.
+    """Whether a field like the Earth's is constant in the survey's frame, apart from a constant in the sensor's.
 
     Along what the sensor does not turn about; about that, the two cannot be told apart.
     """
@@ -231,21 +216,11 @@ class _Scatter:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Walked:
-    """Where a path leads.
+    """Where a path leads."""
 
-    Attributes
-    ----------
-    heading : (n,) array, rad
-        At each sample, about z.
-    rows : (k,) int array
-        Samples in the middle of strides.
-    direction : (k, 3) array
-        Of each stride.
-    """
-
-    heading: Scalars
-    rows: np.ndarray
-    direction: Vectors
+    heading: Scalars  # (n,), rad: at each sample, about z
+    rows: np.ndarray  # (k,): samples in the middle of strides
+    direction: Vectors  # (k, 3): of each stride
 
     @classmethod
     def of(cls, survey: Survey) -> "_Walked | None":
@@ -285,7 +260,7 @@ class _Walked:
 
 
 def _axes() -> dict[str, np.ndarray]:
-    """The 24 ways in which right-handed axes lie along right-handed axes, by name; as they are first."""
+    """The 24 permutations and signs of the axes that stay right-handed, by name; the identity first."""
     found = {}
     for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
         axes = np.eye(3)[list(order)] * np.array(signs)[:, None]

@@ -147,7 +147,7 @@ class TypedDocument:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Refuse an object that says one thing twice: readers differ in which they believe."""
+    """Refuse an object with a repeated key: readers differ in which value they take."""
     made = dict(pairs)
     if len(made) < len(pairs):
         msg = f"one of the keys {sorted(made)[:5]} appears twice"
@@ -161,7 +161,7 @@ def _refuse(constant: str) -> float:
 
 
 def _finite(text: str) -> float:
-    """Refuse a number that only infinity could stand for."""
+    """Refuse a number too large for float64, which would be read as infinity."""
     value = float(text)
     return value if math.isfinite(value) else _refuse(text[:40])
 

@@ -21,20 +21,11 @@ _CELLS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InferencePoints:
-    """Points of a regular grid that a map knows.
+    """Points of a regular grid that a map knows."""
 
-    Attributes
-    ----------
-    grid : RegularGrid
-        Over the samples' box.
-    cells : (n,) int array
-        Flat indices (C order) of the grid points in use, increasing.
-    positions : (n, 3) array, m, map frame
-    """
-
-    grid: RegularGrid
-    cells: Indices
-    positions: Points
+    grid: RegularGrid  # over the samples' box
+    cells: Indices  # (n,): flat indices (C order) of the grid points in use, increasing
+    positions: Points  # (n, 3), m, map frame
 
     def __len__(self) -> int:
         return len(self.cells)

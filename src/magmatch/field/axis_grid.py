@@ -43,24 +43,13 @@ class Mapped(Protocol):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MapGrid:
-    """A map on a grid along the axes of its frame.
+    """A map on a grid along the axes of its frame."""
 
-    Attributes
-    ----------
-    axes : three (n,) arrays, m
-        Coordinates along x, y, z.
-    spacing : float, m
-    field, sd : (nx, ny, nz, 3) arrays, T
-        Field and standard deviation of its components.
-    is_known : (nx, ny, nz) bool array
-        Where the map has data nearby.
-    """
-
-    axes: tuple[Scalars, Scalars, Scalars]
-    spacing: float
-    field: np.ndarray
-    sd: np.ndarray
-    is_known: np.ndarray
+    axes: tuple[Scalars, Scalars, Scalars]  # each (n,), m: coordinates along x, y, z
+    spacing: float  # m
+    field: np.ndarray  # (nx, ny, nz, 3), T: field and standard deviation of its components
+    sd: np.ndarray  # (nx, ny, nz, 3), T
+    is_known: np.ndarray  # (nx, ny, nz): where the map has data nearby
 
     def values(self) -> dict[str, np.ndarray]:
         """What VTK and NetCDF hold, by name."""
@@ -68,13 +57,7 @@ class MapGrid:
         return {"field": self.field, "sd": self.sd, "magnitude": magnitude, "known": self.is_known.astype(np.float64)}
 
     def to_xarray(self, frame: str) -> Any:
-        """Give the grid as an xarray Dataset with coordinates, units and names; an axis of one point is no dimension.
-
-        Raises
-        ------
-        MissingExtraError
-            Needs the extra ``grid``.
-        """
+        """Give the grid as an xarray Dataset with units and names; an axis of one point is no dimension."""
         xr = import_extra("xarray", "a map as a grid of xarray or NetCDF", "grid")
         names, metre = ("x", "y", "z"), {"units": "m"}
         data = {}
@@ -95,24 +78,10 @@ class MapGrid:
 
 
 def map_on_grid(field_map: Mapped, spacing: float | None = None, cut: tuple[str, float] | None = None) -> MapGrid:
-    """Evaluate a map over the box of its samples.
+    """Evaluate a map over the box of its samples, or on a slice such as ``("z", 1.0)`` (m).
 
-    Parameters
-    ----------
-    field_map : FieldMap
-    spacing : float, m, optional
-        Distance of grid points; by default half a lengthscale, or more where that makes more than 100,000 points.
-    cut : (str, float), optional
-        Axis and coordinate (m) of a slice, such as ``("z", 1.0)``; the whole box by default.
-
-    Returns
-    -------
-    MapGrid
-
-    Raises
-    ------
-    ConfigurationError
-        Too many points.
+    The spacing (m) is by default half a lengthscale, or more where that makes more than 100,000 points; more points
+    than are allowed raise `ConfigurationError`.
     """
     corners = np.array([field_map.survey.positions.min(axis=0), field_map.survey.positions.max(axis=0)])
     if cut is not None:

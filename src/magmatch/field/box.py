@@ -16,19 +16,11 @@ _N_LATTICE = 50_000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Box:
-    """A box, turned against the model's axes.
+    """A box, turned against the model's axes."""
 
-    Attributes
-    ----------
-    low, high : (3,) array, m
-        Corners, in the box's own axes.
-    T_box_model : RigidTransform
-        Takes model coordinates to the box's.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    T_box_model: RigidTransform
+    low: np.ndarray  # (3,), m: corners, in the box's own axes
+    high: np.ndarray  # (3,), m
+    T_box_model: RigidTransform  # takes model coordinates to the box's
 
     @classmethod
     def declared(cls, domain: tuple[float, ...] | None, T_domain_model: RigidTransform | None) -> Self | None:

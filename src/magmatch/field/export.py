@@ -24,20 +24,9 @@ def write_ply_cloud(grid: MapGrid, path: str | Path) -> None:
 
 
 def write_netcdf(grid: MapGrid, path: str | Path, frame: str) -> None:
-    """Write a grid as NetCDF (version 3, by SciPy) with coordinates, units and names.
+    """Write a grid as NetCDF (version 3, by SciPy) with coordinates, units and names; needs the extra ``grid``.
 
-    Parameters
-    ----------
-    grid : MapGrid
-        An axis of one point is kept as a coordinate without a dimension: a slice has two dimensions.
-    path : path
-    frame : str
-        Name of the map's frame.
-
-    Raises
-    ------
-    MissingExtraError
-        Needs the extra ``grid``.
+    An axis of one point is kept as a coordinate without a dimension: a slice has two dimensions.
     """
     content = bytes(grid.to_xarray(frame).to_netcdf(engine="scipy"))
     with atomic_write(path) as stream:

@@ -23,21 +23,11 @@ _CUBE, _SLICE, _SLICE_SHARE = 0.5, 0.5, 0.15
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Folds:
-    """A survey's samples in parts, and the sets that are held out.
+    """A survey's samples in parts, and the sets that are held out."""
 
-    Attributes
-    ----------
-    part : (n,) int array
-        Which part each sample is in.
-    left_out : tuple of (n,) bool arrays
-        One set at a time.
-    is_path : bool
-        Whether the parts are stretches of a path.
-    """
-
-    part: Indices
-    left_out: tuple[Mask, ...]
-    is_path: bool
+    part: Indices  # (n,): which part each sample is in
+    left_out: tuple[Mask, ...]  # each (n,): one set at a time
+    is_path: bool  # whether the parts are stretches of a path
 
     @property
     def rest(self) -> tuple[Mask, ...]:

@@ -10,20 +10,11 @@ from magmatch.typing import Mask, Scalars
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GriddedField:
-    """A map evaluated on a regular grid; arrays are in the grid's C order, components in the map frame.
-
-    Attributes
-    ----------
-    values : FieldValues
-        Field and derivatives at ``grid.points()``.
-    variance : (n,) array, T^2
-        Mean posterior variance of the three components, returning to the prior away from data; NaN where it
-        was not asked for.
-    is_known : (n,) bool array
-        Where the map has data nearby.
-    """
+    """A map evaluated on a regular grid; arrays are in the grid's C order, components in the map frame."""
 
     grid: RegularGrid
-    values: FieldValues
+    values: FieldValues  # field and derivatives at ``grid.points()``
+    # (n,), T^2: mean posterior variance of the three components, returning to the prior away from data; NaN where it
+    # was not asked for
     variance: Scalars
-    is_known: Mask
+    is_known: Mask  # (n,): where the map has data nearby

@@ -14,37 +14,22 @@ MAX_REACH = 32.0
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """Numbers that shape a prior.
+    """Numbers that shape a prior."""
 
-    Attributes
-    ----------
-    lengthscale : float, m
-        Distance over which the field changes; also the size of what counts as one independent cell. Of equivalent
-        sources: their distance from the samples.
-    signal_sd : float, T
-        Prior standard deviation of one field component (the constant field aside).
-    noise_sd : float, T
-        Standard deviation of one measured component: sensor noise and what the model cannot represent.
-    spacing : float, m
-        Distance of the basis nodes (inducing points, spline knots).
-    divergence_weight : float
-        Weight of the penalty on ``div B``, relative to the prior's other terms; 0 where the prior has none.
-    prior_scale : float
-        Prior standard deviation of the basis relative to ``signal_sd``, if held-out data chose it.
-    inflation : float
-        Factor on posterior standard deviations, calibrated on held-out data.
-    reach : float
-        How far the basis reaches beyond cells that hold samples, in spacings; beyond, the map knows nothing. Less
-        leaves gaps without a prediction; more costs time and pulls the rim towards zero.
-    """
-
+    # m: distance over which the field changes; also the size of what counts as one independent cell. Of equivalent
+    # sources: their distance from the samples.
     lengthscale: float
-    signal_sd: float
+    signal_sd: float  # T: prior standard deviation of one field component (the constant field aside)
+    # T: standard deviation of one measured component: sensor noise and what the model cannot represent
     noise_sd: float
-    spacing: float
+    spacing: float  # m: distance of the basis nodes (inducing points, spline knots)
+    # Weight of the penalty on ``div B``, relative to the prior's other terms; 0 where the prior has none
     divergence_weight: float = 0.0
+    # Prior standard deviation of the basis relative to ``signal_sd``, if held-out data chose it
     prior_scale: float = 1.0
-    inflation: float = 1.0
+    inflation: float = 1.0  # factor on posterior standard deviations, calibrated on held-out data
+    # How far the basis reaches beyond cells that hold samples, in spacings; beyond, the map knows nothing. Less
+    # leaves gaps without a prediction; more costs time and pulls the rim towards zero.
     reach: float = 2.0
 
     def check(self) -> None:

@@ -14,19 +14,11 @@ from magmatch.typing import Points, Scalars, Tensors, ThirdOrder, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FieldValues:
-    """Field and derivatives at n points, all in one frame.
+    """Field and derivatives at n points, all in one frame."""
 
-    Attributes
-    ----------
-    field : (n, 3) array, T
-    gradient : (n, 3, 3) array, T/m, optional
-        ``[i, a, b] = dB_a / dx_b``; present from order 1.
-    second : (n, 3, 3, 3) array, T/m^2, optional
-        ``[i, a, b, c] = d2 B_a / dx_b dx_c``; present from order 2.
-    """
-
-    field: Vectors
-    gradient: Tensors | None = None
+    field: Vectors  # (n, 3), T
+    gradient: Tensors | None = None  # (n, 3, 3), T/m: ``[i, a, b] = dB_a / dx_b``; present from order 1
+    # (n, 3, 3, 3), T/m^2: ``[i, a, b, c] = d2 B_a / dx_b dx_c``; present from order 2
     second: ThirdOrder | None = None
 
     def rotated(self, T_new_old: RigidTransform) -> "FieldValues":

@@ -14,25 +14,13 @@ SUMS = np.dtype([("n", "i8"), ("t", "f8"), ("T", "f8", (3, 4)), ("b", "f8", 3), 
 
 @dataclass(eq=False, slots=True)
 class Bin:
-    """Samples of a bin.
+    """Samples of a bin."""
 
-    Attributes
-    ----------
-    t : float, s
-        Mean time.
-    R, p : (3, 3) and (3,) arrays
-        Mean pose of the body in the odometry's frame.
-    z : (3,) array, T
-        Mean field, in the axes of the mean body orientation.
-    M : (3, 3) array
-        Derivative of the mean field with respect to the sensor's bias.
-    """
-
-    t: float
-    R: Matrix
-    p: Vector3
-    z: Vector3
-    M: Matrix
+    t: float  # s: mean time
+    R: Matrix  # (3, 3): mean pose of the body in the odometry's frame
+    p: Vector3  # (3,)
+    z: Vector3  # (3,), T: mean field, in the axes of the mean body orientation
+    M: Matrix  # (3, 3): derivative of the mean field with respect to the sensor's bias
 
 
 @dataclass(eq=False, slots=True)

@@ -59,10 +59,8 @@ def state_of(localizer: Localizer) -> bytes:
 def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: str | Path = "state") -> Localizer:
     """Make a localizer that continues from another's state.
 
-    Raises
-    ------
-    DataFormatError
-        Damaged, of another version or other settings, or of maps that are no longer there; `path` names it.
+    Raises `DataFormatError` where that is damaged, of another version or other settings, or of maps that are no
+    longer there; ``path`` names it.
     """
     digest, _, rest = state.partition(b"\n")
     if hashlib.sha256(rest.replace(b"\n", b"", 1)).hexdigest().encode() != digest:

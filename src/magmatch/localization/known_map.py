@@ -33,43 +33,21 @@ class Ground(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KnownMap:
-    """A map prepared for localisation.
-
-    Attributes
-    ----------
-    index : MapIndex
-    name : str
-    T_map_model : (4, 4) array
-    R_model_map : (3, 3) array
-    ground : Ground
-    length : float, m
-        Field length.
-    noise : PathNoise
-        Covariance of another walk's residuals.
-    anchors : (a, 3) array, m
-        Where a search begins: the map's own samples, thinned.
-    volume : float, m^3
-        Of all that is searched.
-    field_sd, field_rms : float, T
-        Of one component over the map's samples.
-    bent : (6, 6) array
-        Covariance of its own poses' errors, rotation first (rad, m).
-    log_factors : two (f,) arrays
-        `PathNoise.log_factors`, as many as a window's bins can tell apart.
-    """
+    """A map prepared for localisation."""
 
     index: MapIndex
     name: str
-    T_map_model: Matrix
-    R_model_map: Matrix
+    T_map_model: Matrix  # (4, 4)
+    R_model_map: Matrix  # (3, 3)
     ground: Ground
-    length: float
-    noise: PathNoise
-    anchors: Points
-    volume: float
-    field_sd: float
-    field_rms: float
-    bent: Covariance6
+    length: float  # m: field length
+    noise: PathNoise  # covariance of another walk's residuals
+    anchors: Points  # (a, 3), m: where a search begins: the map's own samples, thinned
+    volume: float  # m^3: of all that is searched
+    field_sd: float  # T: of one component over the map's samples
+    field_rms: float  # T
+    bent: Covariance6  # (6, 6): covariance of its own poses' errors, rotation first (rad, m)
+    # Two (f,) arrays: `PathNoise.log_factors`, as many as a window's bins can tell apart
     log_factors: tuple[Scalars, Scalars]
 
     @property

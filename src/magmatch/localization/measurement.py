@@ -109,18 +109,9 @@ class Window:
 def follow(
     bank: np.ndarray, known: KnownMap, model: Model, steps: np.ndarray, fit: np.ndarray, *, moves_first: bool
 ) -> None:
-    """Take hypotheses through some bins; the odometry that leads to the first counts where it moves them.
+    """Take hypotheses ``bank`` (k,) through some bins, changing them; writes the FIT of each, (n, k).
 
-    Parameters
-    ----------
-    bank : (k,) array of HYPOTHESIS
-        Changed.
-    known : KnownMap
-    model : Model
-    steps : (n,) array of STEP
-    fit : (n, k) array of FIT
-        Written.
-    moves_first : bool
+    ``moves_first``: the odometry that leads to the first bin counts.
     """
     _follow(bank, steps, moves_first, known.ground, model, fit)
 

@@ -72,13 +72,7 @@ def evidence(
 ) -> tuple[Scalars, Scalars, Scalars]:
     """Evidence of each hypothesis over an unrelated field (nats), normalised misfit, and factor on its covariance.
 
-    Parameters
-    ----------
-    steps : (n,) array of STEP
-    fit, null : (n, k) and (n, c) arrays of FIT
-        Of hypotheses and unrelated fields.
-    known : KnownMap
-    toll : Toll
+    ``fit`` (n, k) and ``null`` (n, c) are FIT of hypotheses and of unrelated fields at the same steps.
     """
     n = fit.shape[1]
     gained, misfit, factor = np.zeros(n), np.zeros(n), np.ones(n)

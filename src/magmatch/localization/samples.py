@@ -50,10 +50,7 @@ class Samples:
     def take(self, t: float, T: Matrix, b: Vector3) -> np.ndarray:
         """Check a sample, T its body's pose, a rigid (4, 4) matrix, and remember it; gives it, (1,) of SAMPLE.
 
-        Raises
-        ------
-        ValueError, TypeError
-            What was expected and what was found; an `OdometryJump` is one.
+        Raises `ValueError` (an `OdometryJump` is one) or `TypeError` that say what was expected and found.
         """
         time = t if isinstance(t, float) else numbers_of(t, "t", "(), in s")
         z = numbers_of(b, "field", "(3,), in T")

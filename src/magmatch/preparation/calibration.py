@@ -35,38 +35,20 @@ TOLERATED = 1.05
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Calibration:
-    """Estimated errors of clock and sensor.
+    """Estimated errors of clock and sensor."""
 
-    Attributes
-    ----------
-    model : SensorModel
-        The correction; the identity if nothing was significant.
-    full : Solution
-        All unknowns together, before insignificant ones were dropped.
-    chosen : Solution
-        Those that were kept.
-    without : dict of str to float, T
-        Inconsistency that would remain without each of those kept (root mean square of a component).
-    watched : dict of str to Solution
-        What was kept and one channel that is reported but not removed, by its block.
-    inconsistency : (float, float), T
-        Of the log as it is, and with the correction; against maps of the same settings.
-    hyperparameters : Hyperparameters
-        Of the map that everything was held against.
-    is_refused : bool
-        Whether the correction was withdrawn because a map predicts held-out stretches worse with it.
-    held_out : (float, float), T
-        Median error of a map on held-out stretches, as read and with the correction.
-    """
-
-    model: SensorModel
-    full: Solution
-    chosen: Solution
+    model: SensorModel  # the correction; the identity if nothing was significant
+    full: Solution  # all unknowns together, before insignificant ones were dropped
+    chosen: Solution  # those that were kept
+    # T: inconsistency that would remain without each of those kept (root mean square of a component)
     without: Mapping[str, float]
-    watched: Mapping[str, Solution]
+    watched: Mapping[str, Solution]  # what was kept and one channel that is reported but not removed, by its block
+    # (float, float), T: of the log as it is, and with the correction; against maps of the same settings
     inconsistency: tuple[float, float]
-    hyperparameters: Hyperparameters
+    hyperparameters: Hyperparameters  # of the map that everything was held against
+    # Whether the correction was withdrawn because a map predicts held-out stretches worse with it
     is_refused: bool = False
+    # (float, float), T: median error of a map on held-out stretches, as read and with the correction
     held_out: tuple[float, float] = (0.0, 0.0)
 
 

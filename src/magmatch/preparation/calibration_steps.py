@@ -38,11 +38,11 @@ def calibration_steps(
         elif calibration is None or name not in calibration.full.estimate:
             steps.append(StepReport(label, "unknown", _why_not(name, survey, sensor_log)))
         else:
-            steps.append(_told(name, label, calibration))
+            steps.append(_error_report(name, label, calibration))
     if config.currents.mode != "off" and calibration is not None:
-        told = {CHANNEL + name: values for name, values in channels.items()}
-        told = {k: v for k, v in told.items() if k in calibration.watched or k in calibration.full.estimate}
-        steps += [_told_of_channel(name, calibration, values, config) for name, values in told.items()]
+        reported = {CHANNEL + name: values for name, values in channels.items()}
+        reported = {k: v for k, v in reported.items() if k in calibration.watched or k in calibration.full.estimate}
+        steps += [_channel_report(name, calibration, values, config) for name, values in reported.items()]
     if calibration is not None:
         steps.append(_held_out_step(calibration))
     return steps
@@ -79,7 +79,7 @@ def _why_not(name: str, survey: Survey, sensor_log: SensorLog | None) -> str:
     return f"too few samples to tell ({len(survey)})"
 
 
-def _told(name: str, label: str, calibration: Calibration) -> StepReport:
+def _error_report(name: str, label: str, calibration: Calibration) -> StepReport:
     """Report of one error of clock or sensor that was estimated."""
     is_kept = name in calibration.chosen.estimate and not calibration.is_refused
     solution = calibration.chosen if is_kept else calibration.full
@@ -101,7 +101,7 @@ def _told(name: str, label: str, calibration: Calibration) -> StepReport:
     return StepReport(label, outcome, words, before / MICROTESLA, after / MICROTESLA, "uT", figures)
 
 
-def _told_of_channel(name: str, calibration: Calibration, values: Scalars, config: PreparationConfig) -> StepReport:
+def _channel_report(name: str, calibration: Calibration, values: Scalars, config: PreparationConfig) -> StepReport:
     """Report of one channel: what it adds to the readings per unit, and whether that was taken off."""
     is_removed = config.currents.mode == "remove"
     solution = calibration.watched.get(name, calibration.full)

@@ -21,19 +21,11 @@ NANOTESLA = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where and when a survey was made.
+    """Where and when a survey was made."""
 
-    Attributes
-    ----------
-    latitude_deg, longitude_deg : float
-        Geodetic, degrees north and east.
-    height : float, m
-        Above the ellipsoid (above sea level does as well: 100 m change the field by 0.005 %).
-    """
-
-    latitude_deg: float
+    latitude_deg: float  # geodetic, degrees north and east
     longitude_deg: float
-    height: float
+    height: float  # m: above the ellipsoid (above sea level does as well: 100 m change the field by 0.005 %)
     day: date
 
     def __post_init__(self) -> None:
@@ -51,23 +43,13 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class EarthFieldCheck:
-    """The survey's field beside the model's.
+    """The survey's field beside the model's."""
 
-    Attributes
-    ----------
-    magnitude, expected_magnitude : float, T
-        Of the mean vector.
-    inclination_deg, expected_inclination_deg : float
-        Angle below the horizontal; taken from the survey's z axis as the vertical.
-    words : str
-        What is odd about it, or that nothing is.
-    """
-
-    magnitude: float
-    expected_magnitude: float
-    inclination_deg: float
+    magnitude: float  # T: of the mean vector
+    expected_magnitude: float  # T
+    inclination_deg: float  # angle below the horizontal; taken from the survey's z axis as the vertical
     expected_inclination_deg: float
-    words: str
+    words: str  # what is odd about it, or that nothing is
     is_plausible: bool
 
     def figures(self) -> dict[str, Any]:

@@ -8,11 +8,13 @@ from magmatch.preparation.blocks import model_of
 from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.least_squares import Block, Solution, System
 from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
-from magmatch.typing import Vector3, Vectors
+from magmatch.typing import Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50
 MOST_STEPS, CONVERGED = 50, 1e-10  # T
 STUDENT = 4.0
+# Rounds of the first centre, and the misfit left out there, in the median one: one huge spike would carry it away.
+TRIMMED, WIDEST = 5, 4.0
 # Spread of |b| after the fit, relative to its mean: more than this is no one field seen from many sides.
 WORST_FIT = 0.1
 
@@ -33,7 +35,8 @@ def fit_ellipsoid(readings: Vectors, config: CalibrationConfig | None = None) ->
         msg = f"expected at least {FEWEST_READINGS} readings of a sensor turned about, got {len(readings)}"
         raise SurveyError(msg)
     sizes = config or CalibrationConfig()
-    model, weights = SensorModel(shift=_sphere_center(readings)), np.ones(len(readings))
+    center, weights = _sphere(readings)
+    model = SensorModel(shift=center)
     values = {"hard_iron": model.shift, "soft_iron": np.zeros(5)}
     for _ in range(MOST_STEPS):
         corrected = model.corrected(readings)
@@ -50,18 +53,28 @@ def fit_ellipsoid(readings: Vectors, config: CalibrationConfig | None = None) ->
 
         solution = System.of(y[:, None], blocks, project).solve(blocks)
         before, values, model = model, dict(solution.estimate), model_of(solution.estimate, {})
-        square = (solution.free[:, 0] / solution.noise_sd) ** 2
-        weights = (STUDENT + 1) / (STUDENT + square)
+        weights = _weights((solution.free[:, 0] / solution.noise_sd) ** 2)
         if np.abs(model.shift - before.shift).max() < CONVERGED:
             break
     _require_one_field(model.corrected(readings))
     return model, solution
 
 
-def _sphere_center(readings: Vectors) -> Vector3:
-    """Where the iteration begins: ``|b|^2 = 2 c.b + k`` by least squares."""
+def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:
+    """Where the iteration begins: a centre, ``|b|^2 = 2 c.b + k`` by least trimmed squares, and weights about it."""
     A = np.column_stack([2 * readings, np.full(len(readings), 1e-5)])
-    return np.asarray(np.linalg.lstsq(A, (readings**2).sum(axis=1), rcond=1e-3)[0][:3])
+    square, misfit = (readings**2).sum(axis=1), np.linalg.norm(readings - np.median(readings, axis=0), axis=1)
+    for _ in range(TRIMMED):
+        rows = misfit <= WIDEST * np.median(misfit)
+        center = np.linalg.lstsq(A[rows], square[rows], rcond=1e-3)[0][:3]
+        distance = np.linalg.norm(readings - center, axis=1)
+        misfit = np.abs(distance - np.median(distance))
+    return np.asarray(center), _weights((misfit / (1.4826 * np.median(misfit))) ** 2)
+
+
+def _weights(square: Scalars) -> Scalars:
+    """Weights of readings by their squared misfits, in variances."""
+    return np.asarray((STUDENT + 1) / (STUDENT + square))
 
 
 def _require_one_field(corrected: Vectors) -> None:

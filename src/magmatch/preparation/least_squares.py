@@ -22,69 +22,33 @@ SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Block:
-    """A group of unknowns.
+    """A group of unknowns."""
 
-    Attributes
-    ----------
-    columns : (k, n, 3) array, T per unit
-        Change of the field per unit of each unknown, survey frame.
-    sd : float
-        Prior standard deviation of the unknowns.
-    """
-
-    columns: np.ndarray
-    sd: float
+    columns: np.ndarray  # (k, n, 3), T per unit: change of the field per unit of each unknown, survey frame
+    sd: float  # prior standard deviation of the unknowns
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Solution:
-    """Estimates of all blocks.
+    """Estimates of all blocks."""
 
-    Attributes
-    ----------
-    estimate : dict of str to (k,) array
-        By block; zero along directions that the data do not determine.
-    sd : dict of str to (k,) array
-        Standard deviation, never above the prior's.
-    p_value : dict of str to float
-        Probability of an estimate as large if the truth is zero.
-    is_open : dict of str to (k,) bool array
-        Which unknowns the data do not determine.
-    residual : (n, 3) array, T
-        What remains of the field's inconsistency.
-    free : (n, 3) array, T
-        What would remain if nothing were left at zero: noise, and what no unknown explains.
-    noise_sd : float, T
-        Its robust standard deviation per component.
-    """
-
-    estimate: Mapping[str, np.ndarray]
-    sd: Mapping[str, np.ndarray]
-    p_value: Mapping[str, float]
-    is_open: Mapping[str, np.ndarray]
-    residual: np.ndarray
-    free: np.ndarray
-    noise_sd: float
+    estimate: Mapping[str, np.ndarray]  # each (k,): by block; zero along directions that the data do not determine
+    sd: Mapping[str, np.ndarray]  # each (k,): standard deviation, never above the prior's
+    p_value: Mapping[str, float]  # probability of an estimate as large if the truth is zero
+    is_open: Mapping[str, np.ndarray]  # each (k,): which unknowns the data do not determine
+    residual: np.ndarray  # (n, 3), T: what remains of the field's inconsistency
+    free: np.ndarray  # (n, 3), T: what would remain if nothing were left at zero: noise, and what no unknown explains
+    noise_sd: float  # T: its robust standard deviation per component
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class System:
-    """Blocks and the field to be explained, once projected: any choice of blocks is solved from the same sums.
+    """Blocks and the field to be explained, once projected: any choice of blocks is solved from the same sums."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Block of each column; the last column is the field as read.
-    scale : (k,) array
-        Expected size of each unknown.
-    left, right : (k + 1, n, 3) array, T
-        Projected columns, each scaled by its expected size, the field as read last.
-    """
-
-    names: tuple[str, ...]
-    scale: Scalars
-    left: np.ndarray
-    right: np.ndarray
+    names: tuple[str, ...]  # block of each column; the last column is the field as read
+    scale: Scalars  # (k,): expected size of each unknown
+    left: np.ndarray  # (k + 1, n, 3), T: projected columns, each scaled by its expected size, the field as read last
+    right: np.ndarray  # (k + 1, n, 3), T
 
     @classmethod
     def of(cls, y: np.ndarray, blocks: Mapping[str, Block], project: Projection) -> "System":

@@ -19,31 +19,15 @@ Outcome = Literal["off", "unchanged", "applied", "flagged", "unknown"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StepReport:
-    """What one step did.
+    """What one step did."""
 
-    Attributes
-    ----------
-    step : str
-        Its name.
-    outcome : str
-        One of `Outcome`.
-    words : str
-        What was found, as text.
-    before, after : float, optional
-        The figure that the step is about, without and with it.
-    unit : str
-        Of that figure.
-    figures : dict
-        Numbers for programs, SI; ready for JSON.
-    """
-
-    step: str
-    outcome: Outcome
-    words: str
-    before: float | None = None
+    step: str  # its name
+    outcome: Outcome  # one of `Outcome`
+    words: str  # what was found, as text
+    before: float | None = None  # the figure that the step is about, without and with it
     after: float | None = None
-    unit: str = ""
-    figures: Mapping[str, Any] = field(default_factory=dict)
+    unit: str = ""  # of that figure
+    figures: Mapping[str, Any] = field(default_factory=dict)  # numbers for programs, SI; ready for JSON
 
 
 class Correction(TypedDict):
@@ -60,38 +44,20 @@ READ_SENSOR = GetPydanticSchema(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PreparationReport(TypedDocument):
-    """What was done to a log.
-
-    Attributes
-    ----------
-    name : str
-        The log.
-    n_samples : (int, int)
-        Before and after.
-    steps : tuple of StepReport
-        In the order they were done.
-    config : dict
-        The resolved configuration.
-    sensor : SensorModel
-        The correction as a whole, with a known one that was made first: what another log of this sensor can begin
-        from.
-    inputs : tuple of dict
-        Name and SHA-256 of the files, where known.
-    version : str
-        Of the package.
-    """
+    """What was done to a log."""
 
     SCHEMA = "magmatch.preparation/1"
     KIND = "report of 'magmatch prepare'"
     MAX_BYTES = 16 << 20
 
-    name: str
-    n_samples: tuple[int, int]
-    steps: tuple[StepReport, ...]
-    config: Mapping[str, Any]
+    name: str  # the log
+    n_samples: tuple[int, int]  # (int, int): before and after
+    steps: tuple[StepReport, ...]  # in the order they were done
+    config: Mapping[str, Any]  # the resolved configuration
+    # The correction as a whole, with a known one that was made first: what another log of this sensor can begin from
     sensor: Annotated[SensorModel, READ_SENSOR]
-    inputs: tuple[Mapping[str, str], ...]
-    version: str
+    inputs: tuple[Mapping[str, str], ...]  # name and SHA-256 of the files, where known
+    version: str  # of the package
 
     def __getitem__(self, step: str) -> StepReport:
         """Report of one step by its name."""

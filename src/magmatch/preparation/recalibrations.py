@@ -28,18 +28,10 @@ MOST = 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Recalibrations:
-    """Where a log is to be cut.
+    """Where a log is to be cut."""
 
-    Attributes
-    ----------
-    rows : (k,) int array
-        First reading behind each jump, ascending.
-    steps : (k, 3) array, T
-        What each jump added to the readings, sensor frame.
-    """
-
-    rows: Indices
-    steps: Vectors
+    rows: Indices  # (k,): first reading behind each jump, ascending
+    steps: Vectors  # (k, 3), T: what each jump added to the readings, sensor frame
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -13,49 +13,23 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Poses:
-    """Where and how the sensor was carried, at the times of some readings.
+    """Where and how the sensor was carried, at the times of some readings."""
 
-    Attributes
-    ----------
-    positions : (n, 3) array, m
-        Survey frame.
-    orientations : Rotation of length n
-        Takes sensor coordinates to survey coordinates.
-    velocity : (n, 3) array, m/s
-        Survey frame.
-    spin : (n, 3) array, rad/s
-        Angular velocity, survey frame: ``dR/dt = [spin]x R``.
-    """
-
-    positions: Points
-    orientations: Rotation
-    velocity: Vectors
-    spin: Vectors
+    positions: Points  # (n, 3), m: survey frame
+    orientations: Rotation  # length n: takes sensor coordinates to survey coordinates
+    velocity: Vectors  # (n, 3), m/s: survey frame
+    spin: Vectors  # (n, 3), rad/s: angular velocity, survey frame: ``dR/dt = [spin]x R``
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensorLog:
-    """Readings in the sensor's frame and the poses they were taken at.
+    """Readings in the sensor's frame and the poses they were taken at."""
 
-    Attributes
-    ----------
-    readings : (n, 3) array, T
-        Sensor frame.
-    positions : (n, 3) array, m
-        Poses as stamped, survey frame.
-    orientations : Rotation of length n
-        Takes sensor coordinates to survey coordinates.
-    times : (n,) array, s, optional
-        Stamps of the readings, strictly increasing.
-    trajectory : Trajectory, optional
-        Poses at other times; there if and only if times are.
-    """
-
-    readings: Vectors
-    positions: Points
-    orientations: Rotation
-    times: Scalars | None = None
-    trajectory: Trajectory | None = None
+    readings: Vectors  # (n, 3), T: sensor frame
+    positions: Points  # (n, 3), m: poses as stamped, survey frame
+    orientations: Rotation  # length n: takes sensor coordinates to survey coordinates
+    times: Scalars | None = None  # (n,), s: stamps of the readings, strictly increasing
+    trajectory: Trajectory | None = None  # poses at other times; there if and only if times are
 
     def __len__(self) -> int:
         return len(self.readings)

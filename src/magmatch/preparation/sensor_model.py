@@ -30,23 +30,13 @@ MISALIGNMENT_BASIS = np.array(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensorModel:
-    """Correction of a sensor and its clock.
+    """Correction of a sensor and its clock."""
 
-    Attributes
-    ----------
-    matrix : (3, 3) array
-        M, sensor frame; without a common scale, which a survey alone cannot tell.
-    shift : (3,) array, T
-        d, sensor frame.
-    time_offset : float, s
-        To be added to the magnetometer's times to have those of the poses.
-    currents : dict of str to (3,) array
-        What each channel adds to the corrected field, T per unit of the channel, sensor frame.
-    """
-
+    # (3, 3): M, sensor frame; without a common scale, which a survey alone cannot tell
     matrix: Matrix = field(default_factory=lambda: np.eye(3))
-    shift: Vector3 = field(default_factory=lambda: np.zeros(3))
-    time_offset: float = 0.0
+    shift: Vector3 = field(default_factory=lambda: np.zeros(3))  # (3,), T: d, sensor frame
+    time_offset: float = 0.0  # s: to be added to the magnetometer's times to have those of the poses
+    # Each (3,): what each channel adds to the corrected field, T per unit of the channel, sensor frame
     currents: Mapping[str, Vector3] = field(default_factory=dict)
 
     @classmethod

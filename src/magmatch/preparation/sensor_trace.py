@@ -69,7 +69,7 @@ def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
 
 
 def _asked(points: Points, h: Hyperparameters) -> tuple[Indices, Hyperparameters] | None:
-    """Rows of samples, and splines over them, whose map is soon made.
+    """Rows of samples, and splines over them, coarse enough for a map in little time.
 
     Passes of one place with other headings are what tells: closer splines are given up before those are.
     """

@@ -18,63 +18,31 @@ _PAIRS_AT_ONCE = 400_000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Box:
-    """A uniformly magnetised cuboid: a block magnet, or a steel cabinet seen as one.
+    """A uniformly magnetised cuboid: a block magnet, or a steel cabinet seen as one."""
 
-    Attributes
-    ----------
-    center : (3,) array, m
-        World frame.
-    size : (3,) array, m
-        Full sides along the body's axes.
-    polarization : (3,) array, T
-        Magnetic polarisation J = mu0 M, body frame.
-    rotation : Rotation
-        Takes body coordinates to world coordinates.
-    """
-
-    center: Vector3
-    size: Vector3
-    polarization: Vector3
-    rotation: Rotation
+    center: Vector3  # (3,), m: world frame
+    size: Vector3  # (3,), m: full sides along the body's axes
+    polarization: Vector3  # (3,), T: magnetic polarisation J = mu0 M, body frame
+    rotation: Rotation  # takes body coordinates to world coordinates
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cylinder:
-    """A uniformly magnetised cylinder along its body's z: a pipe, a can, a disc magnet.
+    """A uniformly magnetised cylinder along its body's z: a pipe, a can, a disc magnet."""
 
-    Attributes
-    ----------
-    center : (3,) array, m
-        World frame.
-    diameter, height : float, m
-        Across and along the body's z.
-    polarization : (3,) array, T
-        Magnetic polarisation J = mu0 M, body frame.
-    rotation : Rotation
-        Takes body coordinates to world coordinates.
-    """
-
-    center: Vector3
-    diameter: float
-    height: float
-    polarization: Vector3
-    rotation: Rotation
+    center: Vector3  # (3,), m: world frame
+    diameter: float  # m: across and along the body's z
+    height: float  # m
+    polarization: Vector3  # (3,), T: magnetic polarisation J = mu0 M, body frame
+    rotation: Rotation  # takes body coordinates to world coordinates
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Dipole:
-    """A point dipole: anything small against its distance.
+    """A point dipole: anything small against its distance."""
 
-    Attributes
-    ----------
-    center : (3,) array, m
-        World frame.
-    moment : (3,) array, A m^2
-        World frame.
-    """
-
-    center: Vector3
-    moment: Vector3
+    center: Vector3  # (3,), m: world frame
+    moment: Vector3  # (3,), A m^2: world frame
 
 
 Source = Box | Cylinder | Dipole

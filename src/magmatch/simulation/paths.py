@@ -14,20 +14,11 @@ from magmatch.typing import Points, Scalars, Vector3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensorPath:
-    """True sensor poses, world frame.
+    """True sensor poses, world frame."""
 
-    Attributes
-    ----------
-    positions : (n, 3) array, m
-        World frame.
-    times : (n,) array, s, optional
-        Strictly increasing; None for samples in no order.
-    orientations : Rotation of length n, optional
-        Takes sensor coordinates to world coordinates; None for a sensor that did not turn.
-    """
-
-    positions: Points
-    times: Scalars | None = None
+    positions: Points  # (n, 3), m: world frame
+    times: Scalars | None = None  # (n,), s: strictly increasing; None for samples in no order
+    # Length n, optional: takes sensor coordinates to world coordinates; None for a sensor that did not turn
     orientations: Rotation | None = None
 
 

@@ -11,29 +11,14 @@ from magmatch.simulation.config import SimulationConfig
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SimulatedPair:
-    """Two surveys with known relation.
+    """Two surveys with known relation."""
 
-    Attributes
-    ----------
-    scenario : str
-        Name of the scenario.
-    seed : int
-        Seed it was made from.
-    base, target : Survey
-        Each in its own frame.
-    T_base_target : RigidTransform
-        Exact ground truth (also where nothing can be found).
-    accept : bool
-        Whether a correct program accepts a registration here: False where the places differ or the field
-        has no structure.
-    config : SimulationConfig
-        Settings it was made with.
-    """
-
-    scenario: str
-    seed: int
-    base: Survey
+    scenario: str  # name of the scenario
+    seed: int  # seed it was made from
+    base: Survey  # each in its own frame
     target: Survey
-    T_base_target: RigidTransform
+    T_base_target: RigidTransform  # exact ground truth (also where nothing can be found)
+    # Whether a correct program accepts a registration here: False where the places differ or the field has no
+    # structure
     accept: bool
-    config: SimulationConfig = field(default_factory=SimulationConfig)
+    config: SimulationConfig = field(default_factory=SimulationConfig)  # settings it was made with

@@ -15,33 +15,17 @@ from magmatch.typing import Points, Vector3, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """A scenario before anything is measured: all that is true.
+    """A scenario before anything is measured: all that is true."""
 
-    Attributes
-    ----------
-    base_sources, target_sources : tuple of Source
-        What stood in the world at either survey; the same unless something moved.
-    base_path, target_path : SensorPath
-        True sensor poses, world frame.
-    T_base_world, T_target_world : RigidTransform
-        Take world coordinates to either survey's frame.
-    earth_field : (3,) array, T
-        World frame.
-    accept : bool
-        Whether a correct program accepts a registration here.
-    is_blind : bool
-        Whether poses come from dead reckoning, and so drift.
-    """
-
-    base_sources: tuple[Source, ...]
+    base_sources: tuple[Source, ...]  # what stood in the world at either survey; the same unless something moved
     target_sources: tuple[Source, ...]
-    base_path: SensorPath
+    base_path: SensorPath  # True sensor poses, world frame
     target_path: SensorPath
-    T_base_world: RigidTransform
+    T_base_world: RigidTransform  # take world coordinates to either survey's frame
     T_target_world: RigidTransform
-    earth_field: Vector3
-    accept: bool = True
-    is_blind: bool = False
+    earth_field: Vector3  # (3,), T: world frame
+    accept: bool = True  # whether a correct program accepts a registration here
+    is_blind: bool = False  # whether poses come from dead reckoning, and so drift
 
     @property
     def T_base_target(self) -> RigidTransform:

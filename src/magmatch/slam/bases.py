@@ -23,19 +23,10 @@ N_DRAWS = 6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Base:
-    """A stretch of path prepared as a base for windows.
+    """A stretch of path prepared as a base for windows."""
 
-    Attributes
-    ----------
-    survey : Survey
-        Its samples.
-    node : (n,) int array
-        Node whose window each sample lies in.
-    index : WalkIndex
-    """
-
-    survey: Survey
-    node: Indices
+    survey: Survey  # its samples
+    node: Indices  # (n,): node whose window each sample lies in
     index: WalkIndex
 
     @property
@@ -50,17 +41,11 @@ class Base:
 
 @dataclass(eq=False, slots=True)
 class BaseMaker:
-    """Makes bases with given hyperparameters, which all logs of a place share.
-
-    Attributes
-    ----------
-    length : float, m
-        Over which the field changes.
-    """
+    """Makes bases with given hyperparameters, which all logs of a place share."""
 
     numbers: Hyperparameters
     noise: PathNoise
-    length: float
+    length: float  # m: over which the field changes
     config: SlamConfig
 
     def make(self, survey: Survey, node: Indices) -> Base:

@@ -9,27 +9,11 @@ from magmatch.typing import Matrix, Points
 
 
 def bend(positions: Points, about: int, odometry: OdometryConfig, *, upright: bool, planar: bool) -> np.ndarray:
-    """Effect of each error of unit variance on each point of a path.
+    """Effect of each of m errors of unit variance on each point of a path: (n, 6, m), turn (rad), then shift (m).
 
     Between neighbouring points heading and position take a random step; errors of scale and turn rate are constant
-    along the whole path.
-
-    Parameters
-    ----------
-    positions : (n, 3) array, m
-        Points along the path, odometry's frame.
-    about : int
-        The point that stays.
-    odometry : OdometryConfig
-    upright : bool
-        Whether only the heading drifts.
-    planar : bool
-        Whether the height does not.
-
-    Returns
-    -------
-    (n, 6, m) array
-        Turn (rad), then shift (m), of each point for each of m independent errors.
+    along the whole path. The point ``about`` stays; ``upright``: only the heading drifts; ``planar``: the height does
+    not.
     """
     n = len(positions)
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)

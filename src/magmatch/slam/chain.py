@@ -16,24 +16,12 @@ from magmatch.typing import Covariance6, Matrix, Scalars
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Placed:
-    """A window's candidate pose in a frame that its neighbours' candidates share.
+    """A window's candidate pose in a frame that its neighbours' candidates share."""
 
-    Attributes
-    ----------
-    T : RigidTransform
-        Shared frame from the window's node.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the node.
-    log_odds : float
-        Over nowhere, prior included.
-    log_prior : float
-        Density of the prior at the pose, per m^3 and rad^3.
-    """
-
-    T: RigidTransform
-    covariance: Covariance6
-    log_odds: float
-    log_prior: float
+    T: RigidTransform  # shared frame from the window's node
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node
+    log_odds: float  # over nowhere, prior included
+    log_prior: float  # density of the prior at the pose, per m^3 and rad^3
 
 
 def smooth(
@@ -41,14 +29,8 @@ def smooth(
 ) -> list[Scalars]:
     """Probability of each candidate of each window; the remainder to one is that of nowhere.
 
-    Parameters
-    ----------
-    windows : list of list of Placed
-        Candidates, window by window.
-    log_transitions : list of (a, b) array
-        Between neighbouring windows: log density of b's pose as odometry predicts it from a's.
-    revisit, keeps_on : float
-        Share of windows that lie somewhere; and of those, whose next window does too.
+    ``log_transitions`` (a, b) between neighbouring windows: log density of b's pose as odometry predicts it from a's;
+    ``revisit``: share of windows that lie somewhere; ``keeps_on``: of those, share whose next window does too.
     """
     leaves = 1 - keeps_on
     enters = leaves * revisit / (1 - revisit)

@@ -56,10 +56,7 @@ class LiveLog:
     def add(self, t: float, T_odom_body: RigidTransform, field: Any) -> bool:
         """Add a sample; returns whether poses or windows changed.
 
-        Raises
-        ------
-        ValueError
-            The time does not increase, or a number is not finite; the sample is not added.
+        `ValueError` where the time does not increase or a number is not finite: the sample is not added.
         """
         t = float(column_of([t], "t", "s", 1)[0])
         expect_transform(T_odom_body, "T_odom_body")
@@ -157,7 +154,7 @@ class LiveLog:
         )
 
     def _look(self, path: Path, places: Places) -> None:
-        """Look for the last window, and believe it as far as those before it agree."""
+        """Search for the last window, and weigh its candidates by those of the windows before it."""
         # So many windows in a row lie near where the one before did, on average.
         n = min(round(1 / (1 - self.config.keeps_on)), len(path.windows))
         last = replace(path, windows=path.windows[-n:], first_node=path.windows[-n].node)

@@ -25,17 +25,10 @@ SAME_SHIFT, SAME_TURN = 0.3, 0.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Rough:
-    """The pose that the graph predicts for a window.
-
-    Attributes
-    ----------
-    T_base_log : RigidTransform
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the window's node, log's axes.
-    """
+    """The pose that the graph predicts for a window."""
 
     T_base_log: RigidTransform
-    covariance: Covariance6
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
 
 
 # From nowhere it is the volume of all that is searched, m^3.
@@ -44,24 +37,12 @@ Expected = Rough | float
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Match:
-    """A pose of a window in a base.
+    """A pose of a window in a base."""
 
-    Attributes
-    ----------
-    T_base_log : RigidTransform
-        Frame of the base's samples from that of the window's log.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the window's node, log's axes.
-    evidence : float, nats
-        Over an unrelated field, prior included, of as many samples as are independent.
-    log_prior : float
-        Density of the prior at the pose, per m^3 and rad^3.
-    """
-
-    T_base_log: RigidTransform
-    covariance: Covariance6
-    evidence: float
-    log_prior: float
+    T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
+    evidence: float  # nats: over an unrelated field, prior included, of as many samples as are independent
+    log_prior: float  # density of the prior at the pose, per m^3 and rad^3
 
 
 def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) -> list[Match]:

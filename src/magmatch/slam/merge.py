@@ -171,7 +171,7 @@ def _squares(closures: Sequence[Closure], poses: Sequence[RigidTransform]) -> np
 
 
 def _tree(graph: PoseGraph, closures: Sequence[Closure]) -> list[RigidTransform]:
-    """Poses by the closures in their order, as far as none says again what others have said."""
+    """Poses from a spanning tree of the closures, taken in their order."""
     group, poses = np.arange(len(graph.p)), [graph.pose(k) for k in range(len(graph.p))]
     for c in closures:
         a, b = int(group[c.first]), int(group[c.second])

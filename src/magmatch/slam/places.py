@@ -38,31 +38,17 @@ NO_BIAS = (np.zeros(3), np.zeros(3))
 
 @dataclass(eq=False, slots=True)
 class Places:
-    """Windows of logs, their graph, and the stretches that they are compared with.
+    """Windows of logs, their graph, and the stretches that they are compared with."""
 
-    Attributes
-    ----------
-    paths : list of Path
-        Each without its sensor's bias.
-    graph : PoseGraph
-    maker : BaseMaker or None
-        Prepares stretches; None if the field is constant and gives no information.
-    biases : list of (bias, sd)
-        Of each log's magnetometer, in its own axes, T.
-    anchors : list of (Anchor, int)
-        Fixed points, and the log that passed each.
-    steps : Steps
-        Where intermediate results are stored.
-    looked : dict
-        Candidates of each window where the graph last predicted it.
-    """
-
-    paths: list[Path]
+    paths: list[Path]  # each without its sensor's bias
     graph: PoseGraph
-    maker: BaseMaker | None = None
+    maker: BaseMaker | None = None  # prepares stretches; None if the field is constant and gives no information
+    # List of (bias, sd): of each log's magnetometer, in its own axes, T
     biases: list[tuple[Vector3, Vector3]] = field(default_factory=list)
+    # List of (Anchor, int): fixed points, and the log that passed each
     anchors: list[tuple[Anchor, int]] = field(default_factory=list)
-    steps: Steps = field(default_factory=Steps)
+    steps: Steps = field(default_factory=Steps)  # where intermediate results are stored
+    # Candidates of each window where the graph last predicted it
     looked: dict[int, list[Candidate]] = field(default_factory=dict)
     made: dict[tuple[int, int], Base] = field(default_factory=dict)
     far: dict[tuple[int, int], Base] = field(default_factory=dict)

@@ -22,28 +22,16 @@ MOST_BEND = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A stretch of a log's path.
+    """A stretch of a log's path."""
 
-    Attributes
-    ----------
-    log, node : int
-        Which log, and which node of the graph.
-    survey : Survey
-        Its samples, odometry's frame.
-    center : (3,) array, m
-        Place of the middle sample, the node's origin; the node's axes are the odometry's.
-    length : float, m
-        Field length.
-    log_field : (vector, float)
-        Mean of the field along the whole log (T), odometry's frame, and variance of a component about it (T^2).
-    """
-
-    log: int
+    log: int  # which log, and which node of the graph
     node: int
-    survey: Survey
-    center: Vector3
-    length: float
+    survey: Survey  # its samples, odometry's frame
+    center: Vector3  # (3,), m: place of the middle sample, the node's origin; the node's axes are the odometry's
+    length: float  # m: field length
     config: SlamConfig
+    # (vector, float): mean of the field along the whole log (T), odometry's frame, and variance of a component about
+    # it (T^2)
     log_field: tuple[Vector3, float]
 
     @property
@@ -93,29 +81,14 @@ class Window:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Path:
-    """A log divided into windows.
+    """A log divided into windows."""
 
-    Attributes
-    ----------
-    survey : Survey
-        Without its sensor's bias, odometry's frame.
-    walked : (n,) array, m
-        Path length up to each sample.
-    number : (n,) int array
-        Window that each sample lies in.
-    windows : tuple of Window
-    middles : (k,) int array
-        Sample at which each window's node lies.
-    first_node : int
-        Node of the first window; the others follow.
-    """
-
-    survey: Survey
-    walked: Scalars
-    number: Indices
+    survey: Survey  # without its sensor's bias, odometry's frame
+    walked: Scalars  # (n,), m: path length up to each sample
+    number: Indices  # (n,): window that each sample lies in
     windows: tuple[Window, ...]
-    middles: Indices
-    first_node: int
+    middles: Indices  # (k,): sample at which each window's node lies
+    first_node: int  # node of the first window; the others follow
 
     @property
     def nodes(self) -> Indices:
@@ -129,16 +102,9 @@ class Path:
 
 
 def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int = 0, first: int = 0) -> list[Path]:
-    """Divide logs into windows of equal path length.
+    """Divide logs into windows of equal path length; ``length`` (m) is that over which the field changes.
 
-    Parameters
-    ----------
-    surveys : sequence of Survey
-    length : float, m
-        Over which the field changes.
-    config : SlamConfig
-    log, first : int
-        Number of the first of them, and its first node.
+    ``log`` and ``first`` are the number of the first log and of its first node.
     """
     paths: list[Path] = []
     for survey in surveys:

@@ -17,7 +17,7 @@ def test_equal_directions_have_no_misalignment():
 @pytest.mark.parametrize(("angle_deg", "value"), [(30, 0.5), (90, 1.0), (150, 1.0), (180, 1.0)])
 def test_misalignment_is_the_sine_up_to_a_right_angle_and_full_beyond(angle_deg, value):
     a = np.radians(angle_deg)
-    assert np.isclose(
+    np.testing.assert_allclose(
         mean_misalignment(np.array([[3e-5, 0, 0]]), 5e-5 * np.array([[np.cos(a), np.sin(a), 0]])), value
     )
 
@@ -25,7 +25,7 @@ def test_misalignment_is_the_sine_up_to_a_right_angle_and_full_beyond(angle_deg,
 def test_strong_vectors_weigh_more():
     aligned = np.array([[4e-5, 0, 0], [1e-5, 0, 0]])
     expected = np.array([[4e-5, 0, 0], [0, 1e-5, 0]])
-    assert np.isclose(mean_misalignment(aligned, expected), 1 / 17)
+    np.testing.assert_allclose(mean_misalignment(aligned, expected), 1 / 17)
 
 
 def test_vanishing_fields_agree_with_nothing():

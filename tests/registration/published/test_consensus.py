@@ -45,6 +45,21 @@ def test_exact_correspondences_give_the_exact_transform(seed):
     assert best.is_inlier.all()
 
 
+@pytest.mark.parametrize("n", [3, 4, 60])
+def test_the_stated_pose_is_the_least_squares_fit_of_its_inliers(n):
+    T = random_transform(np.random.default_rng(n))
+    pairs, _ = correspondences(n, T, n, point_sd=0.02, angle_sd=0.05)
+    best = find(pairs, CONFIG.model_copy(update={"min_inliers": 3, "sample_size": 2}))[0]
+    p_base, p_target, b_base, b_target = (part[best.is_inlier] for part in pairs)
+    assert len(p_base) >= 3
+    u, v = (b / np.linalg.norm(b, axis=1, keepdims=True) for b in (b_base, b_target))
+    x, y = ((p - p.mean(axis=0)) / DISTANCE for p in (p_base, p_target))
+    weights = np.repeat([1.0, CONFIG.vector_weight**2], len(p_base))
+    turn = Rotation.align_vectors(np.concatenate([x, u]), np.concatenate([y, v]), weights)[0]
+    assert (turn.inv() * best.T_base_target.rotation).magnitude() < 1e-9
+    np.testing.assert_allclose(best.T_base_target.apply(p_target).mean(axis=0), p_base.mean(axis=0), atol=1e-9)
+
+
 @pytest.mark.parametrize("sample_size", [2, 3])
 @pytest.mark.parametrize("outlier_share", [0.5, 0.8, 0.9])
 def test_the_transform_is_found_among_outliers(outlier_share, sample_size):

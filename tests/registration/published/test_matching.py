@@ -32,7 +32,7 @@ def test_nearest_agrees_with_brute_force():
     matches = match_features(features(base), features(target), ALL)
     apart = np.linalg.norm(target[:, None] - base, axis=2)
     assert np.array_equal(matches.base_rows, apart.argmin(axis=1))
-    assert np.allclose(matches.distance, apart.min(axis=1))
+    np.testing.assert_allclose(matches.distance, apart.min(axis=1))
 
 
 def test_of_many_keypoints_each_finds_its_nearest_as_well():

@@ -22,18 +22,11 @@ MAX_CHANNELS = 64
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Channel:
-    """Numbers over time.
+    """Numbers over time."""
 
-    Attributes
-    ----------
-    times : (n,) array, s, optional
-        On the survey's clock, not decreasing; None where values stand row by row beside the samples.
-    values : (n,) array
-        In the file's own unit.
-    """
-
+    # (n,), s: on the survey's clock, not decreasing; None where values stand row by row beside the samples
     times: Scalars | None
-    values: Scalars
+    values: Scalars  # (n,): in the file's own unit
 
 
 @dataclass(frozen=True, eq=False, slots=True)

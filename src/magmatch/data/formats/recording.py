@@ -20,39 +20,18 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Recording:
-    """What a logger wrote: the field at its own times, the poses at theirs.
+    """What a logger wrote: the field at its own times, the poses at theirs."""
 
-    Attributes
-    ----------
-    path : Path
-        Where it came from.
-    times : (n,) array, s
-        Of the field samples, strictly increasing.
-    field : (n, 3) array, T
-        In the frame that `field_frame` says.
-    trajectory : Trajectory
-        Poses on the same clock; of the sensor, once `T_body_sensor` has been applied by `carried`.
-    field_frame : {"sensor", "survey"}
-        Frame of the field vectors.
-    has_orientations : bool
-        False where the poses are positions only (the trajectory then holds identities).
-    frame : str
-        Name of the survey frame.
-    poses_from : Path, optional
-        Another file that the poses came from.
-    channels : Channels
-        Other numbers of the log, where they were asked for.
-    """
-
-    path: Path
-    times: Scalars
-    field: Vectors
+    path: Path  # where it came from
+    times: Scalars  # (n,), s: of the field samples, strictly increasing
+    field: Vectors  # (n, 3), T: in the frame that `field_frame` says
+    # Poses on the same clock; of the sensor, once `T_body_sensor` has been applied by `carried`
     trajectory: Trajectory
-    field_frame: Literal["sensor", "survey"] = "sensor"
-    has_orientations: bool = True
-    frame: str = "survey"
-    poses_from: Path | None = None
-    channels: Channels = NO_CHANNELS
+    field_frame: Literal["sensor", "survey"] = "sensor"  # frame of the field vectors
+    has_orientations: bool = True  # False where the poses are positions only (the trajectory then holds identities)
+    frame: str = "survey"  # name of the survey frame
+    poses_from: Path | None = None  # another file that the poses came from
+    channels: Channels = NO_CHANNELS  # other numbers of the log, where they were asked for
 
     def carried(self, T_body_sensor: RigidTransform | None) -> "Recording":
         """Turn poses of the carrying body into poses of the sensor."""

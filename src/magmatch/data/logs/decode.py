@@ -130,14 +130,9 @@ class Cursor:
 
 
 def decode(channel: Channel, payloads: Sequence[bytes]) -> Iterator[tuple[Indices, dict[str, Any] | str]]:
-    """Decode messages of one channel.
+    """Decode messages of one channel: yields their rows, and their fields as columns or what is wrong with them.
 
-    Yields
-    ------
-    rows : (k,) int array
-        Which of the messages.
-    content : dict or str
-        Their fields, as columns (of JSON: the values of a single message); or what is wrong with them.
+    Of JSON: the values of a single message.
     """
     if channel.encoding == "json":
         for row, payload in enumerate(payloads):

@@ -53,19 +53,10 @@ def read_drift(path: str | Path, layout: SurveyFormat | None = None) -> tuple[fl
 
 
 def drift(positions: Points, covariances: Tensors) -> tuple[float, float] | None:
-    """Random steps of place and heading, m and degrees in 10 m, from which such covariances follow.
+    """Random steps of place and heading, m and degrees in 10 m, from which the covariances of poses follow.
 
-    Parameters
-    ----------
-    positions : (n, 3) array, m
-        Along the path.
-    covariances : (n, 6, 6) array
-        Of each pose, place first, as in ROS messages.
-
-    Notes
-    -----
-    A step of length s adds ``q s`` to the heading's variance and ``p s`` to that of the place along each axis, beside
-    what the heading's error so far carries along.
+    Covariances (n, 6, 6) have the place first, as in ROS. A step of length s adds ``q s`` to the heading's variance
+    and ``p s`` to that of the place along each axis, beside what the heading's error so far carries along.
     """
     rows = np.unique(np.linspace(0, len(positions) - 1, min(len(positions), MOST_POSES)).astype(np.int64))
     x, C = positions[rows, :2], covariances[rows][:, [0, 1, 5]][:, :, [0, 1, 5]]

@@ -34,25 +34,13 @@ Fault = tuple[int, str]  # number of a message, and what is wrong with it
 
 @dataclass(frozen=True, slots=True)
 class Entries:
-    """Decoded messages with the same frames.
+    """Decoded messages with the same frames."""
 
-    Attributes
-    ----------
-    frames : (str, str)
-        Of the header, and of the child.
-    number : (n,) int array
-        Which message of the topic each comes from, counted from 0.
-    log_ns, stamp_ns : (n,) int arrays
-        When it was logged, and the stamp in its header.
-    values : (n, 3) or (n, 7) array
-        As in the message; quaternions xyzw.
-    """
-
-    frames: Frames
-    number: Indices
-    log_ns: Indices
-    stamp_ns: Indices
-    values: Matrix
+    frames: Frames  # (str, str): of the header, and of the child
+    number: Indices  # (n,): which message of the topic each comes from, counted from 0
+    log_ns: Indices  # (n,): when it was logged, and the stamp in its header
+    stamp_ns: Indices  # (n,)
+    values: Matrix  # (n, 3) or (n, 7): as in the message; quaternions xyzw
 
     def at(self, rows: np.ndarray) -> "Entries":
         """Some of the entries, by index or mask."""

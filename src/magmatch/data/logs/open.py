@@ -12,26 +12,10 @@ NEEDED = ("rosbags", "mcap", "lz4", "zstandard")
 
 
 def open_log(path: str | Path, *, recover: bool = False) -> Log:
-    """Open a ROS 1 bag, a ROS 2 bag (folder or file) or an MCAP file, told by content.
+    """Open a ROS 1 bag, a ROS 2 bag (folder or file) or an MCAP file, told by content; to be closed when done.
 
-    Parameters
-    ----------
-    path : path
-        The file or folder.
-    recover : bool
-        Leave out damaged pieces and note them (`Log.losses`) instead of refusing.
-
-    Returns
-    -------
-    Log
-        Close it when done.
-
-    Raises
-    ------
-    DataFormatError
-        No such log, or a damaged one; the message then names ``--recover``.
-    MissingExtraError
-        Reading logs needs the extra ``ros``.
+    ``recover`` leaves out damaged pieces and notes them (`Log.losses`) instead of refusing. Raises `DataFormatError`
+    where there is no such log or a damaged one, which then names ``--recover``; `MissingExtraError` without ``ros``.
     """
     if any(find_spec(name) is None for name in NEEDED):
         feature = "reading a ROS bag or MCAP file"

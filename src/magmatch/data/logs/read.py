@@ -42,26 +42,10 @@ class Poses:
 
 
 def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = False) -> Recording:
-    """Read field and poses of a ROS 1 bag, ROS 2 bag or MCAP file, each at its own times.
+    """Read field and poses of the sensor from a bag or an MCAP file, each at its own times.
 
-    Parameters
-    ----------
-    path : path
-        The file or folder.
-    layout : SurveyFormat
-        Topics, frames and extrinsic where they are not to be chosen; units.
-    with_channels : bool
-        Read topics of plain numbers too, such as currents.
-
-    Returns
-    -------
-    Recording
-        Poses of the sensor.
-
-    Raises
-    ------
-    DataFormatError
-        Damaged, or without the topics that a survey needs.
+    ``layout`` names topics, frames and extrinsic where they are not to be chosen; ``with_channels`` also reads topics
+    of plain numbers, such as currents. Raises `DataFormatError` where the log is damaged or lacks the topics.
     """
     with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
         recording = _read(log, layout, with_channels=with_channels)
@@ -175,20 +159,7 @@ def _tell_losses(log: Log) -> None:
 
 
 def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], dict[str, str | None]]:
-    """Topics of a log, and which of them would be read.
-
-    Parameters
-    ----------
-    path, layout
-        As in `read_log`.
-
-    Returns
-    -------
-    topics : list of Topic
-        By name.
-    chosen : dict
-        Names of the ``field`` and the ``poses`` topic; None where there is no such topic.
-    """
+    """Topics of a log by name, and those that `read_log` would read as ``field`` and ``poses`` (None: no such)."""
     with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
         topics = log.topics()
         _tell_losses(log)

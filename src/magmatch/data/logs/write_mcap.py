@@ -23,21 +23,8 @@ def write_mcap(survey: Survey, path: str | Path) -> None:
     """Write a survey as MCAP: ``sensor_msgs/MagneticField`` and ``geometry_msgs/PoseStamped``, CDR.
 
     Field vectors stand in the survey's frame, and their header says so; positions without orientations become
-    ``geometry_msgs/PointStamped``. Times are rounded to whole nanoseconds.
-
-    Parameters
-    ----------
-    survey : Survey
-        With times.
-    path : path
-        Where; an existing file is replaced only once the new one is complete.
-
-    Raises
-    ------
-    SurveyError
-        It has no times, or times that ROS cannot state.
-    MissingExtraError
-        Writing MCAP needs the extra ``ros``.
+    ``geometry_msgs/PointStamped``. Times are rounded to whole nanoseconds; `SurveyError` where there are none, or
+    none that ROS can state. An existing file is replaced only once the new one is complete.
     """
     try:
         from mcap.writer import CompressionType, Writer

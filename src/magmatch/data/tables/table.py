@@ -34,29 +34,14 @@ MAX_COMMENTS = 1000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
-    """Number columns of a text file, with the line each row stands on.
+    """Number columns of a text file, with the line each row stands on."""
 
-    Attributes
-    ----------
-    path : Path
-        The file, for messages.
-    names : tuple of str
-        All columns of the header, lower case, in the file's order.
-    columns : dict of str to (n,) array
-        The columns that were asked for and are there; all values finite.
-    line_numbers : (n,) int array
-        Line of each row, counted from 1.
-    comments : tuple of str
-        Comment lines above the first row, without the ``#``.
-    texts : dict of str to str
-        Columns of words that were asked for and are there, each the same in all rows.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    columns: dict[str, Scalars]
-    line_numbers: Indices
-    comments: tuple[str, ...]
+    path: Path  # the file, for messages
+    names: tuple[str, ...]  # all columns of the header, lower case, in the file's order
+    columns: dict[str, Scalars]  # each (n,): the columns that were asked for and are there; all values finite
+    line_numbers: Indices  # (n,): line of each row, counted from 1
+    comments: tuple[str, ...]  # comment lines above the first row, without the ``#``
+    # Columns of words that were asked for and are there, each the same in all rows
     texts: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:

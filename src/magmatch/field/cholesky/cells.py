@@ -25,37 +25,20 @@ HALF_OFFSET = ((_LOCAL[None] - _LOCAL[:, None]) @ np.array([49, 7, 1])).astype(n
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CellGrid:
-    """Active cells of a regular grid and the spline nodes that touch them.
+    """Active cells of a regular grid and the spline nodes that touch them."""
 
-    Attributes
-    ----------
-    first : (3,) int array
-        Where cell (0, 0, 0) lies on the lattice, whose cell i is centred at ``i spacing`` along each axis, so that
-        grids over different samples share their splines.
-    spacing : float, m
-        Side of a cell.
-    cells : (c, 3) int array
-        Indices of the active cells; cell (i, j, k) is touched by nodes (i..i+3, j..j+3, k..k+3).
-    distance : (c,) array
-        From each active cell's centre to that of the nearest occupied one, in cells.
-    cell_index : (nx, ny, nz) int32 array
-        Number of each active cell in ``cells``; -1 elsewhere.
-    node_index : (nx + 9, ny + 9, nz + 9) int32 array
-        Number of each node, padded by 3 on every side; -1 where no active cell touches it.
-    nodes : (m, 3) int array
-        Indices of the nodes.
-    cell_nodes : (c, 64) int32 array
-        Nodes of each active cell.
-    """
-
+    # (3,): where cell (0, 0, 0) lies on the lattice, whose cell i is centred at ``i spacing`` along each axis, so
+    # that grids over different samples share their splines
     first: np.ndarray
-    spacing: float
+    spacing: float  # m: side of a cell
+    # (c, 3): indices of the active cells; cell (i, j, k) is touched by nodes (i..i+3, j..j+3, k..k+3)
     cells: np.ndarray
-    distance: np.ndarray
-    cell_index: np.ndarray
+    distance: np.ndarray  # (c,): from each active cell's centre to that of the nearest occupied one, in cells
+    cell_index: np.ndarray  # (nx, ny, nz): number of each active cell in ``cells``; -1 elsewhere
+    # (nx + 9, ny + 9, nz + 9): number of each node, padded by 3 on every side; -1 where no active cell touches it
     node_index: np.ndarray
-    nodes: np.ndarray
-    cell_nodes: np.ndarray
+    nodes: np.ndarray  # (m, 3): indices of the nodes
+    cell_nodes: np.ndarray  # (c, 64): nodes of each active cell
 
     @property
     def n_cells(self) -> int:

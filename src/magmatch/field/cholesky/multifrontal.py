@@ -33,19 +33,11 @@ _NO_SINGLES, _NO_DOUBLES = np.zeros(0, np.float32), np.zeros(0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CholeskyFactor:
-    """``A = L L^T`` in the order of an elimination.
-
-    Attributes
-    ----------
-    pivots : list of (n, n) arrays
-        Lower triangle of each front's own unknowns.
-    below : list of (k, n) arrays
-        Rows of L of each front's border.
-    """
+    """``A = L L^T`` in the order of an elimination."""
 
     elimination: Elimination
-    pivots: list[np.ndarray]
-    below: list[np.ndarray]
+    pivots: list[np.ndarray]  # each (n, n): lower triangle of each front's own unknowns
+    below: list[np.ndarray]  # each (k, n): rows of L of each front's border
 
     @property
     def log_determinant(self) -> float:
@@ -95,25 +87,7 @@ class CholeskyFactor:
 def factorise(
     elimination: Elimination, matrix: StencilMatrix, precision: npt.DTypeLike = np.float64
 ) -> CholeskyFactor:
-    """Factorise a positive definite matrix.
-
-    Parameters
-    ----------
-    elimination : Elimination
-        Order and fronts for the matrix' cells.
-    matrix : StencilMatrix
-    precision : numpy type
-        Of the factor.
-
-    Returns
-    -------
-    CholeskyFactor
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite; names the pivot.
-    """
+    """Factorise a positive definite matrix; `numpy.linalg.LinAlgError` names the pivot of one that is not."""
     pivots, below, blocks = _blocks(elimination, precision)
     root = len(elimination.fronts) - 1
     updates = [blocks[0][:0]] * len(elimination.fronts)

@@ -20,48 +20,25 @@ LARGEST_SEPARATOR = 0.6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Front:
-    """One dense step of the elimination.
+    """One dense step of the elimination."""
 
-    Attributes
-    ----------
-    start, stop : int
-        Positions of the unknowns eliminated here.
-    border : (k,) int array
-        Positions of later unknowns that they touch, ascending.
-    children : tuple of int
-        Fronts whose updates are added here, and in ``child_rows`` to which rows of ``unknowns``.
-    unknowns : (n,) int array
-        Which unknowns stand at ``start..stop`` followed by ``border``.
-    """
-
-    start: int
+    start: int  # positions of the unknowns eliminated here
     stop: int
-    border: np.ndarray
+    border: np.ndarray  # (k,): positions of later unknowns that they touch, ascending
+    # Fronts whose updates are added here, and in ``child_rows`` to which rows of ``unknowns``
     children: tuple[int, ...]
     child_rows: tuple[np.ndarray, ...]
-    unknowns: np.ndarray
+    unknowns: np.ndarray  # (n,): which unknowns stand at ``start..stop`` followed by ``border``
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Elimination:
-    """Order and fronts of the factorisation of a `StencilMatrix` over given cells.
+    """Order and fronts of the factorisation of a `StencilMatrix` over given cells."""
 
-    Attributes
-    ----------
-    position : (m + 3,) int array
-        Place of each unknown in the order; the constant's come last.
-    unknown : (m + 3,) int array
-        The reverse: which unknown stands at each place.
-    fronts : list of Front
-        Children before parents; the last one is the root.
-    flat_nodes, shifts, node_index : int arrays
-        To walk from a node to its 343 neighbours (see `CellGrid`).
-    """
-
-    position: np.ndarray
-    unknown: np.ndarray
-    fronts: list[Front]
-    flat_nodes: np.ndarray
+    position: np.ndarray  # (m + 3,): place of each unknown in the order; the constant's come last
+    unknown: np.ndarray  # (m + 3,): the reverse: which unknown stands at each place
+    fronts: list[Front]  # children before parents; the last one is the root
+    flat_nodes: np.ndarray  # to walk from a node to its 343 neighbours (see `CellGrid`)
     shifts: np.ndarray
     node_index: np.ndarray
 

@@ -14,21 +14,11 @@ from magmatch.field.cholesky.cells import HALF_OFFSET, HALF_STENCIL, CellGrid
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StencilMatrix:
-    """Symmetric matrix of size m + 3: m spline weights, then the three components of the constant field.
+    """Symmetric matrix of size m + 3: m spline weights, then the three components of the constant field."""
 
-    Attributes
-    ----------
-    stencil : (m, 172) array
-        Entry of each node with itself and the nodes after it that share a cell.
-    border : (m, 3) array
-        Entries of the nodes with the constant.
-    corner : (3, 3) array
-        Entries of the constant.
-    """
-
-    stencil: np.ndarray
-    border: np.ndarray
-    corner: np.ndarray
+    stencil: np.ndarray  # (m, 172): entry of each node with itself and the nodes after it that share a cell
+    border: np.ndarray  # (m, 3): entries of the nodes with the constant
+    corner: np.ndarray  # (3, 3): entries of the constant
 
     @classmethod
     def zeros(cls, n_nodes: int) -> "StencilMatrix":

@@ -29,31 +29,17 @@ _MOST_ROUNDS = 12
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InnerSources:
-    """Where sources may stand nearer than a layer, and what samples say about them: found once, asked at any noise.
-
-    Attributes
-    ----------
-    points : (n, 3) array, m
-        Samples.
-    charges : (k, 3) array, m
-        At magnets, then in holes.
-    group : (k,) int array
-        Which magnet or part of a hole each stands for.
-    strength : (j,) array, T m^2
-        How large those at magnets may be; those in holes are as large as the layer's.
-    gram : (m, m) array
-        Products of all columns, each per unit of charge: the layer's, those of the charges, the constant field's.
-    product : (m,) array, T
-        Of the columns with the field.
-    """
+    """Where sources may stand nearer than a layer, and what samples say about them: asked at any noise."""
 
     shell: SourceShell
-    points: Points
-    charges: Points
-    group: Indices
-    strength: Scalars
+    points: Points  # (n, 3), m: samples
+    charges: Points  # (k, 3), m: at magnets, then in holes
+    group: Indices  # (k,): which magnet or part of a hole each stands for
+    strength: Scalars  # (j,), T m^2: how large those at magnets may be; those in holes are as large as the layer's
+    # (m, m): products of all columns, each per unit of charge: the layer's, those of the charges, the constant
+    # field's
     gram: Matrix
-    product: Scalars
+    product: Scalars  # (m,), T: of the columns with the field
 
     def filled(self, h: Hyperparameters, constant_sd: float) -> SourceShell:
         """Layer with those charges that the evidence asks for."""

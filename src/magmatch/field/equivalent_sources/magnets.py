@@ -62,14 +62,16 @@ def _candidate(x: Points, residual: Vectors, tree: cKDTree, nearest: float, reac
     offsets = (np.geomspace(nearest, reach, _DISTANCES)[:, None, None] * _DIRECTIONS).reshape(-1, 3)
     at = x[anchors][:, None] + offsets
     rows = np.asarray(tree.query(x[anchors], k=min(_WITNESSES, len(x)))[1]).reshape(len(anchors), -1)
-    gram, u = _seen(x, residual, rows, at)
+    gram, u = moment_equations(x, residual, rows, at)
     gains = (u * np.linalg.solve(gram, u[..., None])[..., 0]).sum(axis=-1)
     gains[np.asarray(tree.query(at)[0]) <= 0.5 * nearest] = -np.inf
     return np.asarray(at.reshape(-1, 3)[np.argmax(gains)])
 
 
 @compiled
-def _seen(x: np.ndarray, residual: np.ndarray, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def moment_equations(
+    x: np.ndarray, residual: np.ndarray, rows: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of one dipole's moment at each place: sums of ``3 r r^T / d^8 + I / d^6`` and of A b."""
     gram, u = np.zeros((*at.shape, 3)), np.zeros(at.shape)
     for i in range(at.shape[0]):
@@ -104,7 +106,7 @@ def _refined(
     damping = 1e-3
     for _ in range(_STEPS):
         moments = weights[8:].reshape(-1, 3)
-        A = np.concatenate([columns, _by_position(x, positions, moments)])
+        A = np.concatenate([columns, dipole_slopes(x, positions, moments)])
         H, scale = _scaled_gram(A)
         g = A @ left.ravel() / scale
         settled = True
@@ -128,7 +130,7 @@ def _refined(
 
 def _solved(x: Points, y: Vectors, positions: Points) -> tuple[Matrix, Scalars, Vectors]:
     """Columns (as rows), the moments (after the background's eight numbers) that fit best, and what they leave."""
-    A = np.concatenate([_background(x), _dipoles(x, positions)])
+    A = np.concatenate([_background(x), dipole_fields(x, positions)])
     H, scale = _scaled_gram(A)
     H[np.diag_indices_from(H)] += 1e-9
     w = np.linalg.solve(H, A @ y.ravel() / scale) / scale
@@ -154,7 +156,7 @@ def _background(x: Points) -> Matrix:
 
 
 @compiled
-def _dipoles(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def dipole_fields(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Field of dipoles per unit of each moment: (3 k, 3 n)."""
     out = np.empty((3 * len(positions), 3 * len(x)))
     for k in range(len(positions)):
@@ -169,7 +171,7 @@ def _dipoles(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _by_position(x: np.ndarray, positions: np.ndarray, moments: np.ndarray) -> np.ndarray:
+def dipole_slopes(x: np.ndarray, positions: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Derivatives of dipoles' fields by their positions: (3 k, 3 n)."""
     out = np.empty((3 * len(positions), 3 * len(x)))
     for k in range(len(positions)):

@@ -38,32 +38,15 @@ _SPACING_RATIOS = (0.35, 1.2)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SourceShell:
-    """Charges around a region; fills `inducing.basis.Basis` with unit prior variance in the region.
+    """Charges around a region; fills `inducing.basis.Basis` with unit prior variance in the region."""
 
-    Attributes
-    ----------
-    sources : (m, 3) array, m
-    region : cKDTree
-        Points of the region.
-    distance : float, m
-        Of the sources from the nearest point of the region.
-    spacing : float, m
-        Of neighbouring sources.
-    scale : (m,) array, m^2
-        Charge per unit weight of each source.
-    inner : cKDTree or None
-        Those sources that stand nearer than the layer, among the samples or next to them.
-    inner_distance : float, m
-        Of these from any sample, at least.
-    """
-
-    sources: Points
-    region: cKDTree
-    distance: float
-    spacing: float
-    scale: Scalars
-    inner: cKDTree | None = None
-    inner_distance: float = 0.0
+    sources: Points  # (m, 3), m
+    region: cKDTree  # points of the region
+    distance: float  # m: of the sources from the nearest point of the region
+    spacing: float  # m: of neighbouring sources
+    scale: Scalars  # (m,), m^2: charge per unit weight of each source
+    inner: cKDTree | None = None  # those sources that stand nearer than the layer, among the samples or next to them
+    inner_distance: float = 0.0  # m: of these from any sample, at least
 
     @property
     def n_weights(self) -> int:

@@ -32,32 +32,18 @@ _NO_CONSTANT_SD = 1e-30
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InducingModel:
-    """A dense basis over a region, with fixed hyperparameters.
-
-    Attributes
-    ----------
-    kernel : Kernel
-        Prior covariance of the field, for unit variance, where the basis alone is not the prior.
-    constant_sd : float, T
-        Prior standard deviation of the constant field.
-    factor : (m, m) or (m,) array
-        Lower Cholesky factor of the weights' prior precision times the noise variance, the constant included; its
-        diagonal alone where the weights are independent.
-    samples : cKDTree
-        Where the region's samples are.
-    known_reach : float, m
-        Distance from a sample within which the field counts as known.
-    sources : cKDTree or None
-        Sources among the samples: what lies nearer to one of these than to any sample does not count as known.
-    """
+    """A dense basis over a region, with fixed hyperparameters."""
 
     hyperparameters: Hyperparameters
     basis: Basis
-    kernel: Kernel
-    constant_sd: float
+    kernel: Kernel  # prior covariance of the field, for unit variance, where the basis alone is not the prior
+    constant_sd: float  # T: prior standard deviation of the constant field
+    # (m, m) or (m,): lower Cholesky factor of the weights' prior precision times the noise variance, the constant
+    # included; its diagonal alone where the weights are independent
     factor: np.ndarray
-    samples: cKDTree
-    known_reach: float
+    samples: cKDTree  # where the region's samples are
+    known_reach: float  # m: distance from a sample within which the field counts as known
+    # Sources among the samples: what lies nearer to one of these than to any sample does not count as known
     sources: cKDTree | None = None
 
     @classmethod
@@ -160,21 +146,12 @@ class InducingModel:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InducingPosterior:
-    """A fitted field.
-
-    Attributes
-    ----------
-    factor : (m, m) array
-        Lower Cholesky factor of the whitened weights' posterior precision.
-    white : (m,) array
-        Posterior mean of the whitened weights.
-    weights : (m,) array, T
-        Posterior mean of the weights: of the inducing points, component-major, then the constant field.
-    """
+    """A fitted field."""
 
     model: InducingModel
-    factor: Matrix
-    white: np.ndarray
+    factor: Matrix  # (m, m): lower Cholesky factor of the whitened weights' posterior precision
+    white: np.ndarray  # (m,): posterior mean of the whitened weights
+    # (m,), T: posterior mean of the weights: of the inducing points, component-major, then the constant field
     weights: np.ndarray
 
     @property

@@ -27,22 +27,12 @@ _FAR = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One term of a differential operator that makes a field of scalar Gaussians.
+    """One term of a differential operator that makes a field of scalar Gaussians."""
 
-    Attributes
-    ----------
-    component, weight : int
-        Which component of the field comes from which weight of a node.
-    alpha : (int, int, int)
-        How often each axis is differentiated.
-    factor : float
-        Coefficient, for derivatives taken with respect to ``d / l``.
-    """
-
-    component: int
+    component: int  # which component of the field comes from which weight of a node
     weight: int
-    alpha: Alpha
-    factor: float
+    alpha: Alpha  # (int, int, int): how often each axis is differentiated
+    factor: float  # coefficient, for derivatives taken with respect to ``d / l``
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,18 +126,10 @@ def stack_products(
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A second-order differential operator on the squared exponential; the parts of its subclasses.
+    """A second-order differential operator on the squared exponential; the parts of its subclasses."""
 
-    Attributes
-    ----------
-    lengthscale : float, m
-        l.
-    signal_sd : float, T
-        Prior standard deviation of one component.
-    """
-
-    lengthscale: float
-    signal_sd: float
+    lengthscale: float  # m: l
+    signal_sd: float  # T: prior standard deviation of one component
     terms: ClassVar[tuple[Term, ...]]
 
     def __post_init__(self) -> None:

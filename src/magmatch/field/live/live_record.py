@@ -24,27 +24,16 @@ MAX_LATTICE = 2**52
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LiveRecord:
-    """Content of a checkpoint.
-
-    Attributes
-    ----------
-    hyperparameters : Hyperparameters or None
-        None before they were chosen; nothing but ``first`` is there then.
-    n_chosen : int
-        From how many samples they were chosen last, while they are not settled.
-    n_samples : int
-        How many samples the blocks have taken in.
-    arrays : mapping of float64 arrays
-        ``start`` (1, 3): position of the first sample, m. ``first`` (n, 6): samples from before the hyperparameters
-        were settled, m and T; missing once they are. ``kept`` (n, 6): samples that are kept as they are, block by
-        block. ``summed_cells`` (k, 3) and ``sums`` (k, 2341): cells that hold more, and sums over the other samples.
-        ``moments`` (4, 3): sum of all fields and of their products, T and T^2.
-    """
+    """Content of a checkpoint."""
 
     config: EstimatorConfig
-    hyperparameters: Hyperparameters | None
-    n_chosen: int
-    n_samples: int
+    hyperparameters: Hyperparameters | None  # None before they were chosen; nothing but ``first`` is there then
+    n_chosen: int  # from how many samples they were chosen last, while they are not settled
+    n_samples: int  # how many samples the blocks have taken in
+    # ``start`` (1, 3): position of the first sample, m. ``first`` (n, 6): samples from before the hyperparameters
+    # were settled, m and T; missing once they are. ``kept`` (n, 6): samples that are kept as they are, block by
+    # block. ``summed_cells`` (k, 3) and ``sums`` (k, 2341): cells that hold more, and sums over the other samples.
+    # ``moments`` (4, 3): sum of all fields and of their products, T and T^2.
     arrays: Mapping[str, np.ndarray]
 
     @property

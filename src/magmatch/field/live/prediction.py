@@ -11,21 +11,11 @@ from magmatch.typing import Mask, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
-    """What is known about the field at n points, map frame.
+    """What is known about the field at n points, map frame."""
 
-    Attributes
-    ----------
-    values : FieldValues
-        Posterior mean of field and derivatives.
-    covariance : (n, 3, 3) array, T^2
-        Of the noise-free field; where blocks blend, an upper bound.
-    is_known : (n,) bool array
-        Where there are samples near.
-    """
-
-    values: FieldValues
-    covariance: np.ndarray
-    is_known: Mask
+    values: FieldValues  # posterior mean of field and derivatives
+    covariance: np.ndarray  # (n, 3, 3), T^2: of the noise-free field; where blocks blend, an upper bound
+    is_known: Mask  # (n,): where there are samples near
 
     @property
     def field(self) -> Vectors:

@@ -42,24 +42,12 @@ HIGHEST_INFORMATION_RATIO = 3e3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SplineInformation:
-    """What samples say about the weights, in units of the noise: sums over samples, so they add and subtract.
+    """What samples say about the weights, in units of the noise: sums over samples, so they add and subtract."""
 
-    Attributes
-    ----------
-    gram : StencilMatrix
-        ``sum W Phi^T Phi``.
-    eta : (m + 3,) array, T
-        ``sum W Phi^T b``.
-    square : float, T^2
-        ``sum W |b|^2``.
-    n_values : float
-        Number of measured components.
-    """
-
-    gram: StencilMatrix
-    eta: np.ndarray
-    square: float
-    n_values: float
+    gram: StencilMatrix  # ``sum W Phi^T Phi``
+    eta: np.ndarray  # (m + 3,), T: ``sum W Phi^T b``
+    square: float  # T^2: ``sum W |b|^2``
+    n_values: float  # number of measured components
 
     def __add__(self, other: "SplineInformation") -> "SplineInformation":
         """Information of both data sets."""
@@ -142,20 +130,12 @@ class SplineModel:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SplinePosterior:
-    """A fitted spline potential.
-
-    Attributes
-    ----------
-    factors : Factors
-        Of the posterior precision times the noise variance; the mean does without.
-    weights : (m + 3,) array, T
-        Posterior mean.
-    """
+    """A fitted spline potential."""
 
     hyperparameters: Hyperparameters
     cells: CellGrid
-    factors: Factors
-    weights: np.ndarray
+    factors: Factors  # of the posterior precision times the noise variance; the mean does without
+    weights: np.ndarray  # (m + 3,), T: posterior mean
     _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
 
     @property

@@ -42,37 +42,18 @@ OTHER_FIELD = (
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MapRecord:
-    """Content of a saved map.
+    """Content of a saved map."""
 
-    Attributes
-    ----------
-    surveys : tuple of Survey
-        Samples, map frame, in the order in which they were added.
-    T_map_model : RigidTransform
-        Takes model coordinates to map coordinates.
-    config : FieldConfig
-        How the map was made, with the name of its prior.
-    hyperparameters : Hyperparameters
-        Resolved numbers of the prior.
-    weights : (m,) array
-        Posterior mean of the weights, where they are not those of tiles; else empty.
-    fitted_samples : Survey
-        The same samples in the model's frame, exactly as they were fitted: to turn them there again would round
-        differently on another machine, and a basis laid over the samples may jump by a node for it.
-    T_domain_model : RigidTransform
-        Takes model coordinates to the frame of ``config.domain``.
-    tiles : mapping
-        Weights of each tile of a spline model; a region without tiles is one.
-    """
-
-    surveys: tuple[Survey, ...]
-    T_map_model: RigidTransform
-    config: FieldConfig
-    hyperparameters: Hyperparameters
-    weights: Scalars
+    surveys: tuple[Survey, ...]  # samples, map frame, in the order in which they were added
+    T_map_model: RigidTransform  # takes model coordinates to map coordinates
+    config: FieldConfig  # how the map was made, with the name of its prior
+    hyperparameters: Hyperparameters  # resolved numbers of the prior
+    weights: Scalars  # (m,): posterior mean of the weights, where they are not those of tiles; else empty
+    # The same samples in the model's frame, exactly as they were fitted: to turn them there again would round
+    # differently on another machine, and a basis laid over the samples may jump by a node for it
     fitted_samples: Survey
-    T_domain_model: RigidTransform
-    tiles: Mapping[Index, StoredTile]
+    T_domain_model: RigidTransform  # takes model coordinates to the frame of ``config.domain``
+    tiles: Mapping[Index, StoredTile]  # weights of each tile of a spline model; a region without tiles is one
 
     @property
     def survey(self) -> Survey:

@@ -52,25 +52,13 @@ class Samples:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TileTask:
-    """Everything that a tile's fit depends on.
-
-    Attributes
-    ----------
-    tiling : Tiling or None
-        None: one tile holds the whole region.
-    index : three ints
-        Which tile.
-    around : (n, 3) array, m
-        Samples that shape the tile's cells.
-    parts : list of Samples
-        Samples that inform it; those outside its box are left out.
-    """
+    """Everything that a tile's fit depends on."""
 
     hyperparameters: Hyperparameters
-    tiling: Tiling | None
-    index: Index
-    around: Points
-    parts: list[Samples]
+    tiling: Tiling | None  # None: one tile holds the whole region
+    index: Index  # which tile
+    around: Points  # (n, 3), m: samples that shape the tile's cells
+    parts: list[Samples]  # samples that inform it; those outside its box are left out
 
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""

@@ -15,24 +15,14 @@ from magmatch.typing import Indices, Points
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TileTasks:
-    """What the fit of every tile depends on.
-
-    Attributes
-    ----------
-    tiling : Tiling or None
-        None: one tile holds the whole region.
-    around, around_rows
-        Points (m) that the cells are laid around, and which of them each tile sees.
-    parts, rows
-        Samples that inform the tiles, and of each part which samples each tile sees.
-    """
+    """What the fit of every tile depends on."""
 
     hyperparameters: Hyperparameters
-    tiling: Tiling | None
+    tiling: Tiling | None  # None: one tile holds the whole region
     tiles: list[Index]
-    around: Points
+    around: Points  # points (m) that the cells are laid around, and which of them each tile sees
     around_rows: list[Indices]
-    parts: tuple[Samples, ...]
+    parts: tuple[Samples, ...]  # samples that inform the tiles, and of each part which samples each tile sees
     rows: list[list[Indices]]
 
     def task(self, number: int) -> TileTask:

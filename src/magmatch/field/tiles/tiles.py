@@ -30,25 +30,13 @@ MOST_CELLS_ALONG, MOST_TILES = 40_000_000, 40_000
 
 @dataclass(frozen=True, slots=True)
 class Tiling:
-    """Sizes of tiles on a lattice of cells.
+    """Sizes of tiles on a lattice of cells."""
 
-    Attributes
-    ----------
-    spacing : float, m
-        Side of a cell.
-    margin : int, cells
-        How far a tile's samples reach beyond its core.
-    reach : int, cells
-        How far a sample activates cells around its own.
-    core, blend : int, cells
-        Side of a core; half the width over which tiles blend.
-    """
-
-    spacing: float
-    margin: int
-    reach: int
-    core: int = CORE
-    blend: int = BLEND
+    spacing: float  # m: side of a cell
+    margin: int  # cells: how far a tile's samples reach beyond its core
+    reach: int  # cells: how far a sample activates cells around its own
+    core: int = CORE  # cells: side of a core; half the width over which tiles blend
+    blend: int = BLEND  # cells
 
     @classmethod
     def suited_to(cls, lengthscale: float, spacing: float, reach: float) -> "Tiling":

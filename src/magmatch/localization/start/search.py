@@ -34,22 +34,10 @@ PER_CELL, HEADINGS_PER_CELL = 2, 4
 def search(
     known: KnownMap, model: Model, steps: np.ndarray, config: LocalizerConfig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct hypotheses for the end of a stretch of path, each replayed along all of it.
+    """Distinct hypotheses for the end of a stretch of path that began anywhere, each replayed along all of it.
 
-    Parameters
-    ----------
-    known : KnownMap
-    model : Model
-    steps : (n,) array of STEP
-        The stretch; nothing is known of where it begins.
-    config : LocalizerConfig
-
-    Returns
-    -------
-    bank : (k,) array of HYPOTHESIS
-        The last half of them with a sensor whose bias is unknown, the first with one that was calibrated.
-    fit : (n, k) array of FIT
-        How they fared.
+    Gives the bank (k,) of HYPOTHESIS, of which the last half has a sensor of unknown bias and the first one that was
+    calibrated, and their FIT (n, k).
     """
     if not config.is_gravity_aligned:
         return _replay(known, model, steps, *_by_pairs(known, steps), config)

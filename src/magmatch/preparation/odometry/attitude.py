@@ -10,25 +10,12 @@ from magmatch.typing import Vectors
 
 
 def attitude(rate: Vectors, acceleration: Vectors, config: OdometryConfig) -> Rotation:
-    """Smoothed orientations of the phone at even times.
+    """Smoothed orientations of the phone at even times, to a frame whose z is up.
 
-    Parameters
-    ----------
-    rate : (n, 3) array, rad/s
-        Gyroscope, phone's axes, `config.rate` times a second.
-    acceleration : (n, 3) array, m/s^2
-        Accelerometer, gravity included, phone's axes.
-
-    Returns
-    -------
-    Rotation of length n
-        Takes the phone's axes to a frame whose z is up.
-
-    Notes
-    -----
-    VQF without its magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of
-    the gyroscope is estimated at rest only: while walking it would absorb the swing of the arm, which made paths of
-    the IPIN logs two to four times worse.
+    From the gyroscope (rad/s) and the accelerometer (m/s^2, gravity included), phone's axes, ``config.rate`` times a
+    second: VQF without its magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The
+    bias of the gyroscope is estimated at rest only: while walking it would absorb the swing of the arm, which made
+    paths of the IPIN logs two to four times worse.
     """
     vqf = import_extra("vqf", "dead reckoning", "odometry")
     settings = {

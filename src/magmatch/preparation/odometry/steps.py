@@ -12,19 +12,11 @@ from magmatch.typing import Indices, Scalars
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Steps:
-    """Steps between consecutive peaks of the vertical acceleration.
+    """Steps between consecutive peaks of the vertical acceleration."""
 
-    Attributes
-    ----------
-    first, last : (n,) int arrays
-        Rows between which each step was made.
-    lengths : (n,) array, m
-        By Weinberg's rule.
-    """
-
-    first: Indices
-    last: Indices
-    lengths: Scalars
+    first: Indices  # (n,): rows between which each step was made
+    last: Indices  # (n,)
+    lengths: Scalars  # (n,), m: by Weinberg's rule
 
     def __len__(self) -> int:
         return len(self.lengths)

@@ -54,16 +54,9 @@ def follow(path: Path, graph: PoseGraph) -> None:
 
 
 def covariance_of_end(path: Path, C: Covariance6, config: SlamConfig, *, from_start: bool) -> Covariance6:
-    """Of a log's last sample, given that of its last node against where it began, its first node or its first sample.
+    """Of a log's last sample, given that of its last node, C (6, 6) of xi in ``T Exp(xi)``.
 
-    Parameters
-    ----------
-    path : Path
-    C : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the last node.
-    config : SlamConfig
-    from_start : bool
-        Whether the first sample is meant, which lies before the first node.
+    Both are against where the log began: its first sample (``from_start``), or its first node.
     """
     after, loads, _ = _between(path, int(path.middles[-1]), len(path.survey) - 1, config)
     if from_start:

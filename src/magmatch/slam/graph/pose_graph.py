@@ -31,28 +31,18 @@ UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
 
 @dataclass(eq=False)
 class PoseGraph:
-    """Poses of all nodes, and the factors between them.
-
-    Attributes
-    ----------
-    R, p : (n, 3, 3) and (n, 3) arrays
-        Nodes in the frame of their component.
-    log : (n,) int array
-        Of each node.
-    lasting : (logs, 2) array
-        Estimated scale (a share) and turn rate (rad/m) of each log's odometry.
-    fixed : FixedPoints, optional
-        A component that they determine has their frame instead of its own.
-    """
+    """Poses of all nodes, and the factors between them."""
 
     config: SlamConfig
+    # (n, 3, 3): nodes in the frame of their component
     R: Tensors = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    p: Points = field(default_factory=lambda: np.zeros((0, 3)))
-    log: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+    p: Points = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3)
+    log: Indices = field(default_factory=lambda: np.zeros(0, np.int64))  # (n,): of each node
     edges: Edges = field(default_factory=Edges.none)
     closures: list[Closure] = field(default_factory=list)
+    # (logs, 2): estimated scale (a share) and turn rate (rad/m) of each log's odometry
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
-    fixed: FixedPoints | None = None
+    fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
     _H: csc_array | None = None
     _lu: SuperLU | None = None
     _own: np.ndarray | None = None

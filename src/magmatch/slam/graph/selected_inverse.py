@@ -19,16 +19,9 @@ def factorised(H: csc_array) -> SuperLU:
 
 
 def inverse_blocks(H: csc_array, lu: SuperLU, n: int, side: int) -> np.ndarray:
-    """First n blocks along the diagonal of the inverse of a matrix: (n, side, side).
+    """First n blocks along the diagonal of the inverse of H: (n, side, side).
 
-    Parameters
-    ----------
-    H : (m, m) sparse array
-        Symmetric, positive definite; these blocks are among its entries, zeros too.
-    lu : SuperLU
-        Of it, by `factorised`.
-    n, side : int
-        How many blocks, and their side.
+    H is sparse, symmetric and positive definite, and these blocks are among its entries, zeros too; ``lu`` is of it.
     """
     order = np.argsort(lu.perm_c)
     # The factor leaves out what happens to be zero, where the inverse is not: the pattern is that of the factor of a

@@ -37,52 +37,26 @@ class Edges:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FixedPoints:
-    """Points of logs whose place is known.
+    """Points of logs whose place is known."""
 
-    Attributes
-    ----------
-    one, other : (a,) int arrays
-        Nodes before and after each.
-    share : (a,) array
-        Of the way between them that is behind.
-    x : (a, 3) array, m
-        Odometry's frame.
-    position, sd : (a, 3) and (a,) arrays, m
-        Where it is in the surveyor's frame, and how well that is known per axis.
-    """
-
-    one: Indices
-    other: Indices
-    share: Scalars
-    x: Points
-    position: Points
-    sd: Scalars
+    one: Indices  # (a,): nodes before and after each
+    other: Indices  # (a,)
+    share: Scalars  # (a,): of the way between them that is behind
+    x: Points  # (a, 3), m: odometry's frame
+    position: Points  # (a, 3), m: where it is in the surveyor's frame, and how well that is known per axis
+    sd: Scalars  # (a,), m
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Closure:
-    """Two nodes near one place.
+    """Two nodes near one place."""
 
-    Attributes
-    ----------
-    first, second : int
-        Nodes.
-    T_first_second : RigidTransform
-        From the field.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the second node, rotation first (rad, m).
-    log_odds : float
-        That it is right, from the field alone.
-    weight : float
-        Probability that it is right, given the graph.
-    """
-
-    first: int
+    first: int  # nodes
     second: int
-    T_first_second: RigidTransform
-    covariance: Covariance6
-    log_odds: float
-    weight: float = 1.0
+    T_first_second: RigidTransform  # from the field
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the second node, rotation first (rad, m)
+    log_odds: float  # that it is right, from the field alone
+    weight: float = 1.0  # probability that it is right, given the graph
 
     @property
     def is_kept(self) -> bool:

@@ -34,19 +34,7 @@ def require_folder(
 ) -> None:
     """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
 
-    Parameters
-    ----------
-    folder : path
-    surveys : sequence of Survey
-    files : paths
-        Of the surveys and whatever else is read.
-    may_be_more : bool
-        Whether some of the surveys may be new.
-
-    Raises
-    ------
-    DataFormatError
-        The folder holds something else; names it.
+    ``files`` are those of the surveys and whatever else is read; ``may_be_more``: some surveys may be new.
     """
     folder = Path(folder)
     if not folder.exists():

@@ -15,24 +15,12 @@ N_ASKED = 6000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Coverage:
-    """A map evaluated at points throughout the box around its samples.
+    """A map evaluated at points throughout the box around its samples."""
 
-    Attributes
-    ----------
-    known_share : float
-        Share of the box that the map knows.
-    volume : float, m^3
-        Of the box.
-    sd : (n,) array, T
-        Standard deviation of one component of the field at the known points, increasing.
-    variation : float, T
-        Standard deviation of one component over the samples: the error of a map without structure.
-    """
-
-    known_share: float
-    volume: float
-    sd: Scalars
-    variation: float
+    known_share: float  # share of the box that the map knows
+    volume: float  # m^3: of the box
+    sd: Scalars  # (n,), T: standard deviation of one component of the field at the known points, increasing
+    variation: float  # T: standard deviation of one component over the samples: the error of a map without structure
 
     def share_below(self, sd: float) -> float:
         """Share of the known part with at most this standard deviation."""

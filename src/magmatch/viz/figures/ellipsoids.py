@@ -21,18 +21,10 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ellipsoid:
-    """A region that holds the truth with the probability `LEVEL`.
+    """A region that holds the truth with the probability `LEVEL`."""
 
-    Attributes
-    ----------
-    half_axes : (3,) array
-        Longest first, in the unit of the covariance's root.
-    directions : (3, 3) array
-        Row k is the unit direction of half axis k, base axes.
-    """
-
-    half_axes: Scalars
-    directions: Matrix
+    half_axes: Scalars  # (3,): longest first, in the unit of the covariance's root
+    directions: Matrix  # (3, 3): row k is the unit direction of half axis k, base axes
 
     def surface(self, n: int = 24) -> Points:
         """Points on it: (n + 1, 2 n + 1, 3), rows from pole to pole."""

@@ -21,30 +21,17 @@ MAX_COMPARED = 3000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Comparison:
-    """Samples of the target against the base map; arrays in the base's frame.
+    """Samples of the target against the base map; arrays in the base's frame."""
 
-    Attributes
-    ----------
-    rows : (n,) array
-        Which samples of the target these are.
-    positions : (n, 3) array, m
-    measured : (n, 3) array, T
-        The target's vectors, turned, and corrected for the sensor where that was estimated.
-    expected, expected_sd : (n, 3) arrays, T
-        The base map's prediction there, and its standard deviation.
-    normalised : (n,) array
-        Length of the residual in its standard deviations: rms over samples is 1 where model and noise explain all.
-    is_known : (n,) array
-        Where the base map knows the field; nothing is said of the others.
-    """
-
-    rows: Indices
-    positions: Points
+    rows: Indices  # (n,): which samples of the target these are
+    positions: Points  # (n, 3), m
+    # (n, 3), T: the target's vectors, turned, and corrected for the sensor where that was estimated
     measured: Vectors
-    expected: Vectors
-    expected_sd: Vectors
+    expected: Vectors  # (n, 3), T: the base map's prediction there, and its standard deviation
+    expected_sd: Vectors  # (n, 3), T
+    # (n,): length of the residual in its standard deviations: rms over samples is 1 where model and noise explain all
     normalised: Scalars
-    is_known: Mask
+    is_known: Mask  # (n,): where the base map knows the field; nothing is said of the others
 
     @property
     def overlap(self) -> float:

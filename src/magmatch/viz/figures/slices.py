@@ -33,25 +33,13 @@ FLATNESS = 0.7
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cut:
-    """A plane of points normal to one axis of a frame.
+    """A plane of points normal to one axis of a frame."""
 
-    Attributes
-    ----------
-    points : (n, 3) array, m
-        Row-major over (second axis, first axis).
-    first, second : (k,) arrays, m
-        Coordinates along the two axes that span the plane.
-    axes : (int, int, int)
-        Which axes are first, second and normal.
-    height : float, m
-        Where the plane cuts the normal axis.
-    """
-
-    points: Points
-    first: Scalars
-    second: Scalars
-    axes: tuple[int, int, int]
-    height: float
+    points: Points  # (n, 3), m: row-major over (second axis, first axis)
+    first: Scalars  # (k,), m: coordinates along the two axes that span the plane
+    second: Scalars  # (k,), m
+    axes: tuple[int, int, int]  # (int, int, int): which axes are first, second and normal
+    height: float  # m: where the plane cuts the normal axis
 
     @property
     def words(self) -> str:

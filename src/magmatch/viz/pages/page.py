@@ -31,18 +31,10 @@ SCENE_SHAPE = 0.78
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of a page.
+    """A part of a page."""
 
-    Attributes
-    ----------
-    title : str
-        Plain text; empty for what stands first and needs none.
-    blocks : sequence of str
-        HTML, in order; see `figure_row`, `table` and `paragraph`.
-    """
-
-    title: str
-    blocks: Sequence[str]
+    title: str  # plain text; empty for what stands first and needs none
+    blocks: Sequence[str]  # HTML, in order; see `figure_row`, `table` and `paragraph`
 
     def anchor(self, k: int) -> str:
         """Name to link to, of the k-th section: titles may repeat."""

@@ -27,23 +27,13 @@ SHADES = np.array([[0, 34, 78], [60, 77, 110], [124, 123, 120], [187, 175, 110],
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Part:
-    """A survey or a map, in its own frame.
+    """A survey or a map, in its own frame."""
 
-    Attributes
-    ----------
-    name : str
-        Unique among the parts; what its node is called.
-    color : (3,) array
-        Colour that tells the parts apart, 0 to 255.
-    shape : str
-        Shape of its samples, which does so without colour.
-    """
-
-    name: str
+    name: str  # unique among the parts; what its node is called
     survey: Survey
     field_map: FieldMap | None
-    color: np.ndarray
-    shape: str
+    color: np.ndarray  # (3,): colour that tells the parts apart, 0 to 255
+    shape: str  # shape of its samples, which does so without colour
 
     @property
     def rows(self) -> Indices:
@@ -53,21 +43,13 @@ class Part:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Exhibit:
-    """Everything that a viewer shows.
+    """Everything that a viewer shows."""
 
-    Attributes
-    ----------
-    parts : tuple of Part
-        With a registration: base and target.
-    T_base_target : RigidTransform or None
-        Pose of the target's frame in the base's; the best candidate if none was accepted.
-    limits : (float, float), uT
-        Range of the colour scale of field magnitudes, common to all parts.
-    """
-
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # with a registration: base and target
+    # Pose of the target's frame in the base's; the best candidate if none was accepted
     T_base_target: RigidTransform | None
     result: RegistrationResult | None
+    # (float, float), uT: range of the colour scale of field magnitudes, common to all parts
     limits: tuple[float, float]
 
     @property

@@ -36,21 +36,11 @@ WITH_GRAVITY = (0.7, 1.3)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Stream:
-    """Readings of one sensor.
+    """Readings of one sensor."""
 
-    Attributes
-    ----------
-    times : (n,) array, s
-        Strictly increasing, on the log's clock.
-    values : (n, 3) array, T, m/s^2 or rad/s
-        In the phone's axes: x to the right, y up the screen, z out of it.
-    source : str
-        The table or the kind of row it came from.
-    """
-
-    times: Scalars
-    values: Vectors
-    source: str
+    times: Scalars  # (n,), s: strictly increasing, on the log's clock
+    values: Vectors  # (n, 3), T, m/s^2 or rad/s: in the phone's axes: x to the right, y up the screen, z out of it
+    source: str  # the table or the kind of row it came from
 
     def __len__(self) -> int:
         return len(self.times)

@@ -80,8 +80,8 @@ def test_charges_stand_around_the_region_and_fill_it_with_unit_variance():
 
 def test_the_number_of_charges_is_bounded_whatever_is_asked():
     rng = np.random.default_rng(0)
-    along = rng.uniform(0, [200.0, 1.0, 0.1], size=(3000, 3))
-    for region, distance in ((along, 0.3), (room()[0], 0.01), (room()[0], 1e3)):
+    along, flat = (rng.uniform(0, size, size=(3000, 3)) for size in ([200.0, 1.0, 0.1], [1000.0, 1000.0, 0.0]))
+    for region, distance in ((along, 0.3), (flat, 0.05), (room()[0], 0.01), (room()[0], 1e3)):
         shell = lay_shell(region, distance, 0.7 * distance, 300)
         assert 0 < len(shell.sources) <= 300
         assert shell.spacing / shell.distance == pytest.approx(0.7)

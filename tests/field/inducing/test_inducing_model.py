@@ -56,6 +56,19 @@ def test_prior_is_registered_by_name():
     assert PRIORS["divergence_free"].name == "divergence_free"
 
 
+def test_information_is_the_sums_that_it_is_defined_by(model, samples):
+    points, field = samples
+    w = np.random.default_rng(4).uniform(0, 2, len(points))
+    found, A = model.observe(points, field, w), model.features(points, 0)
+    each = np.tile(w, 3)
+    expected = (A * each) @ A.T
+    np.testing.assert_allclose(np.tril(found.gram), np.tril(expected), atol=1e-10 * np.abs(expected).max())
+    eta = (A * each) @ field.T.ravel() / H.noise_sd
+    np.testing.assert_allclose(found.eta, eta, atol=1e-10 * np.abs(eta).max())
+    assert found.square == pytest.approx((w @ field**2).sum() / H.noise_sd**2, rel=1e-12)
+    assert found.n_values == field.size
+
+
 def test_batch_equals_the_published_recursion(model, posterior, samples):
     points, field = samples
     kernel = DivergenceFreeKernel(H.lengthscale, H.signal_sd)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cells and nodes against what their definition says, one by one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magmatch.field.cholesky.cells import STENCIL_REACH, count_active_cells, lay_cells
+
+SPACING = 0.25
+# Of a node's place within a cell: which of the four nodes along each axis.
+LOCAL = np.array(list(np.ndindex(4, 4, 4)))
+
+
+def survey(seed):
+    """Samples in two heaps, of which one may be flat, far from the lattice's origin."""
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(0, 1.2, 3) * rng.integers(0, 2, 3)
+    return np.concatenate([rng.uniform(0, 1, (9, 3)) * size, [[1.9, 0.3, -0.4]]]) + rng.uniform(-3, 3, 3)
+
+
+def defined(x, reach):
+    """Of all lattice cells near samples: index, and distance to the nearest occupied one."""
+    occupied = np.unique(np.floor(x / SPACING + 0.5).astype(int), axis=0)
+    low, high = occupied.min(axis=0) - int(reach), occupied.max(axis=0) + int(reach)
+    every = low + np.array(list(np.ndindex(*(high - low + 1))))
+    away = np.linalg.norm(every[:, None] - occupied, axis=2).min(axis=1)
+    return every[away <= reach + 1e-9], away[away <= reach + 1e-9], len(every)
+
+
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 1.5, 2.5]))
+@settings(deadline=None, derandomize=True, max_examples=15)
+def test_cells_are_those_within_reach_and_nodes_those_that_touch_them(seed, reach):
+    x = survey(seed)
+    found, (expected, away, n_box) = lay_cells(x, SPACING, reach), defined(x, reach)
+    np.testing.assert_array_equal(found.cells + found.first, expected)
+    np.testing.assert_allclose(found.distance, away, rtol=1e-6)
+    assert count_active_cells(x, SPACING, reach) == (len(expected), n_box)
+    nodes = np.unique((found.cells[:, None] + LOCAL).reshape(-1, 3), axis=0)
+    np.testing.assert_array_equal(found.nodes, nodes)
+    np.testing.assert_array_equal(found.nodes[found.cell_nodes], found.cells[:, None] + LOCAL)
+    np.testing.assert_array_equal(found.cell_index[tuple(found.cells.T)], np.arange(found.n_cells))
+    assert (found.cell_index >= 0).sum() == found.n_cells
+    np.testing.assert_array_equal(found.node_index.ravel()[found.flat_nodes()], np.arange(found.n_nodes))
+    assert (found.node_index >= 0).sum() == found.n_nodes
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_stencil_of_a_node_holds_its_neighbours_in_order(seed):
+    cells = lay_cells(survey(seed), SPACING, 1.5)
+    around = np.array(list(np.ndindex(7, 7, 7))) - STENCIL_REACH
+    found = cells.node_index.ravel()[cells.flat_nodes()[:, None] + cells.stencil_shifts()]
+    number = {tuple(node): k for k, node in enumerate(cells.nodes.tolist())}
+    for node, neighbours in zip(cells.nodes, found, strict=True):
+        assert neighbours.tolist() == [number.get(tuple(p), -1) for p in (node + around).tolist()]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_points_are_located_in_their_cell(seed):
+    x = survey(seed)
+    cells = lay_cells(x, SPACING, 1.5)
+    points = np.random.default_rng(seed).uniform(x.min(axis=0) - 1, x.max(axis=0) + 1, (300, 3))
+    number = {tuple(cell): k for k, cell in enumerate((cells.cells + cells.first).tolist())}
+    u = points / SPACING + 0.5
+    cell, t = cells.locate(points)
+    assert cell.tolist() == [number.get(tuple(p), -1) for p in np.floor(u).astype(int).tolist()]
+    np.testing.assert_allclose(t[cell >= 0], (u - np.floor(u))[cell >= 0], atol=1e-9)
+    assert 0 < (cell >= 0).sum() < 300
+    for axis in range(3):
+        index, along = cells.axis_cells(points[:, axis], axis)
+        exact = np.floor(u[:, axis]).astype(int) - cells.first[axis]
+        np.testing.assert_array_equal(index, np.clip(exact, -1, cells.cell_index.shape[axis]))
+        inside = index == exact
+        np.testing.assert_allclose(along[inside], (u - np.floor(u))[inside, axis], atol=1e-9)
+
+
+def test_a_box_leaves_the_cells_within_it():
+    x = survey(3)
+    whole = lay_cells(x, SPACING, 2.5)
+    low = whole.first + np.array([1, 0, 2])
+    high = whole.first + np.array(whole.cell_index.shape) - [2, 1, 0]
+    found, cells = lay_cells(x, SPACING, 2.5, (low, high)), whole.cells + whole.first
+    inside = ((cells >= low) & (cells < high)).all(axis=1)
+    np.testing.assert_array_equal(found.cells + found.first, cells[inside])
+    np.testing.assert_array_equal(found.distance, whole.distance[inside])

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The arithmetic of a search for magnets, against the field of a dipole and its differences."""
+
+import numpy as np
+
+from magmatch.field.equivalent_sources.magnets import (
+    dipole_fields,
+    dipole_slopes,
+    find_magnets,
+    magnet_charges,
+    moment_equations,
+)
+
+RNG = np.random.default_rng(0)
+X = RNG.uniform(0, [1.0, 0.8, 0.1], (60, 3))
+AT, MOMENTS = RNG.uniform([0, 0, -0.3], [1.0, 0.8, -0.1], (4, 3)), RNG.normal(size=(4, 3))
+
+
+def field(at, moment):
+    r = X - at
+    d = np.linalg.norm(r, axis=1, keepdims=True)
+    return 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
+
+
+def test_columns_are_the_field_of_a_dipole_of_each_axis():
+    columns = dipole_fields(X, AT).reshape(4, 3, -1)
+    for k, axes in enumerate(columns):
+        for column, axis in zip(axes, np.eye(3), strict=True):
+            np.testing.assert_allclose(column.reshape(-1, 3), field(AT[k], axis), rtol=1e-12, atol=1e-9)
+
+
+def test_slopes_are_differences_of_the_field_as_a_dipole_moves():
+    slopes, step = dipole_slopes(X, AT, MOMENTS).reshape(4, 3, -1, 3), 1e-6
+    for k in range(4):
+        for axis, found in zip(step * np.eye(3), slopes[k], strict=True):
+            expected = (field(AT[k] + axis, MOMENTS[k]) - field(AT[k] - axis, MOMENTS[k])) / (2 * step)
+            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_moment_equations_are_the_products_of_the_columns():
+    rows, b = RNG.permutation(60)[:40].reshape(2, 20), RNG.normal(size=(60, 3))
+    gram, u = moment_equations(X, b, rows, AT.reshape(2, 2, 3))
+    for i, k in np.ndindex(2, 2):
+        A = dipole_fields(X[rows[i]], AT[[2 * i + k]])
+        np.testing.assert_allclose(gram[i, k], A @ A.T, rtol=1e-9, atol=1e-12 * np.trace(A @ A.T))
+        np.testing.assert_allclose(u[i, k], A @ b[rows[i]].ravel(), rtol=1e-9, atol=1e-12 * np.abs(A).sum())
+
+
+def test_magnets_and_their_moments_are_found_in_any_frame_and_unit():
+    lanes = np.stack(np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.1), [0.1]), axis=-1).reshape(-1, 3)
+    at, moment = np.array([0.31, 0.42, 0.02]), 1e-8 * np.array([0.5, 1.0, 3.0])
+    r = lanes - at
+    d = np.linalg.norm(r, axis=1, keepdims=True)
+    b = 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3 + 2e-7 * np.random.default_rng(1).normal(size=r.shape)
+    turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    for R, shift, unit in ((np.eye(3), 0.0, 1.0), (turn, 7.0, 1e6)):
+        # One magnet explains all: no second one is worth its numbers.
+        found, moments = find_magnets(lanes @ R.T + shift, unit * b @ R.T, 0.3)
+        np.testing.assert_allclose(found, [R @ at + shift], rtol=0, atol=2e-3)
+        np.testing.assert_allclose(moments, [unit * R @ moment], rtol=0, atol=0.05 * unit * 3e-8)
+        charges, magnet, strength = magnet_charges(lanes @ R.T + shift, unit * b @ R.T, 0.3)
+        away = np.linalg.norm(charges - found, axis=1)
+        # A seventh stands in the middle, six around it at a fifth of the distance from the nearest sample.
+        size = 0.2 * np.linalg.norm(lanes @ R.T + shift - found, axis=1).min()
+        np.testing.assert_allclose(np.sort(away), [0, *[size] * 6], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(charges.mean(axis=0), found[0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(strength, np.linalg.norm(moments) / size, rtol=1e-9)
+        assert magnet.tolist() == [0] * 7
