@@ -17,5 +17,5 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
     (found, *_) = matches(window, places.stretch(closure.first, closure.second), window.config, rough)
     assert np.linalg.norm(found.T_base_log.apply(window.center) - T.apply(window.center)) < 0.1
-    assert found.evidence > 0
+    assert found.log_odds > 0
     assert not matches(window, places.stretch(closure.first, closure.second), window.config, 100.0)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import adjoint
-from magmatch.registration.decide.posterior import distinct, effective_evidence
+from magmatch.registration.decide.posterior import distinct, log_odds
 from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
@@ -41,7 +41,7 @@ class Match:
 
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
-    evidence: float  # nats: over an unrelated field, prior included, of as many samples as are independent
+    log_odds: float  # over an unrelated field, prior included, by the law of a registration
     log_prior: float  # density of the prior at the pose, per m^3 and rad^3
 
 
@@ -65,7 +65,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
         Match(
             index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv(),
             M @ e.covariance @ M.T,
-            effective_evidence(e.log_evidence, e.misfit),
+            log_odds(e.log_evidence, e.misfit, e.kind),
             prior.log_density(e.T_base_target, e.center),
         )
         for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same)

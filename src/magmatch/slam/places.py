@@ -181,7 +181,7 @@ class Places:
         closed = {second for _, second in pairs}
         for node, candidates in self.looked.items():
             if candidates and node not in closed:
-                best = max(candidates, key=lambda c: c.match.evidence)
+                best = max(candidates, key=lambda c: c.match.log_odds)
                 C = self.graph.relative_covariances(np.array([best.node]), node)[0]
                 if np.linalg.eigvalsh(C[3:, 3:])[-1] < (SAME_SHIFT * windows[node].length) ** 2:
                     pairs[best.node, node] = best.T_node_window

@@ -39,7 +39,7 @@ def numbers_of(candidates: Sequence[Candidate]) -> Matrix:
     """Candidates as rows of numbers, as they are kept."""
     rows = [
         np.concatenate([
-            [c.node, c.match.evidence, c.match.log_prior], c.T_node_window.as_matrix().ravel(),
+            [c.node, c.match.log_odds, c.match.log_prior], c.T_node_window.as_matrix().ravel(),
             c.match.T_base_log.as_matrix().ravel(), c.match.covariance.ravel(),
         ])
         for c in candidates
@@ -99,10 +99,10 @@ def _candidates(
 def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph, paths: Sequence[Path]) -> list[Closure]:
     """Closures that are sure, of a log's windows in their order, with nodes of any log."""
     config = graph.config
-    candidates = [sorted(c, key=lambda k: -k.match.evidence)[:MOST_CANDIDATES] for c in candidates]
+    candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
     placed = [
         [
-            Placed(graph.pose(c.node) * c.T_node_window, c.match.covariance, c.match.evidence, c.match.log_prior)
+            Placed(graph.pose(c.node) * c.T_node_window, c.match.covariance, c.match.log_odds, c.match.log_prior)
             for c in found
         ]
         for found in candidates
@@ -142,7 +142,7 @@ def _one_a_pass(candidates: list[Candidate], graph: PoseGraph) -> list[Candidate
     kept: list[Candidate] = []
     for c in candidates:
         # Neighbouring nodes are one pass.
-        if (not kept or c.match.evidence > 0) and all(
+        if (not kept or c.match.log_odds > 0) and all(
             graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART for k in kept
         ):
             kept.append(c)
