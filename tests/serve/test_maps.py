@@ -2,7 +2,13 @@
 """Maps that are added or replaced while they are served; whole logs; what Foxglove is told."""
 
 import json
+import os
 import shutil
+import signal
+import threading
+from contextlib import suppress
+from http.client import HTTPException
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -138,3 +144,39 @@ def test_foxglove_is_told_of_bodies(hall, tmp_path):
             while b"replay" not in seen and said["map"].encode() not in seen:
                 message = viewer.recv(timeout=30)
                 seen += message if isinstance(message, bytes) else b""
+
+
+def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall, tmp_path):
+    body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
+    with serving(hall.map, "--states", states) as service:
+        followers = children_of(service.process.pid)
+
+        def kill():
+            for pid in wait_until(lambda: set(children_of(service.process.pid)) - followers):
+                os.kill(pid, signal.SIGKILL)
+
+        assert service.ask("/localize", body)[0] == 200
+        kill()
+        assert service.ask("/localize", body)[0] == 200
+        threading.Timer(0.1, kill).start()
+        assert service.ask("/localize", body)[0] == 200
+        assert not list(states.glob("log-*"))
+        # A service that is killed leaves a log, which the next one removes.
+        post = threading.Thread(target=lambda: suppressed(service.ask, "/localize", body))
+        kill()
+        post.start()
+        wait_until(lambda: list(states.glob("log-*")))
+        service.end(signal.SIGKILL)
+        post.join()
+    assert list(states.glob("log-*"))
+    with serving(hall.map, "--states", states):
+        assert not list(states.glob("log-*"))
+
+
+def children_of(pid):
+    return set(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
+
+
+def suppressed(function, *arguments):
+    with suppress(OSError, HTTPException):
+        function(*arguments)

@@ -13,7 +13,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig, settings_of
-from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
+from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, index_key, make_index, open_index
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.threads import single_threaded
 
@@ -69,10 +69,17 @@ class Atlas:
         Returns
         -------
         MapIndex
+
+        Raises
+        ------
+        DataFormatError
+            The map is damaged, or was replaced.
         """
         index = self._loaded.pop(entry.path, None)
         if index is None:
             field_map = FieldMap.load(entry.path)
+            if index_key(entry.path, self.config) != entry.index.content.attributes["key"]:
+                raise DataFormatError(entry.path, "was replaced after its folder was opened; open the folder again")
             try:
                 index = entry.index.load(field_map)
             except DataFormatError as error:

@@ -21,6 +21,10 @@ Place = FieldMap | MapIndex | Atlas
 T = TypeVar("T")
 
 
+class NotReadyError(Exception):
+    """A map is being made ready: ask again."""
+
+
 class KnownPlaces:
     """Maps that many localizers share.
 
@@ -51,14 +55,17 @@ class KnownPlaces:
         return self._fingerprint
 
     def soon(self, entry: AtlasEntry | None) -> KnownMap | None:
-        """Give a map as `of` does, or None while the loader makes it ready."""
+        """Give a map as `of` does, or None while the loader makes it ready; what the loader raised is raised here."""
         if self.loader is None or entry in self._ready:
             return self.of(entry)
         if entry not in self._making:
             self._making[entry] = self.aside(self._make, entry)
         # Whoever asked for a map may have stopped waiting for it.
-        for other in [key for key, future in self._making.items() if future.done()]:
+        for other in [key for key, future in self._making.items() if future.done() and not future.exception()]:
             self._ready[other] = self._making.pop(other).result()
+        if entry in self._making and self._making[entry].done():
+            # It failed, and would again.
+            self._making[entry].result()
         return self.of(entry) if entry in self._ready else None
 
     def aside(self, function: Callable[..., T], *arguments: Any) -> Future[T]:

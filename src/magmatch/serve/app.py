@@ -16,6 +16,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from magmatch.serve.bodies import checkpoints
 from magmatch.serve.gate import Gate
 from magmatch.serve.live import PROTOCOL, Live, close
 from magmatch.serve.logs.uploads import receive_log
@@ -72,7 +73,7 @@ async def _log(service: Service, verb: Verb, request: Request) -> Response:
     """Let a worker answer a question of a log."""
     question = read_question(request.query_params.multi_items())
     version = service.catalogue.served.version
-    with TemporaryDirectory(prefix="magmatch-") as folder:
+    with TemporaryDirectory(prefix=checkpoints.UPLOAD, dir=service.config.states) as folder:
         upload = Path(folder) / "log"
         await receive_log(request, upload, service.config)
         # A cluster does not see this folder, and nobody's token is its business.

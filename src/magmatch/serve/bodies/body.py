@@ -4,6 +4,7 @@
 import json
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,7 +65,7 @@ class Body:
         assert self.localizer is not None
         return json.dumps({"name": self.name, "n": self.n, "t": self.t}).encode() + b"\n" + state_of(self.localizer)
 
-    def take(self, message: str | bytes, most: int, *, may_search: bool = True) -> str | bytes:
+    def take(self, message: str | bytes, most: int, *, may_search: Callable[[], bool] = lambda: True) -> str | bytes:
         """Take the samples of a message; gives the answer."""
         rows = read_samples(message, most)
         localizer = self.localizer = self.localizer or Localizer(self.known, self.config)

@@ -20,7 +20,7 @@ import numpy as np
 from magmatch.atlas.atlas import MAX_LOADED
 from magmatch.errors import MagmatchError
 from magmatch.geometry import path_walked
-from magmatch.localization.known_places import KnownPlaces, open_place
+from magmatch.localization.known_places import KnownPlaces, NotReadyError, open_place
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.body import Body
 from magmatch.serve.config import ServeConfig
@@ -126,8 +126,8 @@ class Tracker:
             log.exception("a client's message was not worked on")
             return number, RefusedError(500, "the service made a mistake with this message; please report it")
 
-    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> Opened:
-        """Begin to follow a client, from where it was if it was here."""
+    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> Opened | None:
+        """Begin to follow a client, from where it was if it was here; None while its maps are made ready."""
         if anew:
             self._forget(client)
         body = self._bodies.get(client)
@@ -136,7 +136,10 @@ class Tracker:
             if len(self._bodies) >= self._config.max_clients:
                 self._drop(everyone=True)
             state = checkpoints.load(self._config.states, client)
-            body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
+            try:
+                body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
+            except NotReadyError:
+                return None
             is_resumed = body is not None
             body = self._bodies[client] = body or Body(self._known, self._config.localizer)
         body.name, body.is_binary, body.left_at = name or body.name, is_binary, None
@@ -146,7 +149,7 @@ class Tracker:
         """Give the answer to a message."""
         body = self._bodies[client]
         body.move_on(self._known)
-        return body.take(message, self._config.max_samples, may_search=monotonic() < self._search_until)
+        return body.take(message, self._config.max_samples, may_search=lambda: monotonic() < self._search_until)
 
     def leave(self, client: str) -> None:
         """Hear that a client is gone; it may come back."""
