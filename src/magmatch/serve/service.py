@@ -44,6 +44,7 @@ class Service:
         with self._noting_fault(), checkpoints.held(self.config.states):
             self.trackers = Trackers(self.place, self.config)
             await self.trackers.start()
+            self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
             self.workers = LogWorkers(self.config)
             self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
             jobs = {self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every}
@@ -125,7 +126,6 @@ class Service:
     async def _sweep(self) -> None:
         loop = asyncio.get_running_loop()
         await loop.run_in_executor(None, checkpoints.sweep, self.config.states, self.config.keep)
-        self.metrics.restarts.set(sum(handle.n_restarts for handle in self.trackers.handles))
 
     async def _look(self) -> None:
         loop = asyncio.get_running_loop()
