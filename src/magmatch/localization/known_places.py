@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map, or a folder of maps, each prepared once for any number of bodies."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
@@ -94,10 +94,10 @@ class KnownPlaces:
         return replace(KnownMap.of(self.place.load(entry)), name=entry.name, volume=self.place.volume)
 
 
-def open_place(path: Path) -> Place:
-    """Open a map, with its index if there is one, or a folder of maps."""
+def open_place(path: Path, names: Collection[str] | None = None) -> Place:
+    """Open a map, with its index if there is one, or a folder of maps, all or those of some names."""
     if is_folder(path):
-        return open_atlas(path)
+        return open_atlas(path, names=names)
     path = path.with_suffix("") if path.suffix == SUFFIX else path
     if (found := sniff(path)) != "map":
         advice = "make a map with 'magmatch map SURVEY --out MAP'"

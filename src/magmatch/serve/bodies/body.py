@@ -105,7 +105,7 @@ class Body:
             said |= {"T_map_body": T.tolist(), "covariance_xy": (R @ C @ R.T)[:2, :2].tolist()}
         elif self.localizer is not None:
             said["hypotheses"] = [
-                [h.map, *h.T_map_body.translation[:2].tolist(), h.probability]
+                [h.map, *h.T_map_body.translation.tolist(), h.probability]
                 for h in self.localizer.hypotheses()[:MAX_HYPOTHESES]
             ]
         if with_trail:
