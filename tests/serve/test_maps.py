@@ -47,7 +47,7 @@ def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
     folder.mkdir()
     shutil.copy(hall.map, folder / "hall.map")
     (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
-    walk = drifting_walk(Place(2), 3, laps=1.2, start=1.0)[0]
+    walk = drifting_walk(Place(2), 3, laps=0.4, start=1.0, turn=0.5)[0]
     with serving(folder, "--config", tmp_path / "limits.yaml") as service:
         assert last_answer(service, hall.walk(2)[0])["map"] == "hall.map"
         assert last_answer(service, walk)["map"] is None
