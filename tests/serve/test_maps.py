@@ -199,6 +199,22 @@ def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall,
         assert not list(states.glob("log-*"))
 
 
+def test_a_log_that_is_worked_on_when_the_service_ends_is_to_be_sent_again(hall, tmp_path):
+    body, answers = survey_csv(hall.walk(2)[0], tmp_path), []
+    with serving(hall.map, "--states", tmp_path / "states") as service:
+        followers = children_of(service.process.pid)
+        assert service.ask("/localize", body)[0] == 200
+        for pid in children_of(service.process.pid) - followers:
+            os.kill(pid, signal.SIGSTOP)
+        post = threading.Thread(target=lambda: answers.append(service.ask("/localize", body)))
+        post.start()
+        wait_until(lambda: list((tmp_path / "states").glob("log-*")))
+        service.end()
+        post.join()
+    assert answers[0][0] == 503
+    assert json.loads(answers[0][2])["status"] == 503
+
+
 def children_of(pid):
     return set(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
 

@@ -34,6 +34,8 @@ class LogWorkers:
         self._n += 1
         try:
             found = await self._pool.run(function, *arguments)
+        except asyncio.CancelledError:  # the server does so, and would answer 500
+            raise RefusedError(503, "the service ends; send the log to the next one", retry_after=5) from None
         finally:
             self._n -= 1
         if isinstance(found, RefusedError):
