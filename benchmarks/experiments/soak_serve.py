@@ -2,10 +2,11 @@
 """Hours of samples through a service that is killed again and again: what is lost, and whether memory grows.
 
 Clients walk through one hall as fast as the service answers, each a walk of its own and with some samples under way.
-Now and then one of the processes is killed (-9), the service itself among them. Counted are answers, states that
+Another posts whole logs to /localize and /register, each of another walk. Now and then one of the processes is killed
+(-9): the service itself, one that follows clients, or one that works on logs. Counted are answers, states that
 resumed, samples that had to be sent again (those since the last checkpoint), poses farther from the truth than five
-standard deviations, which another's pose would be, and resident memory along the way: of the largest process, and
-by how much one grew after its first hour of samples. Ends by itself.
+standard deviations, which another's pose would be, logs that were answered, refused or cut off, and resident memory
+along the way: of the largest process, and by how much one grew after its first hour of samples. Ends by itself.
 
 Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
 """
@@ -17,7 +18,9 @@ import random
 import signal
 import threading
 import time
+from collections import Counter
 from contextlib import suppress
+from http.client import HTTPException
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -34,6 +37,8 @@ TRIES = 2000
 # Samples that a client has sent and has no answer to yet: with one, both would wait for the way there and back.
 UNDER_WAY = 16
 RATE = 10.0
+# Logs that are posted in turn, s between two, and what is far from the truth, m: some drift more than others.
+N_LOGS, PAUSE, FAR = 10, 3.0, 1.0
 
 
 class Walker(threading.Thread):
@@ -87,6 +92,51 @@ class Walker(threading.Thread):
             self.n_wrong += bool(off > max(5 * np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1]), 0.5))
 
 
+class Poster(threading.Thread):
+    """A client that posts whole logs, one after another; whatever is not answered is posted again."""
+
+    def __init__(self, folder: Path, where: dict) -> None:
+        super().__init__(daemon=True)
+        self.where, self.said, self.n_wrong, self.is_over = where, Counter(), 0, False
+        self.logs = []
+        for seed in range(101, 101 + N_LOGS):
+            log, truth = drifting_walk(Place(1), seed, laps=1.0, start=float(seed), bias=(2e-6, -1e-6, 1e-6))
+            log.save(folder / "log.csv")
+            self.logs.append(((folder / "log.csv").read_bytes(), log, truth))
+
+    def run(self) -> None:
+        """Until told."""
+        n = 0
+        while not self.is_over:
+            content, log, truth = self.logs[n // 2 % N_LOGS]
+            verb = ("localize", "register")[n % 2]
+            try:
+                status, _, answer = self.where["service"].ask(f"/{verb}", content)
+            except (OSError, HTTPException):
+                self.said["cut off"] += 1
+                time.sleep(1.0)
+                continue
+            self.said[status] += 1
+            if status == 200:
+                n += 1
+                getattr(self, verb)(json.loads(answer), log, truth)
+            time.sleep(PAUSE)
+
+    def localize(self, said: dict, log, truth: np.ndarray) -> None:
+        """Poses of a localisation against the truth."""
+        rows = np.array(said["trajectory"]).reshape(-1, 8)
+        at = np.searchsorted(log.times, rows[:, 0] - 1e-6)
+        self.said["poses"] += len(rows)
+        self.n_wrong += int((np.linalg.norm(rows[:, 1:4] - truth[at], axis=1) > FAR).sum())
+
+    def register(self, said: dict, log, truth: np.ndarray) -> None:
+        """One pose against the truth, where it was accepted: the log drifts, so of its middle."""
+        if said["status"] == "accepted":
+            T, middle = np.array(said["T_base_target"]), log.positions.mean(axis=0)
+            self.said["accepted"] += 1
+            self.n_wrong += bool(np.linalg.norm(T[:3, :3] @ middle + T[:3, 3] - truth.mean(axis=0)) > FAR)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, default=24.0, help="of samples, all clients together")
@@ -100,21 +150,26 @@ def main() -> None:
         folder = Path(name)
         make_map(folder / "hall.map")
         walkers = [Walker(seed, asked.hours / asked.clients, where) for seed in range(1, asked.clients + 1)]
-        total, n_kills = sum(len(w.log) for w in walkers), 0
+        total, n_kills, killed = sum(len(w.log) for w in walkers), 0, Counter()
+        poster = Poster(folder, where)
         memory: dict[int, list[tuple[int, float]]] = {}
         while any(not w.is_done for w in walkers) and time.monotonic() < until:
             with serving(folder / "hall.map", "--states", folder / "states") as service:
-                where["live"] = service.live
+                where |= {"live": service.live, "service": service}
+                if not poster.is_alive():
+                    poster.start()
                 for walker in walkers:
                     if not walker.is_alive() and not walker.is_done:
                         walker.start()
-                n_kills += watch(service, walkers, total, asked.kills, n_kills, rng, memory, until)
-    print(f"{sum(w.n_answers for w in walkers)} answers to {total} samples, {n_kills} kills, "
-          f"{sum(w.is_done for w in walkers)} of {len(walkers)} walks to their end")  # fmt: skip
+                n_kills += watch(service, walkers, total, asked.kills, n_kills, rng, memory, until, killed)
+        poster.is_over = True
+    print(f"{sum(w.n_answers for w in walkers)} answers to {total} samples, {n_kills} kills "
+          f"({dict(killed)}), {sum(w.is_done for w in walkers)} of {len(walkers)} walks to their end")  # fmt: skip
     print(f"{sum(w.n_resumed for w in walkers)} resumed, {sum(w.n_anew for w in walkers)} began anew, "
           f"{sum(w.n_again for w in walkers)} samples sent again, the oldest "
           f"{max(w.oldest_again for w in walkers):.1f} s old")  # fmt: skip
     print(f"{sum(w.n_stated for w in walkers)} poses stated, {sum(w.n_wrong for w in walkers)} not this walk's")
+    print(f"logs: {dict(poster.said)}; {poster.n_wrong} of their poses farther than {FAR} m from the truth")
     report_memory(memory, total)
 
 
@@ -135,9 +190,9 @@ def report_memory(memory: dict[int, list[tuple[int, float]]], total: int) -> Non
           f"after the first hour the largest grew by {max(grown, default=0.0):.1f} MB")  # fmt: skip
 
 
-def watch(service, walkers, total, most, n_before, rng, memory, until) -> int:
+def watch(service, walkers, total, most, n_before, rng, memory, until, killed) -> int:
     """Kill a process each time that a share of all is answered; gives the kills. The service's own ends the watch."""
-    n = 0
+    n, own = 0, os.getpriority(os.PRIO_PROCESS, service.process.pid)
     while any(not w.is_done for w in walkers) and time.monotonic() < until:
         time.sleep(0.5)
         n_answers = sum(w.n_answers for w in walkers)
@@ -150,9 +205,13 @@ def watch(service, walkers, total, most, n_before, rng, memory, until) -> int:
         n += 1
         if rng.random() < 0.3:
             service.process.kill()
+            killed["service"] += 1
             return n
+        # Those that work on logs let others go first (nice).
         victims = [pid for pid in children_of(service.process.pid) if b"spawn_main" in command_of(pid)]
-        os.kill(rng.choice(victims), signal.SIGKILL)
+        victim = rng.choice(victims)
+        killed["worker on logs" if os.getpriority(os.PRIO_PROCESS, victim) > own else "follower, or starting"] += 1
+        os.kill(victim, signal.SIGKILL)
         wait_until(lambda: service.ask("/health")[0] == 200)
     return n
 

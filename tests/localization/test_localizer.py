@@ -115,7 +115,7 @@ def test_rows_are_fine_up_to_the_first_that_is_none():
 def test_a_search_that_may_not_be_now_is_made_later(place, followed):
     localizer, rows = mm.Localizer(place), rows_of(followed.log)
     for row in rows[:150]:
-        localizer.update_by_row(row, may_search=False)
+        localizer.update_by_row(row, may_search=lambda: False)
     assert not localizer.hypotheses()
     for row in rows[150:]:
         localizer.update_by_row(row)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A body is found in the right map of a folder, and in none where its own is missing."""
 
-from concurrent.futures import Future
+import shutil
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk
-from magmatch.localization.known_places import KnownPlaces
+from magmatch.errors import DataFormatError
+from magmatch.localization.belief import Belief
+from magmatch.localization.kept_state import restored, state_of
+from magmatch.localization.known_places import KnownPlaces, NotReadyError
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +90,74 @@ def test_a_rigid_survey_is_still_registered_to_an_atlas(folder):
     result = mm.localize(mm.open_atlas(folder), mm.Survey(truth, Place(42).field(truth)))
     assert isinstance(result, mm.RegistrationResult)
     assert result.base in ("hall.map", None)
+
+
+def update(localizer, log, rows):
+    poses = RigidTransform.from_components(log.positions, log.orientations)
+    field = log.orientations.inv().apply(log.field)
+    for n in rows:
+        localizer.update(float(log.times[n]), poses[n], field[n])
+
+
+def test_a_body_that_is_found_is_searched_for_no_more(folder, monkeypatch):
+    log, _ = drifting_walk(Place(41), 51, laps=1.2, start=1.0)
+    known = KnownPlaces(mm.open_atlas(folder))
+    localizer, at, searched = mm.Localizer(known, mm.LocalizerConfig(is_planar=True)), 0, []
+    while not localizer.estimate().is_stated:
+        update(localizer, log, [at])
+        at += 1
+    monkeypatch.setattr(Belief, "search", searched.append)
+    while at < len(log) and localizer.estimate().is_stated:
+        update(localizer, log, [at])
+        at += 1
+    assert at > len(log) // 2
+    assert not searched
+
+
+def test_maps_are_searched_in_turn_where_time_is_for_one(folder):
+    log, _ = drifting_walk(Place(41), 51, laps=1.0, start=1.0)
+    localizer, turns = mm.Localizer(mm.open_atlas(folder), mm.LocalizerConfig(is_planar=True)), []
+
+    def once():
+        turns.append(len(turns))
+        return len(turns) == 1
+
+    rows = np.column_stack(
+        [log.times, log.positions, log.orientations.as_quat(), log.orientations.inv().apply(log.field)]
+    )
+    for row in rows:
+        turns.clear()
+        localizer.update_by_row(row, may_search=once)
+    assert localizer.estimate().map == "cellar.map"
+
+
+def test_a_map_that_was_replaced_is_not_taken_for_the_one_that_was_indexed(folder, tmp_path):
+    for path in folder.iterdir():
+        shutil.copy(path, tmp_path)
+    log, _ = drifting_walk(Place(41), 51, laps=1.0, start=1.0)
+    aside = ThreadPoolExecutor(1)
+    seen, alone = KnownPlaces(mm.open_atlas(tmp_path), aside), KnownPlaces(mm.open_atlas(tmp_path))
+    shutil.copy(tmp_path / "hall.map", tmp_path / "new")
+    (tmp_path / "new").replace(tmp_path / "cellar.map")
+    entry = next(entry for entry in alone.entries if entry.name == "cellar.map")
+    with pytest.raises(DataFormatError, match=r"cellar\.map.* was replaced"):
+        alone.of(entry)
+    # Who walks on is not told: the other maps are searched, and this one once it is opened anew.
+    localizer = mm.Localizer(seen, mm.LocalizerConfig(is_planar=True))
+    update(localizer, log, range(len(log)))
+    assert not localizer.estimate().is_stated
+    aside.shutdown()
+
+
+def test_a_state_is_resumed_once_its_maps_are_ready(folder):
+    log, _ = drifting_walk(Place(41), 51, laps=1.2, start=1.0)
+    config = mm.LocalizerConfig(is_planar=True)
+    one = mm.Localizer(KnownPlaces(mm.open_atlas(folder)), config)
+    update(one, log, range(len(log)))
+    aside = Aside()
+    known, state = KnownPlaces(mm.open_atlas(folder), aside), state_of(one)
+    with pytest.raises(NotReadyError):
+        restored(known, config, state)
+    aside.work()
+    again = restored(known, config, state).estimate()
+    np.testing.assert_array_equal(again.matrix, one.estimate().matrix)

@@ -2,7 +2,14 @@
 """Maps that are added or replaced while they are served; whole logs; what Foxglove is told."""
 
 import json
+import os
 import shutil
+import signal
+import threading
+from contextlib import suppress
+from http.client import HTTPException
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -40,7 +47,7 @@ def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
     folder.mkdir()
     shutil.copy(hall.map, folder / "hall.map")
     (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
-    walk = drifting_walk(Place(2), 3, laps=1.2, start=1.0)[0]
+    walk = drifting_walk(Place(2), 3, laps=0.4, start=1.0, turn=0.5)[0]
     with serving(folder, "--config", tmp_path / "limits.yaml") as service:
         assert last_answer(service, hall.walk(2)[0])["map"] == "hall.map"
         assert last_answer(service, walk)["map"] is None
@@ -51,6 +58,8 @@ def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
         wait_until(lambda: json.loads(service.ask("/maps")[2])["fault"])
         told = json.loads(service.ask("/maps")[2])
         assert (told["version"], str(tmp_path) in json.dumps(told)) == (before["version"], False)
+        # Nor do logs wait for it.
+        assert service.ask("/localize", survey_csv(hall.walk(2)[0], tmp_path))[0] == 200
         assert last_answer(service, hall.walk(2)[0])["map"] == "hall.map"
         (folder / "new").write_bytes(whole)
         (folder / "new").replace(folder / "other.map")
@@ -116,6 +125,29 @@ def test_the_openapi_document_names_every_path(door):
         assert reference in document["components"]["schemas"]
 
 
+TOPICS = {"/tf", "/bodies", "/maps"}
+
+
+def test_foxglove_sees_hypotheses_and_a_map_whose_unknown_parts_are_nan():
+    messages = pytest.importorskip("foxglove.messages")
+    from magmatch.serve.foxglove_feed import FoxgloveFeed
+
+    feed, seen = FoxgloveFeed(0), []
+    feed._scene = feed._maps = SimpleNamespace(log=seen.append)
+    feed.show([{"client": "c", "hypotheses": [["hall", 1.0, 2.0, 3.0, 0.25], ["hall", 5.0, 2.0, 3.0, 0.01]]}])
+    picture = {"shape": [2, 3], "x": [0.0, 4.0], "y": [1.0, 2.0], "height": 1.5}
+    feed.show_map("hall", picture | {"field_ut": [[1.0, None, 3.0], [4.0, 5.0, 6.0]]})
+    feed.stop()
+    assert [type(one) for one in seen] == [messages.SceneUpdate, messages.Grid]
+    words = repr(seen[0])
+    assert words.count("SpherePrimitive") == 2
+    assert "size: Some(Vector3 { x: 0.5," in words
+    # The corner of the first cell lies half a cell beside its middle.
+    expected = np.array([1, np.nan, 3, 4, 5, 6], "<f4").tobytes()
+    assert expected in seen[1].encode()
+    assert "Vector3 { x: -1.0, y: 0.5, z: 1.5 }" in repr(seen[1])
+
+
 def test_foxglove_is_told_of_bodies(hall, tmp_path):
     pytest.importorskip("foxglove")
     import socket
@@ -128,13 +160,65 @@ def test_foxglove_is_told_of_bodies(hall, tmp_path):
         url = f"ws://127.0.0.1:{port}"
         with connect(url, proxy=None, subprotocols=["foxglove.sdk.v1"], compression=None) as viewer:
             topics = {}
-            while {"/tf", "/bodies"} - set(topics):
+            while TOPICS - set(topics):
                 message = viewer.recv(timeout=30)
                 if isinstance(message, str) and (found := json.loads(message))["op"] == "advertise":
                     topics |= {c["topic"]: c["id"] for c in found["channels"]}
-            asked = [{"id": k, "channelId": topics[name]} for k, name in enumerate(("/tf", "/bodies"))]
+            asked = [{"id": k, "channelId": topics[name]} for k, name in enumerate(sorted(TOPICS))]
             viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
             seen = b""
-            while b"replay" not in seen and said["map"].encode() not in seen:
+            while not (said["map"].encode() in seen and b"field_ut" in seen):
                 message = viewer.recv(timeout=30)
                 seen += message if isinstance(message, bytes) else b""
+
+
+def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall, tmp_path):
+    body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
+    with serving(hall.map, "--states", states) as service:
+        followers = children_of(service.process.pid)
+
+        def kill():
+            for pid in wait_until(lambda: set(children_of(service.process.pid)) - followers):
+                os.kill(pid, signal.SIGKILL)
+
+        assert service.ask("/localize", body)[0] == 200
+        kill()
+        assert service.ask("/localize", body)[0] == 200
+        threading.Timer(0.1, kill).start()
+        assert service.ask("/localize", body)[0] == 200
+        assert not list(states.glob("log-*"))
+        # A service that is killed leaves a log, which the next one removes.
+        post = threading.Thread(target=lambda: suppressed(service.ask, "/localize", body))
+        kill()
+        post.start()
+        wait_until(lambda: list(states.glob("log-*")))
+        service.end(signal.SIGKILL)
+        post.join()
+    assert list(states.glob("log-*"))
+    with serving(hall.map, "--states", states):
+        assert not list(states.glob("log-*"))
+
+
+def test_a_log_that_is_worked_on_when_the_service_ends_is_to_be_sent_again(hall, tmp_path):
+    body, answers = survey_csv(hall.walk(2)[0], tmp_path), []
+    with serving(hall.map, "--states", tmp_path / "states") as service:
+        followers = children_of(service.process.pid)
+        assert service.ask("/localize", body)[0] == 200
+        for pid in children_of(service.process.pid) - followers:
+            os.kill(pid, signal.SIGSTOP)
+        post = threading.Thread(target=lambda: answers.append(service.ask("/localize", body)))
+        post.start()
+        wait_until(lambda: list((tmp_path / "states").glob("log-*")))
+        service.end()
+        post.join()
+    assert answers[0][0] == 503
+    assert json.loads(answers[0][2])["status"] == 503
+
+
+def children_of(pid):
+    return set(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
+
+
+def suppressed(function, *arguments):
+    with suppress(OSError, HTTPException):
+        function(*arguments)

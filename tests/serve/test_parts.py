@@ -2,6 +2,8 @@
 """Limits, keys, kept states and listings of maps, each alone."""
 
 import os
+import pickle
+import shutil
 import time
 
 import numpy as np
@@ -14,7 +16,9 @@ from magmatch.serve.bodies.tracker import Tracker, load_places
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key
+from magmatch.serve.logs.work import picture_of
 from magmatch.serve.messages import write_sample
+from magmatch.serve.refusals import RefusedError
 
 
 class Clock:
@@ -142,9 +146,21 @@ def test_a_map_is_new_once_nobody_writes_it(hall, tmp_path):
     found = listing.newer()
     assert [name for name, *_ in found.maps] == ["one.map", "two.map"]
     listing.settle(found, ["damaged"])
-    assert (listing.names, listing.fault, listing.newer()) == (["one.map"], "damaged", None)
+    assert (listing.served.names, listing.fault, listing.newer()) == (["one.map"], "damaged", None)
     (folder / "two.map").unlink()
     (folder / "three.map").write_bytes(hall.map.read_bytes())
     assert listing.newer() is None
     listing.settle(listing.newer(), [])
-    assert (listing.names, listing.fault) == (["one.map", "three.map"], None)
+    assert (listing.served.names, listing.fault) == (["one.map", "three.map"], None)
+
+
+def test_maps_that_vanished_are_not_a_client_s_fault_and_break_no_worker(hall, tmp_path):
+    shutil.copy(hall.map, tmp_path / "hall.map")
+    served = look_at(tmp_path)
+    (tmp_path / "hall.map").unlink()
+    with pytest.raises(RefusedError) as refused:
+        picture_of(tmp_path, served, "hall.map")
+    # What does not come whole out of a process ends all work on logs.
+    told = pickle.loads(pickle.dumps(refused.value))
+    assert told.status == 503
+    assert str(tmp_path) not in told.message

@@ -2,7 +2,7 @@
 """`Atlas`: a folder of maps, each in its own frame, with their indexes."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig, settings_of
-from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, make_index, open_index
+from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, index_key, make_index, open_index
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.threads import single_threaded
 
@@ -69,10 +69,17 @@ class Atlas:
         Returns
         -------
         MapIndex
+
+        Raises
+        ------
+        DataFormatError
+            The map is damaged, or was replaced.
         """
         index = self._loaded.pop(entry.path, None)
         if index is None:
             field_map = FieldMap.load(entry.path)
+            if index_key(entry.path, self.config) != entry.index.content.attributes["key"]:
+                raise DataFormatError(entry.path, "was replaced after its folder was opened; open the folder again")
             try:
                 index = entry.index.load(field_map)
             except DataFormatError as error:
@@ -86,7 +93,11 @@ class Atlas:
 
 @single_threaded
 def open_atlas(
-    folder: str | Path, config: RegistrationConfig | None = None, *, progress: Progress | None = None
+    folder: str | Path,
+    config: RegistrationConfig | None = None,
+    *,
+    names: Collection[str] | None = None,
+    progress: Progress | None = None,
 ) -> Atlas:
     """Open a folder of saved maps. Maps whose index is missing or stale are indexed, which takes seconds each.
 
@@ -96,6 +107,8 @@ def open_atlas(
         All saved maps in it are used, whatever their names; other files are ignored.
     config : RegistrationConfig, optional
         Preset ``default`` unless given.
+    names : collection of str, optional
+        Of the files to use; nothing else is looked at.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
 
@@ -115,7 +128,7 @@ def open_atlas(
     if config.search == "keypoints":
         msg = "a folder of maps as the base: these settings decide by fitness, which does not compare maps"
         raise ConfigurationError(msg)
-    paths = list(maps_in(folder))
+    paths = list(maps_in(folder, names))
     if not paths:
         message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
         raise DataFormatError(folder, message)
@@ -134,14 +147,17 @@ def is_atlas(path: str | Path) -> bool:
     return is_folder(path) and next(maps_in(Path(path)), None) is not None
 
 
-def maps_in(folder: Path) -> Iterator[Path]:
-    """Saved maps of a folder, in the order of their names; `DataFormatError` where there is no such folder."""
+def maps_in(folder: Path, names: Collection[str] | None = None) -> Iterator[Path]:
+    """Saved maps of a folder, all or those of some names, in the order of their names.
+
+    Raises `DataFormatError` where there is no such folder.
+    """
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_file())
     except OSError as error:
         raise DataFormatError(folder, f"cannot be read: {error.strerror or error}") from None
     for path in paths:
-        if path.name.startswith(".") or path.suffix == SUFFIX:
+        if path.name.startswith(".") or path.suffix == SUFFIX or not (names is None or path.name in names):
             continue
         with path.open("rb") as stream:
             is_archive = stream.read(4) == b"PK\x03\x04"

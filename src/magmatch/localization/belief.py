@@ -46,6 +46,8 @@ class Belief:
         Whether its first hypothesis is trusted: probable enough, and known well enough.
     log_odds : float, nats
         Of the most likely hypothesis over the null model that the body is not in the map.
+    searched_at : float, m
+        Path at the last search.
     """
 
     def __init__(self, known: KnownMap, config: LocalizerConfig) -> None:
@@ -58,7 +60,7 @@ class Belief:
         self._found, self._words = NOTHING, ""
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
-        self._since, self._was_sure, self._searched_at = 0, False, -np.inf
+        self._since, self._was_sure, self.searched_at = 0, False, -np.inf
         # Odds that the body is in the map at all.
         self._prior_odds = config.decision.prior_odds
 
@@ -107,7 +109,7 @@ class Belief:
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
         window.weigh_against(self._null.begin_anew(window.steps[self._since :], window.null))
         self._join(*self._with_another_bias(recent))
-        self.is_sure, self._searched_at, self._trail = False, -np.inf, []
+        self.is_sure, self.searched_at, self._trail = False, -np.inf, []
 
     def _with_another_bias(self, recent: int) -> tuple[np.ndarray, np.ndarray]:
         """The trusted hypothesis with a jump of the sensor's bias at the most likely of the latest bins."""
@@ -134,12 +136,12 @@ class Belief:
             return False
         walked, length = self._window.steps["walked"], self._known.length
         is_long = walked[-1] - walked[self._since] >= self._config.min_window * length
-        return bool(is_long and walked[-1] - self._searched_at >= self._config.search_every * length)
+        return bool(is_long and walked[-1] - self.searched_at >= self._config.search_every * length)
 
     def search(self) -> None:
         """Search for hypotheses without a prior, using the bins that count."""
         steps, *_ = self._parts(self._since)
-        self._searched_at = steps[-1]["walked"]
+        self.searched_at = steps[-1]["walked"]
         self._join(*search(self._known, self._model, steps, self._config))
 
     def weigh(self) -> float:

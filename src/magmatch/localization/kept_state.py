@@ -19,7 +19,7 @@ from magmatch.errors import DataFormatError
 from magmatch.localization.belief import Belief
 from magmatch.localization.bins import Bin, Binning
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.known_places import KnownPlaces
+from magmatch.localization.known_places import KnownPlaces, NotReadyError
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.measurement import Window
 from magmatch.localization.monitor import Weighed
@@ -60,7 +60,7 @@ def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: st
     """Make a localizer that continues from another's state.
 
     Raises `DataFormatError` where that is damaged, of another version or other settings, or of maps that are no
-    longer there; ``path`` names it.
+    longer there; ``path`` names it. Raises `NotReadyError` where the loader of `known` has yet to make a map ready.
     """
     digest, _, rest = state.partition(b"\n")
     if hashlib.sha256(rest.replace(b"\n", b"", 1)).hexdigest().encode() != digest:
@@ -82,10 +82,14 @@ def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: st
     localizer._samples, localizer._binning, places = tree["samples"], tree["binning"], localizer._places
     places._bins, places._n_until_vote, places.likely = tree["bins"], tree["n_until_vote"], {}
     entries = {None if entry is None else entry.name: entry for entry in known.entries}
-    for name, fingerprint, kept in tree["likely"]:
+    for name, fingerprint, _ in tree["likely"]:
         if name not in entries or known.fingerprint(entries[name]) != fingerprint:
             raise DataFormatError(path, f"is of another version of the map {name or ''}".rstrip())
-        belief = Belief(known.of(entries[name]), config)
+    maps = [known.soon(entries[name]) for name, *_ in tree["likely"]]
+    for one, (name, _, kept) in zip(maps, tree["likely"], strict=True):
+        if one is None:
+            raise NotReadyError
+        belief = Belief(one, config)
         vars(belief._null).update(kept.pop("_null"))
         vars(belief).update(kept)
         places.likely[entries[name]] = belief

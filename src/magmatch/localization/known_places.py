@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map, or a folder of maps, each prepared once for any number of bodies."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,10 @@ from magmatch.registration.index.map_index import SUFFIX, MapIndex, open_index
 
 Place = FieldMap | MapIndex | Atlas
 T = TypeVar("T")
+
+
+class NotReadyError(Exception):
+    """A map is being made ready: ask again."""
 
 
 class KnownPlaces:
@@ -51,14 +55,17 @@ class KnownPlaces:
         return self._fingerprint
 
     def soon(self, entry: AtlasEntry | None) -> KnownMap | None:
-        """Give a map as `of` does, or None while the loader makes it ready."""
+        """Give a map as `of` does, or None while the loader makes it ready; what the loader raised is raised here."""
         if self.loader is None or entry in self._ready:
             return self.of(entry)
         if entry not in self._making:
             self._making[entry] = self.aside(self._make, entry)
         # Whoever asked for a map may have stopped waiting for it.
-        for other in [key for key, future in self._making.items() if future.done()]:
+        for other in [key for key, future in self._making.items() if future.done() and not future.exception()]:
             self._ready[other] = self._making.pop(other).result()
+        if entry in self._making and self._making[entry].done():
+            # It failed, and would again.
+            self._making[entry].result()
         return self.of(entry) if entry in self._ready else None
 
     def aside(self, function: Callable[..., T], *arguments: Any) -> Future[T]:
@@ -87,10 +94,10 @@ class KnownPlaces:
         return replace(KnownMap.of(self.place.load(entry)), name=entry.name, volume=self.place.volume)
 
 
-def open_place(path: Path) -> Place:
-    """Open a map, with its index if there is one, or a folder of maps."""
+def open_place(path: Path, names: Collection[str] | None = None) -> Place:
+    """Open a map, with its index if there is one, or a folder of maps, all or those of some names."""
     if is_folder(path):
-        return open_atlas(path)
+        return open_atlas(path, names=names)
     path = path.with_suffix("") if path.suffix == SUFFIX else path
     if (found := sniff(path)) != "map":
         advice = "make a map with 'magmatch map SURVEY --out MAP'"

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`Localizer`: where a body is in a known map, sample by sample."""
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -60,21 +62,22 @@ class Localizer:
         expect_transform(T_odom_body, "T_odom_body")
         self._follow(self._samples.take(t, T_odom_body.as_matrix(), field))
 
-    def update_by_row(self, row: np.ndarray, *, may_search: bool = True) -> None:
+    def update_by_row(self, row: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
         """Take a sample as a row of `samples.unit_rows`, without creating SciPy objects.
 
-        If a search is not allowed now, it is due again one bin later.
+        Asked before each search; one that is not allowed now is due again one bin later.
         """
         self._follow(self._samples.take_row(row), may_search=may_search)
 
-    def _follow(self, sample: np.ndarray, *, may_search: bool = True) -> None:
+    def _follow(self, sample: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
         new = self._binning.add(sample)
         if new is None:
             return
         for belief in self._places.follow(new):
             if belief.is_doubtful():
                 belief.doubt()
-            if may_search and belief.is_due():
+        for belief in self._places.due():
+            if may_search():
                 belief.search()
         self._places.judge()
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The maps that a body may be in: one, or those of a folder that its path votes for."""
 
+import logging
 from collections.abc import Sequence
 from concurrent.futures import Future
 
@@ -11,6 +12,7 @@ from magmatch.atlas.localize import shortlist
 from magmatch.atlas.retrieval import count_votes
 from magmatch.data.checks import CONSTANT_FIELD
 from magmatch.data.survey import Survey
+from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.localization.belief import BIN_LENGTH, Belief
 from magmatch.localization.bins import Bin
@@ -19,6 +21,7 @@ from magmatch.localization.known_places import KnownPlaces
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.typing import Scalars
 
+log = logging.getLogger(__name__)
 # Path between two votes of a folder's maps, in field lengths.
 VOTE_EVERY = 2.0
 
@@ -55,10 +58,26 @@ class Places:
             belief.follow(done)
         if self._atlas is not None:
             self._bins = [*self._bins, done][-round(self._config.window / BIN_LENGTH) :]
-            if not any(belief.is_sure for belief in self.likely.values()):
+            if self._is_sure:
+                # It is in one map: of the others those remain that its path supports, and none is searched.
+                self._keep_likely()
+            else:
                 self._vote(self._atlas)
                 self._begin()
         return list(self.likely.values())
+
+    def due(self) -> list[Belief]:
+        """Beliefs to search for hypotheses, that which waits longest first."""
+        if self._is_sure:
+            return []
+        return sorted((belief for belief in self.likely.values() if belief.is_due()), key=lambda one: one.searched_at)
+
+    @property
+    def _is_sure(self) -> bool:
+        return any(belief.is_sure for belief in self.likely.values())
+
+    def _keep_likely(self, voted: Sequence[AtlasEntry] = ()) -> None:
+        self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
 
     def judge(self) -> None:
         """Weigh all hypotheses of all maps against each other."""
@@ -78,13 +97,22 @@ class Places:
             return
         votes, self._voting = self._voting.result(), None
         voted = shortlist(atlas.entries, votes)
-        self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
+        self._keep_likely(voted)
         self._awaited = [entry for entry in voted if entry not in self.likely]
 
     def _begin(self) -> None:
         """Start beliefs in the maps that were voted for, as soon as each is ready."""
-        for entry in self._awaited:
-            if known := self.known.soon(entry):
+        for entry in list(self._awaited):
+            try:
+                known = self.known.soon(entry)
+            except DataFormatError as error:
+                if self.known.loader is None:
+                    raise
+                # Its file has changed since: the others can still be searched.
+                log.info("not searched: %s", error)
+                self._awaited.remove(entry)
+                continue
+            if known is not None:
                 self.likely[entry] = Belief(known, self._config)
                 for one in self._bins:
                     self.likely[entry].follow(one)

@@ -16,6 +16,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from magmatch.serve.bodies import checkpoints
 from magmatch.serve.gate import Gate
 from magmatch.serve.live import PROTOCOL, Live, close
 from magmatch.serve.logs.uploads import receive_log
@@ -71,15 +72,15 @@ async def _picture(service: Service, request: Request) -> Response:
 async def _log(service: Service, verb: Verb, request: Request) -> Response:
     """Let a worker answer a question of a log."""
     question = read_question(request.query_params.multi_items())
-    version = service.catalogue.served.version
-    with TemporaryDirectory(prefix="magmatch-") as folder:
+    served = service.catalogue.served
+    with TemporaryDirectory(prefix=checkpoints.UPLOAD, dir=service.config.states) as folder:
         upload = Path(folder) / "log"
         await receive_log(request, upload, service.config)
         # A cluster does not see this folder, and nobody's token is its business.
         is_here = service.config.dask is None
         work, sent = (work_on_log, upload) if is_here else (work_on_sent_log, upload.read_bytes())
         config = service.config.model_copy(update={"token": None})
-        document = await service.workers.run(work, verb, service.place, version, sent, question, config)
+        document = await service.workers.run(work, verb, service.place, served, sent, question, config)
     service.metrics.logs.labels(verb).inc()
     return JSONResponse(document)
 

@@ -19,6 +19,11 @@ class Listing:
     maps: tuple[tuple[str, int, int], ...]
 
     @property
+    def names(self) -> list[str]:
+        """Names of the maps."""
+        return [name for name, *_ in self.maps]
+
+    @property
     def version(self) -> str:
         """Tells listings apart."""
         return hashlib.sha256(repr(self.maps).encode()).hexdigest()[:12]
@@ -70,11 +75,6 @@ class Catalogue:
             self._refused = {listing.version}
         else:
             self.served, self.fault = listing, None
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the maps."""
-        return [name for name, *_ in self.served.maps]
 
     def document(self) -> dict[str, Any]:
         """As JSON."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The same picture by Foxglove's protocol, on this machine only: transforms, and an ellipse each, of all bodies."""
+"""The same picture by Foxglove's protocol, on this machine only: transforms, ellipses, hypotheses and the maps."""
 
 import time
 from typing import Any
@@ -11,6 +11,7 @@ from magmatch.errors import import_extra
 
 # Standard deviations that an ellipse spans: 95 % of a plane's Gaussian.
 SIGMAS = 2.45
+UNSURE = {"r": 0.34, "g": 0.38, "b": 0.42, "a": 0.6}
 
 
 class FoxgloveFeed:
@@ -26,6 +27,7 @@ class FoxgloveFeed:
         self._server = self._foxglove.start_server(name="magmatch", host="127.0.0.1", port=port, context=context)
         self._frames = channels.FrameTransformsChannel("/tf", context=context)
         self._scene = channels.SceneUpdateChannel("/bodies", context=context)
+        self._maps = channels.GridChannel("/maps", context=context)
 
     @property
     def port(self) -> int:
@@ -33,12 +35,14 @@ class FoxgloveFeed:
         return int(self._server.port)
 
     def show(self, bodies: list[dict[str, Any]]) -> None:
-        """Send the bodies whose pose is stated."""
+        """Send the bodies whose pose is stated, and the hypotheses for the others."""
         m, now = self._messages, time.time()
         stamp = m.Timestamp.from_epoch_secs(now)
         frames, entities = [], []
         for body in bodies:
             if "T_map_body" not in body:
+                found = enumerate(body.get("hypotheses", []))
+                entities += [self._hypothesis(stamp, f"{body['client']} {k}", *one) for k, one in found]
                 continue
             T = np.array(body["T_map_body"])
             q = Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
@@ -53,7 +57,33 @@ class FoxgloveFeed:
             entities.append(self._ellipse(stamp, parent, body, T))
         if frames:
             self._frames.log(m.FrameTransforms(transforms=frames))
+        if entities:
             self._scene.log(m.SceneUpdate(entities=entities))
+
+    def show_map(self, frame: str, picture: dict[str, Any]) -> None:
+        """Send a map from above (`picture_of`), in the frame of the bodies in it."""
+        m, (n_rows, n_columns) = self._messages, picture["shape"]
+        (x0, x1), (y0, y1) = picture["x"], picture["y"]
+        dx, dy = (x1 - x0) / max(n_columns - 1, 1), (y1 - y0) / max(n_rows - 1, 1)
+        corner = m.Vector3(x=x0 - dx / 2, y=y0 - dy / 2, z=picture["height"])
+        # None, where the field is not known, is NaN.
+        field = np.array(picture["field_ut"], dtype="<f4")
+        element = m.PackedElementField(name="field_ut", offset=0, type=m.PackedElementFieldNumericType.Float32)
+        self._maps.log(
+            m.Grid(
+                timestamp=m.Timestamp.from_epoch_secs(time.time()), frame_id=frame,
+                pose=m.Pose(position=corner, orientation=m.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)),
+                column_count=n_columns, cell_size=m.Vector2(x=dx, y=dy), row_stride=4 * n_columns, cell_stride=4,
+                fields=[element], data=field.tobytes(),
+            )
+        )  # fmt: skip
+
+    def _hypothesis(self, stamp: Any, name: str, frame: str, x: float, y: float, z: float, odds: float) -> Any:
+        m, size = self._messages, 0.2 + 0.6 * float(np.sqrt(odds))
+        pose = m.Pose(position=m.Vector3(x=x, y=y, z=z), orientation=m.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+        ball = m.SpherePrimitive(pose=pose, size=m.Vector3(x=size, y=size, z=size), color=m.Color(**UNSURE))
+        life = m.Duration(sec=2)
+        return m.SceneEntity(timestamp=stamp, frame_id=frame or "map", id=name, lifetime=life, spheres=[ball])
 
     def _ellipse(self, stamp: Any, frame: str, body: dict[str, Any], T: np.ndarray) -> Any:
         m = self._messages

@@ -17,6 +17,7 @@ from magmatch.serve.metrics import Metrics
 from magmatch.serve.refusals import CLOSE_WITH, RefusedError
 
 PROTOCOL = "magmatch.1"
+ASK_AGAIN = 0.05  # seconds until a client's maps may be ready
 MAX_REASON = 120  # bytes that a closing WebSocket may say
 
 
@@ -59,7 +60,9 @@ class Live:
 
     async def follow(self, tracker: TrackerHandle, said: Hello) -> None:
         """Answer until the client leaves."""
-        opened = await tracker.asked("open", self.client, said.name, said.answers == "binary", said.anew)
+        introduced = ("open", self.client, said.name, said.answers == "binary", said.anew)
+        while (opened := await tracker.asked(*introduced)) is None:
+            await asyncio.sleep(ASK_AGAIN)
         welcome: dict[str, Any] = {
             "type": "welcome", "client": self.client, "key": self.key, "resumed": opened.is_resumed,
             "n": opened.n, "t": opened.t,

@@ -9,9 +9,10 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from magmatch.data.tables.text import is_folder
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.trackers import Trackers
-from magmatch.serve.catalogue import Catalogue, look_at
+from magmatch.serve.catalogue import Catalogue, Listing, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.foxglove_feed import FoxgloveFeed
 from magmatch.serve.live import Live
@@ -22,6 +23,8 @@ from magmatch.serve.refusals import RefusedError
 
 log = logging.getLogger(__name__)
 SWEEP_EVERY = 60.0
+# Seconds between two pictures of a map for Foxglove, whose protocol keeps none for those that come later.
+MAPS_EVERY = 5.0
 MAX_PICTURES = 50
 
 
@@ -36,7 +39,7 @@ class Service:
         # Why it could not start.
         self.fault: Exception | None = None
         self._watchers: set[asyncio.Queue[str]] = set()
-        self._pictures: dict[tuple[str, str], dict[str, Any]] = {}
+        self._pictures: dict[tuple[Listing, str], dict[str, Any]] = {}
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -44,9 +47,13 @@ class Service:
         with self._noting_fault(), checkpoints.held(self.config.states):
             self.trackers = Trackers(self.place, self.config)
             await self.trackers.start()
+            self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
             self.workers = LogWorkers(self.config)
             self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
-            jobs = {self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every}
+            jobs = {
+                self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every,
+                self._show_maps: MAPS_EVERY,
+            }  # fmt: skip
             tasks = [asyncio.create_task(_again(job, every)) for job, every in jobs.items()]
             try:
                 yield
@@ -81,9 +88,9 @@ class Service:
 
     async def picture(self, name: str) -> dict[str, Any]:
         """A map from above."""
-        if name not in self.catalogue.names:
+        if name not in self.catalogue.served.names:
             raise RefusedError(404, f"no map is called '{name[:60]}'")
-        key = (self.catalogue.served.version, name)
+        key = (self.catalogue.served, name)
         if key not in self._pictures:
             made = await self.workers.run(picture_of, self.place, *key)
             while len(self._pictures) >= MAX_PICTURES:
@@ -122,10 +129,20 @@ class Service:
             if queue.empty():
                 queue.put_nowait(words)
 
+    async def _show_maps(self) -> None:
+        """Show Foxglove the maps that bodies are in."""
+        if self.foxglove is None:
+            return
+        names = self.catalogue.served.names
+        for frame in {body["map"] for body in await self.trackers.watch(with_trail=False)} - {None}:
+            # A body in the only map is told its survey's name.
+            name = frame if is_folder(self.place) else names[0]
+            if name in names:
+                self.foxglove.show_map(frame, await self.picture(name))
+
     async def _sweep(self) -> None:
         loop = asyncio.get_running_loop()
         await loop.run_in_executor(None, checkpoints.sweep, self.config.states, self.config.keep)
-        self.metrics.restarts.set(sum(handle.n_restarts for handle in self.trackers.handles))
 
     async def _look(self) -> None:
         loop = asyncio.get_running_loop()

@@ -4,6 +4,7 @@
 import json
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,7 +65,7 @@ class Body:
         assert self.localizer is not None
         return json.dumps({"name": self.name, "n": self.n, "t": self.t}).encode() + b"\n" + state_of(self.localizer)
 
-    def take(self, message: str | bytes, most: int, *, may_search: bool = True) -> str | bytes:
+    def take(self, message: str | bytes, most: int, *, may_search: Callable[[], bool] = lambda: True) -> str | bytes:
         """Take the samples of a message; gives the answer."""
         rows = read_samples(message, most)
         localizer = self.localizer = self.localizer or Localizer(self.known, self.config)
@@ -104,7 +105,7 @@ class Body:
             said |= {"T_map_body": T.tolist(), "covariance_xy": (R @ C @ R.T)[:2, :2].tolist()}
         elif self.localizer is not None:
             said["hypotheses"] = [
-                [h.map, *h.T_map_body.translation[:2].tolist(), h.probability]
+                [h.map, *h.T_map_body.translation.tolist(), h.probability]
                 for h in self.localizer.hypotheses()[:MAX_HYPOTHESES]
             ]
         if with_trail:

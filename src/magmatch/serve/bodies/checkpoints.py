@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""States of clients in a folder: one file each, named by the client's id, written whole or not at all."""
+"""States of clients in a folder: one file each, named by the client's id, written whole or not at all.
+
+Logs that are worked on lie there for as long, each in a folder of its own.
+"""
 
 import fcntl
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,6 +16,8 @@ from magmatch.atomic import atomic_write
 from magmatch.errors import ConfigurationError
 
 NAME = re.compile(r"[0-9a-f]{24}\.state")
+# What folders of logs are called.
+UPLOAD = "log-"
 
 
 def path_of(folder: Path, client: str) -> Path:
@@ -51,7 +57,10 @@ def sweep(folder: Path, keep: float) -> int:
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Keep other services out of the folder; made where it is missing, for its owner alone."""
+    """Keep other services out of the folder, and remove logs that a killed one left.
+
+    The folder is made where it is missing, for its owner alone.
+    """
     folder.mkdir(mode=0o700, exist_ok=True)
     with (folder / "lock").open("a") as lock:
         try:
@@ -59,4 +68,6 @@ def held(folder: Path) -> Iterator[None]:
         except OSError:
             msg = f"{folder}: another service keeps its states there; stop it, or say --states OTHER-FOLDER"
             raise ConfigurationError(msg) from None
+        for left in folder.glob(f"{UPLOAD}*"):
+            shutil.rmtree(left, ignore_errors=True)
         yield

@@ -20,7 +20,7 @@ import numpy as np
 from magmatch.atlas.atlas import MAX_LOADED
 from magmatch.errors import MagmatchError
 from magmatch.geometry import path_walked
-from magmatch.localization.known_places import KnownPlaces, open_place
+from magmatch.localization.known_places import KnownPlaces, NotReadyError, open_place
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.body import Body
 from magmatch.serve.config import ServeConfig
@@ -31,7 +31,7 @@ from magmatch.threads import one_blas_thread
 log = logging.getLogger(__name__)
 # Seconds for which a body whose client left stays in memory, and between two looks at what is due.
 LINGER, TICK = 60.0, 0.1
-# A batch that took so long, s, begins no other search, which would take several times longer: others wait for it.
+# A batch that took so long, s, begins no second search, which would take several times longer: others wait for it.
 SEARCH_WITHIN = 0.005
 
 
@@ -104,7 +104,7 @@ class Tracker:
         self._writer, self._loader = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         known.loader = self._loader
         self._loading: Future[KnownPlaces] | None = None
-        self._search_until = 0.0
+        self._search_until, self._has_searched = 0.0, False
         self._next_save, self._written = monotonic(), self._writer.submit(lambda: None)
         self._verbs: dict[str, Callable[..., Any]] = {
             "open": self.open, "take": self.take, "leave": self.leave, "watch": self.watch, "renew": self.renew,
@@ -113,7 +113,7 @@ class Tracker:
 
     def answers(self, requests: list[tuple[Any, ...]]) -> list[tuple[int, Any]]:
         """Do what is asked for, one after another."""
-        self._search_until = monotonic() + SEARCH_WITHIN
+        self._search_until, self._has_searched = monotonic() + SEARCH_WITHIN, False
         return [self._answer(*one) for one in requests]
 
     def _answer(self, number: int, verb: str, *arguments: Any) -> tuple[int, Any]:
@@ -126,8 +126,8 @@ class Tracker:
             log.exception("a client's message was not worked on")
             return number, RefusedError(500, "the service made a mistake with this message; please report it")
 
-    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> Opened:
-        """Begin to follow a client, from where it was if it was here."""
+    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> Opened | None:
+        """Begin to follow a client, from where it was if it was here; None while its maps are made ready."""
         if anew:
             self._forget(client)
         body = self._bodies.get(client)
@@ -136,7 +136,10 @@ class Tracker:
             if len(self._bodies) >= self._config.max_clients:
                 self._drop(everyone=True)
             state = checkpoints.load(self._config.states, client)
-            body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
+            try:
+                body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
+            except NotReadyError:
+                return None
             is_resumed = body is not None
             body = self._bodies[client] = body or Body(self._known, self._config.localizer)
         body.name, body.is_binary, body.left_at = name or body.name, is_binary, None
@@ -146,7 +149,12 @@ class Tracker:
         """Give the answer to a message."""
         body = self._bodies[client]
         body.move_on(self._known)
-        return body.take(message, self._config.max_samples, may_search=monotonic() < self._search_until)
+        return body.take(message, self._config.max_samples, may_search=self._may_search)
+
+    def _may_search(self) -> bool:
+        """Whether a batch may begin a search: the first one always, so that bodies are found on a busy machine."""
+        is_first, self._has_searched = not self._has_searched, True
+        return is_first or monotonic() < self._search_until
 
     def leave(self, client: str) -> None:
         """Hear that a client is gone; it may come back."""

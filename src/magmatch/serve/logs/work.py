@@ -29,6 +29,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import Place, open_place
 from magmatch.localization.localize import localize
 from magmatch.localization.smooth import smooth as with_hindsight
+from magmatch.serve.catalogue import Listing
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.refusals import RefusedError, without_paths
 from magmatch.settings import of_vertical
@@ -92,12 +93,12 @@ def _end_with_service() -> None:
 
 
 def work_on_log(
-    verb: Verb, place: Path, version: str, upload: Path, question: LogQuestion, config: ServeConfig
+    verb: Verb, place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig
 ) -> dict[str, Any] | RefusedError:
     """Answer a question of a log; what cannot be done is an answer, too."""
     try:
         with _ended_after(config.max_work_time):
-            return _answer(verb, place, version, upload, question, config)
+            return _answer(verb, place, served, upload, question, config)
     except RefusedError as refused:
         return refused
     except TimeoutError:
@@ -105,7 +106,8 @@ def work_on_log(
     except MemoryError:
         return RefusedError(413, "the log needs more memory than there is; send a shorter one")
     except MagmatchError as error:
-        status = 501 if isinstance(error, MissingExtraError) else 422
+        is_of_maps = isinstance(error, DataFormatError) and error.path.parent == place
+        status = 501 if isinstance(error, MissingExtraError) else 503 if is_of_maps else 422
         names = {upload: "log", upload.parent: "log", place: "maps", place.parent: "maps"}
         words = without_paths(str(error), names)
         is_ours = isinstance(error, DataFormatError) and str(Path.home()) in words
@@ -116,23 +118,23 @@ def work_on_log(
 
 
 def work_on_sent_log(
-    verb: Verb, place: Path, version: str, content: bytes, question: LogQuestion, config: ServeConfig
+    verb: Verb, place: Path, served: Listing, content: bytes, question: LogQuestion, config: ServeConfig
 ) -> dict[str, Any] | RefusedError:
     """Do the same on a machine that does not see the file; one at a time, whose maps no other thread changes."""
     with TemporaryDirectory(prefix="magmatch-") as folder, _one_at_a_time:
         upload = Path(folder) / "log"
         upload.write_bytes(content)
-        return work_on_log(verb, place, version, upload, question, config)
+        return work_on_log(verb, place, served, upload, question, config)
 
 
 def _answer(
-    verb: Verb, place: Path, version: str, upload: Path, question: LogQuestion, config: ServeConfig
+    verb: Verb, place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig
 ) -> dict[str, Any]:
     _refuse_bombs(upload, config.max_unpacked)
     survey = read_survey(upload, question.format)
     if len(survey) > config.max_log:
         raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
-    survey, known = replace(survey, name="log"), _place(place, version)
+    survey, known = replace(survey, name="log"), _place(place, served)
     if verb == "register":
         return register(known, survey, seed=question.seed).to_dict()
     return _localized(known, survey, question, config.localizer)
@@ -152,9 +154,19 @@ def _localized(known: Place, survey: Survey, question: LogQuestion, config: Loca
 
 
 @lru_cache(maxsize=2)
-def _place(path: Path, version: str) -> Place:  # noqa: ARG001  # of which there are several
-    """Maps, held in memory by this process."""
-    return open_place(path)
+def _place(path: Path, served: Listing) -> Place:
+    """Maps, held in memory by this process; what else lies beside them may be half written."""
+    with _maps_readable(path):
+        return open_place(path, served.names)
+
+
+@contextmanager
+def _maps_readable(path: Path) -> Iterator[None]:
+    """Say of maps that cannot be read that this is not the client's fault."""
+    try:
+        yield
+    except MagmatchError as error:
+        raise RefusedError(503, without_paths(str(error), {path: "maps"}), retry_after=30) from None
 
 
 def _refuse_bombs(upload: Path, most: int) -> None:
@@ -189,12 +201,13 @@ def _ended_after(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def picture_of(place: Path, version: str, name: str) -> dict[str, Any]:
+def picture_of(place: Path, served: Listing, name: str) -> dict[str, Any]:
     """A map from above: magnitude of the field (uT) at the median height of its samples, None where not known."""
-    known = _place(place, version)
+    known = _place(place, served)
     if isinstance(known, Atlas):
         entry = next(entry for entry in known.entries if entry.name == name)
-        field_map = known.load(entry).field_map
+        with _maps_readable(place):
+            field_map = known.load(entry).field_map
     else:
         field_map = known if isinstance(known, FieldMap) else known.field_map
     cut = cut_normal_to(field_map.survey.positions, 2)

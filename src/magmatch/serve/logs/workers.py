@@ -34,6 +34,8 @@ class LogWorkers:
         self._n += 1
         try:
             found = await self._pool.run(function, *arguments)
+        except asyncio.CancelledError:  # the server does so, and would answer 500
+            raise RefusedError(503, "the service ends; send the log to the next one", retry_after=5) from None
         finally:
             self._n -= 1
         if isinstance(found, RefusedError):
@@ -57,16 +59,16 @@ class Pool:
         return ProcessPoolExecutor(self._config.log_workers, context, initializer=begin_worker)
 
     async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Result of a function; other processes take the place of those that died."""
-        executor = self._executor
-        try:
-            return await asyncio.wrap_future(executor.submit(function, *arguments))
-        except BrokenProcessPool:
-            if self._executor is executor:
-                self._executor = self._begin()
-            raise RefusedError(
-                503, "the process that worked on this log ended; send it again", retry_after=5
-            ) from None
+        """Result of a function; others take the place of processes that died, and try once more."""
+        for _ in range(2):
+            executor = self._executor
+            try:
+                return await asyncio.wrap_future(executor.submit(function, *arguments))
+            except (BrokenProcessPool, OSError) as error:  # OSError: it died while it was started
+                log.warning("the processes that work on logs begin anew: %s", error)
+                if self._executor is executor:
+                    self._executor = self._begin()
+        raise RefusedError(503, "two processes that worked on this log ended; send it later", retry_after=5)
 
     def close(self) -> None:
         """End all work."""

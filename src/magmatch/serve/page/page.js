@@ -145,7 +145,7 @@ const draw = () => {
   for (const body of bodies) {
     pen.globalAlpha = !body.is_here || (chosen && chosen !== body.client) ? 0.35 : 1;
     drawTrail(pen, at, trails.get(body.client) ?? []);
-    for (const [map, x, y, odds] of body.hypotheses ?? [])
+    for (const [map, x, y, , odds] of body.hypotheses ?? [])
       if (isOnMap(map)) ring(pen, ...at(x, y), 4 + 12 * Math.sqrt(odds));
     if (body.T_map_body && isOnMap(body.map)) drawBody(pen, at, scale, body, of(body.status));
   }
