@@ -134,9 +134,10 @@ def settings() -> int:
 
 
 def numbers(root: Path) -> int:
-    """Numbers that somebody chose in registration: defaults of settings, and what is assigned in modules and classes.
+    """Numbers that somebody chose in registration: defaults of settings, what is assigned in modules and classes.
 
-    Those that were fitted count too; the published method and the format of results do not.
+    Those that were fitted count too; the published method and the format of results do not, nor does 0, which means
+    none.
     """
     room = root / "src/magmatch/registration"
     fitted = [json.loads(path.read_text(encoding="utf-8")) for path in room.rglob("fitted.json")]
@@ -151,7 +152,7 @@ def numbers(root: Path) -> int:
             if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "Field":
                 value = next((word.value for word in value.keywords if word.arg == "default"), None)
             found = [] if value is None else [n.value for n in ast.walk(value) if isinstance(n, ast.Constant)]
-            count += sum(type(number) in (int, float) for number in found)
+            count += sum(type(number) in (int, float) and number != 0 for number in found)
     return count
 
 

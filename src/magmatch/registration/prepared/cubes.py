@@ -5,9 +5,9 @@ import numpy as np
 
 from magmatch.typing import Indices, Matrix, Points
 
-# Lattice coordinates are packed into one integer, this many values a side (the hash of a larger place may collide,
-# which only merges two far cubes).
-_SIDE = 2**21
+# Three lattice coordinates are packed into one integer, so many values a side (the hash of a larger place may
+# collide, which only merges two far cubes).
+_SIDE = int(np.cbrt(np.iinfo(np.int64).max))
 
 
 def cube_keys(points: Points, side: float) -> Indices:

@@ -19,14 +19,13 @@ from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
 from magmatch.progress import tell
-from magmatch.registration.prepared.walk import bin_along_path, bin_means
+from magmatch.registration.prepared.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
 # Of the base's path: length of a held-out stretch in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
-# Bins per stretch and its step in correlation lengths.
+# Step of a stretch's bins in correlation lengths.
 STEP_LENGTH = 0.25
-MIN_BINS = 8
 MAX_STRETCHES = 80
 # Prior spread (natural log) of the parameters about their guesses.
 PRIOR_LOG_SD = 0.7

@@ -88,9 +88,9 @@ class PosePrior:
     covariance: Covariance6 | None = None
     up_base: Vector3 | None = None
     up_target: Vector3 | None = None
-    gravity_sd: float = 0.01
+    gravity_sd: float = PosePriorConfig().gravity_sd
     height: float | None = None
-    height_sd: float = 0.05
+    height_sd: float = PosePriorConfig().height_sd
     height_range: float = 1.0
     log_share_inside: float = 0.0
 

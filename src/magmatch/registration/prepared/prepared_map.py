@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.checks import MIN_SAMPLES
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.features.invariants import rotation_invariants, traceless_symmetric
@@ -26,8 +27,6 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 MEDIAN_CHI2_3 = 2.366
 # Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
 MEDIAN_GRADIENT2 = 8.69
-# Fewest samples in a declared box.
-FEWEST_KNOWN = 10
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,8 +134,8 @@ def known_samples(field_map: FieldMap) -> Survey:
     survey = field_map.survey
     if field_map.config.domain is not None:
         survey = survey.subset(field_map.knows(survey.positions))
-        if len(survey) < FEWEST_KNOWN:
-            msg = f"'{survey.name}': {len(survey)} samples lie in the map's domain, expected at least {FEWEST_KNOWN}"
+        if len(survey) < MIN_SAMPLES:
+            msg = f"'{survey.name}': {len(survey)} samples lie in the map's domain, expected at least {MIN_SAMPLES}"
             raise SurveyError(msg)
     return survey.transformed(field_map.T_map_model.inv())
 

@@ -14,10 +14,12 @@ from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
-# Maximum number of bins; longer walks get longer bins. Cost is cubic in it.
-MAX_BINS = 150
-# A survey is a line if its samples spread across the path by less than this share of the neighbourhood's radius.
+# Maximum number of bins, or of a map's cells, that are weighed together: the cost is cubic in it.
+MAX_WEIGHED = 150
+# A survey is a line, or a plane, if it spreads across by less than this share of the extent along.
 MAX_BREADTH = 0.2
+# Fewest bins that a walk is judged by, and number that suffices where many hypotheses are compared.
+MIN_BINS, FEW_BINS = 8, 60
 # Share of the samples that must lie on a line.
 MIN_LINE_SHARE = 0.7
 
@@ -84,7 +86,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
     side = BIN_LENGTH * length
     while True:
         rows = bin_along_path(np.ascontiguousarray(local.positions), side)
-        if rows[-1] < MAX_BINS:
+        if rows[-1] < MAX_WEIGHED:
             break
         side *= 1.2
     counts = np.bincount(rows).astype(np.float64)
@@ -148,4 +150,4 @@ def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants
         return "invariants"
     rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTH * length)
     # A long line crosses itself and fills areas: that is breadth of another kind.
-    return "pairs" if rows[-1] < MAX_BINS else "invariants"
+    return "pairs" if rows[-1] < MAX_WEIGHED else "invariants"

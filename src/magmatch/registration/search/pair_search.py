@@ -13,7 +13,7 @@ from magmatch.registration.prepared.cubes import thin
 from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.prepared.walk import FEW_BINS, Walk
 from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.invariant_search import distinct_poses
@@ -35,8 +35,6 @@ class PairSearchConfig(Settings):
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
     n_pairs: int = Field(default=60, ge=1)
     n_neighbours: int = Field(default=8, ge=1)
-    # Bins for scoring a pose.
-    n_score_bins: int = Field(default=60, ge=10)
     # Poses that are refined coarsely, the most of these in one place, and distinct ones handed on.
     n_coarse: int = Field(default=120, ge=1)
     n_per_place: int = Field(default=6, ge=1)
@@ -124,7 +122,7 @@ def pair_search(
     if not len(poses.rotations):
         return SearchResult()
     evidence = _evidence(base, table, walk)
-    some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
+    some = np.unique(np.linspace(0, len(walk) - 1, min(FEW_BINS, len(walk))).astype(np.int64))
     rows = np.tile(some, (len(i), 1))
     tell(f"scoring {len(poses.rotations)} hypotheses")
     scores = score_poses(poses, rows, evidence, base, *sd, config.outlier_share)

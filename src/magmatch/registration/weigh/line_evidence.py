@@ -20,7 +20,7 @@ from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.registration.weigh.unrelated_walk import UnrelatedWalk
 from magmatch.settings import Settings
@@ -41,8 +41,7 @@ class LineConfig(Settings):
     n_fine_steps: int = Field(default=2, ge=1)
     # Poses that take the fine steps.
     n_fine: int = Field(default=4, ge=1)
-    # Fewest bins, and their share, that a pose must put inside the base map.
-    min_bins: int = Field(default=8, ge=7)
+    # Least share of the bins that a pose must put inside the base map.
     min_coverage: float = Field(default=0.3, gt=0, le=1)
     # Penalty of a pose for each correlation length of path that it puts outside the base map, nats: there are many
     # ways out of a map, and wrong poses tend to lie at its border, where a few bins fit.
@@ -135,7 +134,7 @@ def weigh_walk(
     list of LineEvidence
         Best first.
     """
-    if not starts or len(walk) < config.min_bins:
+    if not starts or len(walk) < MIN_BINS:
         return []
     distance = cdist(walk.positions, walk.positions)
     squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
@@ -148,7 +147,7 @@ def weigh_walk(
     roughly = _weigh(coarse, squares, null, config)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
     best = coarse.rows(order[: config.n_fine])
-    settled = squares.run(best.rotations, best.centers, _strained(best, config), 2, is_full=False)
+    settled = squares.run(best.rotations, best.centers, _strained(best, config), config.n_fine_steps, is_full=False)
     fine = squares.run(
         settled.rotations, settled.centers, _strained(settled, config), config.n_fine_steps, is_full=True
     )
@@ -166,7 +165,7 @@ def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float, 
 def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
     """Select poses that put enough of the walk inside the base map."""
     n_known = fits.known.sum(axis=1)
-    enough = max(config.min_bins, config.min_coverage * fits.known.shape[1])
+    enough = max(MIN_BINS, config.min_coverage * fits.known.shape[1])
     return fits.rows(np.flatnonzero(n_known >= enough))
 
 
