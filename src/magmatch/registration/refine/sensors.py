@@ -30,9 +30,8 @@ class SensorConfig(Settings):
     # 'auto': bias and scale, and soft iron, at the level that the evidence supports; 'none': identical sensors;
     # 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
     mode: SensorMode = "auto"
-    # Prior standard deviations of the bias, T, tightest first: same sensor, the same on another day, of one kind,
-    # uncalibrated.
-    bias_levels: tuple[float, ...] = (0.05e-6, 0.2e-6, 0.7e-6, 3e-6)
+    # Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
+    bias_levels: tuple[float, ...] = (0.05e-6, 3e-6)
     # Gain in log evidence (nats) required for a wider level.
     min_gain: float = Field(default=15.0, ge=0)
 
