@@ -43,7 +43,7 @@ class BiasedPosterior:
 
 # Any pose within a room.
 FLAT = PosePrior(10.0)
-FEW = InvariantSearchConfig(n_anchors=60, n_neighbours=15, n_coarse=60)
+FEW = InvariantSearchConfig(n_anchors=60, n_neighbours=15, n_coarse=60, n_fine=10)
 
 
 @pytest.fixture(scope="module")
