@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from magmatch.registration.prepared.pose_prior import FAR2
 from magmatch.registration.weigh.null_model import (
     LENGTHSCALES,
     ROUGHNESS,
-    SHARES,
     STRENGTHS,
     CellMeans,
     NullModel,
@@ -123,7 +121,7 @@ def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers(
     model = NullModel(cells, field, strong * np.eye(2), np.full(2, noise), 0.0)
     residual = np.array([[1e-7, 0, 0], [0, -1e-7, 0]])
     found = model.log_ratio(residual, np.zeros(2), np.arange(2))
-    strengths, unexplained = SHARES, SHARES
+    strengths, unexplained = np.geomspace(1e-3, 10, 17), np.geomspace(1e-4, 1, 17)
     # Modes of equal cells: any two that are orthogonal; their sum of squares is what counts.
     b2, r2 = (((v / np.sqrt(noise)) ** 2).sum(axis=1) for v in (field, residual))
     k_all = strong / noise * strengths[:, None] + 1
@@ -133,8 +131,8 @@ def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers(
         each = []
         for s in unexplained:
             v = min(k, 1 + s * field.var(axis=0).mean() / noise)
-            L = np.minimum(b2, FAR2 * k) / (2 * k) - left / (2 * v) + 1.5 * np.log(k / v)
-            each.append(np.prod(0.1 + 0.9 * np.exp(L)) if v < k else 1.0)
+            L = np.minimum(b2, 9 * k) / (2 * k) - left / (2 * v) + 1.5 * np.log(k / v)
+            each.append(np.prod(0.1 + 0.9 * np.exp(L)) if v < 0.8 * k else 1.0)
         assert odds == pytest.approx(np.log(np.mean(each)), rel=1e-9)
 
 

@@ -15,19 +15,20 @@ from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from magmatch.registration.prepared.cubes import cube_keys
-from magmatch.registration.prepared.pose_prior import FAR2
 from magmatch.registration.prepared.walk import MAX_WEIGHED
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
-# Tried lengthscales (in the map's lengthscale) and strengths (in the survey's own standard deviation).
-LENGTHSCALES, STRENGTHS = np.geomspace(0.5, 3, 5), np.geomspace(0.25, 4, 5)
-# Rough part of a field that follows no smooth one (jitter of poses): none, or the strengths divided by this number.
-ROUGHNESS = np.append(0, STRENGTHS / 16)
+# Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
+LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
+STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
+# Rough part of a field that follows no smooth one (jitter of poses), in the cells' standard deviation.
+ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
+# Range of the field's variance in an overlap relative to that of the whole survey.
+LOCAL_STRENGTHS = np.geomspace(1e-3, 10.0, 17)
 # Share of modes that may disagree although the pose is right (moved objects).
 OUTLIER_SHARE = 0.1
-# Variances that are tried, as shares of the whole field's: of the field in an overlap, and of what the base may leave
-# unexplained.
-SHARES = np.geomspace(1e-4, 1, 17)
+# Variance of what the base may leave unexplained, as a share of the field's.
+UNEXPLAINED = tuple(float(s) for s in np.geomspace(1e-4, 1.0, 17))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,21 +115,21 @@ class NullModel:
         r2 = ((modes.T @ (W[:, None] * residual)) ** 2).sum(axis=1)
         variance = float(self.field.var(axis=0).mean() * (W**2).mean())
         found = []
-        for share in SHARES:
+        for share in UNEXPLAINED:
             v = np.minimum(k, 1.0 + share * variance)
-            L = np.minimum(b2, FAR2 * k) / (2 * k) - np.stack([r2, np.zeros_like(r2)]) / (2 * v) + 1.5 * np.log(k / v)
+            L = np.minimum(b2, 9 * k) / (2 * k) - np.stack([r2, np.zeros_like(r2)]) / (2 * v) + 1.5 * np.log(k / v)
             L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
             # A mode weaker than the residual variance is no evidence for or against.
-            found.append(L[:, v < k].sum(axis=1))
+            found.append(L[:, v < 0.8 * k].sum(axis=1))
         log_ratio, attainable = logsumexp(found, axis=0) - np.log(len(found))
         return float(log_ratio), float(attainable)
 
 
 def _strength_here(power: Scalars, b2: Scalars) -> float:
     """Maximum-likelihood strength of the field in the given cells, as a share of the whole survey's variance."""
-    k = np.maximum(power, 0.0) * SHARES[:, None] + 1.0
+    k = np.maximum(power, 0.0) * LOCAL_STRENGTHS[:, None] + 1.0
     log_likelihood = -(b2 / (2 * k) + 1.5 * np.log(k)).sum(axis=1)
-    return float(SHARES[int(np.argmax(log_likelihood))])
+    return float(LOCAL_STRENGTHS[int(np.argmax(log_likelihood))])
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
