@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.cubes import FEW_POINTS
+from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.walk import Walk
 from magmatch.typing import Mask, Matrix, Vector3, Vectors
 
