@@ -31,6 +31,10 @@ VERBS = (
 STEPS = ("annealing", "candidate", "invariant_search", "neighbours", "pair_search", "scoring")
 # Where packages lie.
 PACKAGES = ("src", "evaluation")
+# Assigned, but chosen by nobody: an axis, quantiles of distributions (their probabilities are counted where chosen).
+NOT_CHOSEN = {"UP", "MEDIAN_CHI2_3", "MEDIAN_CHI2_5", "FAR2"}
+# Inside functions, these are of mathematics: halves, doubles, squares, dimensions.
+PLAIN = {0.0, 0.5, 1.0, 1.5, 2.0, 3.0}
 LINE_KINDS = ("code", "docstring", "comment", "all")
 
 
@@ -134,9 +138,10 @@ def settings() -> int:
 
 
 def numbers(root: Path) -> int:
-    """Numbers that somebody chose in registration: defaults of settings, and what is assigned in modules and classes.
+    """Numbers that somebody chose in registration: defaults of settings, what is assigned in modules and classes.
 
-    Those that were fitted count too; the published method and the format of results do not.
+    Those that were fitted count too; the published method and the format of results do not, nor does 0, which means
+    none, nor what `NOT_CHOSEN` names.
     """
     room = root / "src/magmatch/registration"
     fitted = [json.loads(path.read_text(encoding="utf-8")) for path in room.rglob("fitted.json")]
@@ -147,11 +152,38 @@ def numbers(root: Path) -> int:
         module = ast.parse(path.read_text(encoding="utf-8"))
         bodies = [module.body, *(node.body for node in module.body if isinstance(node, ast.ClassDef))]
         for node in (node for body in bodies for node in body if isinstance(node, ast.Assign | ast.AnnAssign)):
-            value = node.value
+            value = None if names_of(node) & NOT_CHOSEN else node.value
             if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "Field":
                 value = next((word.value for word in value.keywords if word.arg == "default"), None)
-            found = [] if value is None else [n.value for n in ast.walk(value) if isinstance(n, ast.Constant)]
-            count += sum(type(number) in (int, float) for number in found)
+            found = [] if value is None else [n.value for n in walk_outside(value) if isinstance(n, ast.Constant)]
+            count += sum(type(number) in (int, float) and number != 0 for number in found)
+    return count
+
+
+def names_of(node: ast.Assign | ast.AnnAssign) -> set[str]:
+    """Names that an assignment gives."""
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+    return {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+
+
+def walk_outside(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes below one but those inside functions."""
+    if not isinstance(node, ast.Lambda | ast.FunctionDef):
+        yield node
+        for below in ast.iter_child_nodes(node):
+            yield from walk_outside(below)
+
+
+def unnamed_numbers(root: Path) -> int:
+    """Fractions inside registration's functions that are neither plain nor mere guards against rounding."""
+    count = 0
+    for path in (root / "src/magmatch/registration").rglob("*.py"):
+        if path.parent.name == "published" or path.name in ("result.py", "mapped_arrays.py"):
+            continue
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef | ast.Lambda):
+                found = [n.value for n in ast.walk(function) if isinstance(n, ast.Constant)]
+                count += sum(type(x) is float and x not in PLAIN and 1e-6 <= x < 1e6 for x in found)
     return count
 
 
@@ -219,6 +251,7 @@ def figures(root: Path) -> dict[str, object]:
         "largest folders": ", ".join(f"{name} {n}" for name, n in largest_folders(root)),
         "settings of registration": asked_inside(root, "settings"),
         "numbers chosen in registration": numbers(root),
+        "further numbers inside its functions": unnamed_numbers(root),
         "names of the package": asked_inside(root, "exported"),
         "public functions and classes": public_names(root),
         "longest page of an algorithm": "; ".join(f"{name} {n}" for name, n in pages.items()),

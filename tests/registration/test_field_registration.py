@@ -86,7 +86,7 @@ def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
     assert angle < np.radians(0.1)
 
 
-@pytest.mark.parametrize("level", [0, 3, 4])
+@pytest.mark.parametrize("level", [0, 1, 2])
 def test_swapping_base_and_target_inverts_the_pose(prepared_pair, level):
     base, target, T_true = prepared_pair
     one, other = (
@@ -101,7 +101,7 @@ def test_swapping_base_and_target_inverts_the_pose(prepared_pair, level):
 
 def test_jacobian_is_the_derivative_of_the_residual(prepared_pair):
     base, target, T_true = prepared_pair
-    center, sensor = target.samples.mean(axis=0), identical_sensors(SensorConfig(mode="scale"), 2)
+    center, sensor = target.samples.mean(axis=0), identical_sensors(SensorConfig(mode="scale"), 1)
     rows = np.arange(0, 800, 8), np.arange(0, 800, 8)
 
     def residuals(xi):
@@ -127,7 +127,7 @@ def test_a_biased_sensor_is_noticed_and_taken_off(make_exact_pair):
     T_model = base.T_map_model.inv() * T_true * target.T_map_model
     config, nulls = RefinementConfig(), null_models_of(base, target)
     like = weigh_pose(base, target, refine(base, target, T_model, FLAT, config, rng), nulls, FLAT)
-    pose = refine(base, target, T_model, FLAT, config, rng, level=3)
+    pose = refine(base, target, T_model, FLAT, config, rng, level=1)
     assert weigh_pose(base, target, pose, nulls, FLAT).log_evidence > like.log_evidence + config.sensor.min_gain
     np.testing.assert_allclose(target.T_map_model.rotation.apply(pose.sensor.bias), bias, atol=0.2e-6)
     np.testing.assert_allclose(pose.sensor.gain[0, 0], scale, atol=0.003)
@@ -145,7 +145,7 @@ def test_soft_iron_is_noticed_where_bias_and_scale_do_not_explain_it(make_exact_
     base, target = prepare(base_map, 4, rng), prepare(replace(target_map, survey=survey, posterior=posterior), 4, rng)
     T_model = base.T_map_model.inv() * T_true * target.T_map_model
     config, nulls = RefinementConfig(), null_models_of(base, target)
-    scaled, full = (refine(base, target, T_model, FLAT, config, np.random.default_rng(0), level) for level in (3, 4))
+    scaled, full = (refine(base, target, T_model, FLAT, config, np.random.default_rng(0), level) for level in (1, 2))
     gain = weigh_pose(base, target, full, nulls, FLAT).log_evidence
     assert gain > weigh_pose(base, target, scaled, nulls, FLAT).log_evidence + config.sensor.min_gain
     assert error(full.T_base_target, T_model, target)[1] < np.radians(0.3)
@@ -163,7 +163,7 @@ def test_like_sensors_are_left_alike(prepared_pair):
             nulls,
             FLAT,
         )
-        for level in (0, 3)
+        for level in (0, 1)
     )
     assert free.log_evidence < like.log_evidence + config.sensor.min_gain
 

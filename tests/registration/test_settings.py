@@ -25,9 +25,7 @@ FEW: dict[str, Any] = {
     "invariants": {
         "n_anchors": 80,
         "n_neighbours": 8,
-        "n_second": 300,
         "n_score_samples": 60,
-        "n_fine_samples": 150,
         "n_coarse": 100,
         "n_fine": 10,
     },

@@ -16,6 +16,7 @@ from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.features.pairs import pair_invariants
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, POSE_SHIFT, POSE_TURN
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
@@ -121,7 +122,7 @@ def _best_score(
     judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
     scores = score_poses(
         poses, judges, weigh_samples(base, target), base,
-        config.sd_rotation, config.sd_translation * common_length(base, target), config.outlier_share,
+        POSE_TURN, POSE_SHIFT * common_length(base, target), OUTLIER_SHARE,
     )  # fmt: skip
     return max(float(scores.max()), 0.0)
 

@@ -9,10 +9,8 @@ import numpy as np
 from magmatch.data.diagnoses import diagnose, of_verticals
 from magmatch.data.survey import Survey
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
+from magmatch.registration.prepared.walk import MAX_BREADTH
 from magmatch.registration.result import RegistrationResult, Status
-
-# Extent across a plane over the extent along it.
-FLAT = 0.1
 
 
 def with_advice(
@@ -58,4 +56,4 @@ def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
 
 def _is_flat(survey: Survey) -> bool:
     extent = np.linalg.svd(survey.positions - survey.centroid, compute_uv=False)
-    return bool(extent[2] < FLAT * extent[1])
+    return bool(extent[2] < MAX_BREADTH * extent[1])

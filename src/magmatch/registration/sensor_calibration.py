@@ -33,7 +33,7 @@ SETTINGS = PreparationConfig(
 )
 
 # Of soft iron and turns: rounding.
-SMALLEST = 1e-6
+SMALLEST = float(np.sqrt(np.finfo(float).eps))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -13,7 +13,8 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.prior_choice.numbers import likely_numbers
 from magmatch.field.priors import PRIORS
 from magmatch.geometry import path_walked
-from magmatch.registration.prepared.path_noise import ATTITUDE_SD, PathNoise
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
 from magmatch.registration.prepared.prepared_map import correlation_length_of
 
 # Parts looked at, their length in lengthscales and most samples of each.

@@ -12,7 +12,8 @@ from magmatch.data.checks import CONSTANT_FIELD, extent
 from magmatch.data.survey import Survey
 from magmatch.progress import counted, tell
 from magmatch.registration.clock import Clock
-from magmatch.registration.prepared.path_noise import MIN_BINS, PRIOR_STRETCHES, Stretch, most_likely
+from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
+from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import Base, BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points

@@ -28,7 +28,7 @@ T_SURVEYS = T_BASE * T_POSE * T_TARGET.inv()
 
 def pose_at(T=T_POSE, mode="none", n=10):
     """With one block, of which every second sample is explained."""
-    sensor = identical_sensors(SensorConfig(mode=mode), -1 if mode == "none" else 3)
+    sensor = identical_sensors(SensorConfig(mode=mode), -1 if mode == "none" else 1)
     k = 6 + sensor.n_parameters
     r2 = np.where(np.arange(n) % 2, 11.9, 12.1)
     positions = np.resize(TARGET.samples, (n, 3))

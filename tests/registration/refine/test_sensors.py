@@ -16,7 +16,7 @@ from magmatch.registration.refine.sensors import (
 
 RNG = np.random.default_rng(0)
 FIELD = 4e-5 * RNG.standard_normal((20, 3))
-MODES = {"none": (-1, 3), "bias": (3, 3), "scale": (3, 4), "full": (3, 12), "auto": (4, 12)}
+MODES = {"none": (-1, 3), "bias": (1, 3), "scale": (1, 4), "full": (1, 12), "auto": (2, 12)}
 
 
 def some_sensor(mode="full", size=0.02):
@@ -46,7 +46,7 @@ def test_residuals_half_way_are_shown_by_half_of_the_difference():
 
 @pytest.mark.parametrize("mode", ["bias", "scale", "full"])
 def test_the_jacobian_is_that_of_residuals_half_way_to_first_order_in_the_gain(mode):
-    sensor = identical_sensors(SensorConfig(mode=mode), 3)
+    sensor = identical_sensors(SensorConfig(mode=mode), 1)
     expected = FIELD + 1e-6 * RNG.standard_normal(FIELD.shape)
 
     def residual(step):
@@ -62,7 +62,7 @@ def test_the_jacobian_is_that_of_residuals_half_way_to_first_order_in_the_gain(m
 
 
 def test_no_parameter_is_stepped_beyond_its_limit():
-    sensor = identical_sensors(SensorConfig(mode="scale"), 3).stepped(
+    sensor = identical_sensors(SensorConfig(mode="scale"), 1).stepped(
         np.array([5e-6, -5e-6, 1e-6, 0.5]), np.full(4, 2e-6)
     )
     np.testing.assert_allclose(sensor.parameters, [2e-6, -2e-6, 1e-6, 2e-6], atol=1e-15)
@@ -73,20 +73,20 @@ def test_each_mode_frees_its_own_parameters_at_the_levels_that_it_tries():
         config = SensorConfig(mode=mode)
         levels = levels_to_try(config)
         assert levels[-1] == last
-        assert levels == (tuple(range(5)) if mode == "auto" else (last,))
+        assert levels == (tuple(range(3)) if mode == "auto" else (last,))
         assert identical_sensors(config, last).n_parameters == n
         assert is_soft_iron(config, last) == (n == 12)
-    assert identical_sensors(SensorConfig(), 3).n_parameters == 4
+    assert identical_sensors(SensorConfig(), 1).n_parameters == 4
 
 
 def test_a_prior_is_that_of_its_level_and_beyond_the_widest_stays_there():
-    config = SensorConfig(bias_levels=(1e-7, 2e-7), scale_levels=(0.01, 0.02))
-    np.testing.assert_allclose(prior_sd(config, 0, 4), [1e-7] * 3 + [0.01])
-    np.testing.assert_allclose(prior_sd(config, 2, 12), [2e-7] * 3 + [0.02] * 9)
+    config = SensorConfig(bias_levels=(1e-6, 2e-6))
+    np.testing.assert_allclose(prior_sd(config, 0, 4), [1e-6] * 3 + [0.01])
+    np.testing.assert_allclose(prior_sd(config, 2, 12), [2e-6] * 3 + [0.02] * 9)
     np.testing.assert_allclose(prior_sd(config, -1, 4), TIED_SD)
 
 
 def test_soft_iron_may_be_any_gain():
     gain = np.eye(3) + 0.1 * RNG.standard_normal((3, 3))
     model = SensorModel(np.zeros(3), gain, np.eye(9).reshape(9, 3, 3))
-    np.testing.assert_allclose(identical_sensors(SensorConfig(), 4).stepped(model.parameters).gain, gain)
+    np.testing.assert_allclose(identical_sensors(SensorConfig(), 2).stepped(model.parameters).gain, gain)

@@ -71,7 +71,7 @@ def test_anchors_are_drawn_once_each_by_how_well_their_gradient_is_known(pair):
     once = choose_anchors(target, 60, np.random.default_rng(0))
     assert len(set(once.tolist())) == 60
     assert len(choose_anchors(target, 999, np.random.default_rng(0))) == 200
-    # Beyond three times the median a gradient is told no better.
+    # Far beyond the median a gradient is told no better.
     steep = replace(
         target,
         gradient_sd=np.zeros(200),
@@ -118,7 +118,7 @@ def test_distinct_poses_come_best_first_and_as_many_as_wanted():
     assert distinct_poses(R, centers, scores, 0.1, 0.5, 2).tolist() == [5, 4]
 
 
-SMALL = InvariantSearchConfig(n_anchors=40, n_neighbours=8, n_second=100, n_coarse=40, n_fine=8, n_candidates=4)
+SMALL = InvariantSearchConfig(n_anchors=40, n_neighbours=8, n_coarse=40, n_fine=8, n_candidates=4)
 
 
 def test_the_search_finds_the_turn_between_and_counts_what_it_tried(pair):

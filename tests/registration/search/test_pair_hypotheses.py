@@ -57,7 +57,7 @@ def test_the_table_holds_each_pair_of_a_length_within_bounds_in_both_orders(tabl
 
 def test_a_point_is_as_uncertain_as_another_walk_passes_it(base, table):
     G = base.point_gradient
-    assert table.sd_position == pytest.approx(0.12 * LENGTH)
+    assert table.sd_position == pytest.approx(0.125 * LENGTH)
     assert table.gradient_rms == pytest.approx(np.sqrt((G**2).mean()))
     moved = table.sd_position * np.random.default_rng(2).standard_normal((20_000, 3))
     change = np.einsum("nij,nj->ni", G[np.arange(20_000) % len(G)], moved)

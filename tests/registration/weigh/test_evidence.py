@@ -43,8 +43,8 @@ def pair():
 
 def pose_at(base, target, T=HERE, mode="none"):
     config = RefinementConfig(sensor=SensorConfig(mode=mode), n_steps=1)
-    found = refine(base, target, T, PRIOR, config, np.random.default_rng(0), -1 if mode == "none" else 3)
-    return replace(found, T_base_target=T, sensor=identical_sensors(config.sensor, -1 if mode == "none" else 3))
+    found = refine(base, target, T, PRIOR, config, np.random.default_rng(0), -1 if mode == "none" else 1)
+    return replace(found, T_base_target=T, sensor=identical_sensors(config.sensor, -1 if mode == "none" else 1))
 
 
 def test_evidence_is_odds_of_the_cells_and_the_share_of_all_poses_that_the_estimate_fills(pair):

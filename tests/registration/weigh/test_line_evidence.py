@@ -15,7 +15,9 @@ from magmatch.geometry import random_transform
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.weigh import line_evidence
 from magmatch.registration.weigh.line_evidence import LineConfig, UnrelatedWalk, weigh_walk
+from magmatch.registration.weigh.null_model import LENGTHSCALES, STRENGTHS
 
 LENGTH, SD = 0.8, 0.1e-6
 FIELD = some_field(3, slope=10e-6, bend=6e-6)
@@ -105,7 +107,7 @@ def test_the_estimate_is_that_of_generalised_least_squares_and_its_covariance_to
 @pytest.mark.parametrize("n", [0, 6])
 def test_path_outside_the_map_costs_its_length_and_nothing_else_is_known_of_it(base, walk, n):
     walk = outside(walk, n) if n else walk
-    free, priced = (weighed(base, walk, config=LineConfig(price_outside=p)) for p in (0.0, 3.0))
+    free, priced = (weighed(base, walk, config=LineConfig(price=p)) for p in (0.0, 3.0))
     assert free.is_covered.sum() == len(walk) - n
     assert free.overlap == pytest.approx(1 - n / len(walk))
     assert free.log_evidence - priced.log_evidence == pytest.approx(3.0 * n * walk.bin_length / LENGTH, rel=1e-9)
@@ -182,19 +184,21 @@ def test_more_noise_than_expected_widens_the_covariance_and_less_narrows_it_only
     assert spread["wild", False] == pytest.approx(spread["wild", True])
 
 
-def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk):
+def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk, monkeypatch):
     field = walk.field.copy()
     field[8:11] += [4e-6, -3e-6, 3e-6]
     disturbed = replace(walk, field=field)
-    plain = LineConfig(max_strained_share=0.0)
-    kept, strained = weighed(base, disturbed, config=plain), weighed(base, disturbed)
+    strained, undisturbed = weighed(base, disturbed), weighed(base, walk)
+    with monkeypatch.context() as nothing_may_be_disturbed:
+        nothing_may_be_disturbed.setattr(line_evidence, "OUTLIER_SHARE", 0.0)
+        kept, plain = weighed(base, disturbed), weighed(base, walk)
     assert strained.log_evidence > kept.log_evidence + 10
     assert strained.misfit < 0.7 * kept.misfit
-    free = weighed(base, disturbed, config=LineConfig(price_piece=0.0))
-    n_strained = (free.log_evidence - strained.log_evidence) / (3.0 / 5)
+    free = weighed(base, disturbed, config=LineConfig(price=0.0))
+    n_strained = (free.log_evidence - strained.log_evidence) / (3.0 * disturbed.bin_length / LENGTH)
     assert n_strained == pytest.approx(round(n_strained), abs=1e-6)
     assert 3 <= round(n_strained) <= 0.3 * len(walk) + 0.5
-    assert weighed(base, walk).log_evidence == pytest.approx(weighed(base, walk, config=plain).log_evidence)
+    assert undisturbed.log_evidence == pytest.approx(plain.log_evidence)
 
 
 def test_a_piece_ten_times_as_disturbed_is_at_most_a_tenth_as_likely_for_each_component_of_its_bins(base, walk):
@@ -205,9 +209,9 @@ def test_a_piece_ten_times_as_disturbed_is_at_most_a_tenth_as_likely_for_each_co
         field[8:11] += size * np.array([4e-6, -3e-6, 3e-6])
         disturbed = replace(walk, field=field)
         null = UnrelatedWalk.most_likely(disturbed, cdist(walk.positions, walk.positions), NOISE, LENGTH)
-        found = weighed(base, disturbed, prior=held, config=LineConfig(price_piece=0.0))
+        found = weighed(base, disturbed, prior=held, config=LineConfig(price=0.0))
         likelihoods.append(found.log_evidence + null.log_likelihood(found.is_covered))
-    assert likelihoods[0] - likelihoods[1] > 3 * CONFIG.piece_bins * np.log(10)
+    assert likelihoods[0] - likelihoods[1] > 3 * line_evidence.PIECE_BINS * np.log(10)
 
 
 def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):
@@ -246,8 +250,8 @@ def test_an_unrelated_walk_is_a_smooth_field_averaged_over_its_numbers(walk, aro
     deviates = np.linspace(-4, 4, 161)
     log_prior = -0.5 * deviates**2
     tried = []
-    for factor in (0.55, 0.8, 1.2, 1.7, 2.6):
-        for strength in (0.0, 0.5, 1.0, 2.0, 4.0):
+    for factor in LENGTHSCALES:
+        for strength in (0.0, *STRENGTHS):
             K = strength**2 * spread2 / (1 + d**2 / (2 * (factor * LENGTH) ** 2)) + constant + errors
             found = [
                 multivariate_normal(np.zeros(len(d)), 1e12 * np.exp(NOISE.spread * z) * K)

@@ -5,9 +5,15 @@ import numpy as np
 
 from magmatch.typing import Indices, Matrix, Points
 
-# Lattice coordinates are packed into one integer, this many values a side (the hash of a larger place may collide,
-# which only merges two far cubes).
-_SIDE = 2**21
+# Three lattice coordinates are packed into one integer, so many values a side (the hash of a larger place may
+# collide, which only merges two far cubes).
+_SIDE = int(np.cbrt(np.iinfo(np.int64).max))
+# Points or samples that stand for a survey: at most, for ranking a few poses, and for judging thousands.
+MOST_POINTS, RANKING_POINTS, FEW_POINTS = 4000, 600, 60
+# Share of the correlation length at which a field is sampled.
+SAMPLING = 0.25
+# Where there are too many points or pairs, the distance between them grows by this factor until there are not.
+COARSER = 1.2
 
 
 def cube_keys(points: Points, side: float) -> Indices:
@@ -17,13 +23,13 @@ def cube_keys(points: Points, side: float) -> Indices:
     return keys
 
 
-def thin(points: Points, distance: float, limit: int) -> Indices:
+def thin(points: Points, distance: float, limit: int = MOST_POINTS) -> Indices:
     """Rows of the first point in each cube: an even choice whatever the order of the points."""
     while True:
         _, first = np.unique(cube_keys(points, distance), return_index=True)
         if len(first) <= limit:
             return np.sort(first).astype(np.int64)
-        distance *= 1.26
+        distance *= COARSER
 
 
 def sum_by_cube(rows: Matrix, points: Points, side: float) -> Matrix:

@@ -9,21 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.special import ndtri
 
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
 from magmatch.field.values import FieldFunction, gradient_norm, gradient_of
 from magmatch.geometry import path_walked
+from magmatch.registration.prepared.cubes import MOST_POINTS
+from magmatch.registration.prepared.pose_prior import RARE
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 # Positions of dead reckoning wander: about their own mean, their correlation length is this share of the path.
 CORRELATION_SHARE = 0.1
 # Stretches of one position error, per correlation length.
 STRETCHES_PER_LENGTH = 8
-# Neighbours that are compared.
-MOST_PAIRS = 10_000
-# Significance, in standard deviations, at which errors count as independent between samples.
-SURE = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,7 +82,7 @@ def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
 def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) -> float:
     """Variance of position errors that neighbours on a path do not share, if it is significant."""
     n = len(positions) - 1
-    first = np.unique(np.linspace(0, n - 1, min(n, MOST_PAIRS)).astype(np.int64))
+    first = np.unique(np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(np.int64))
     # Most samples are in two pairs.
     rows, places = np.unique(np.concatenate([first, first + 1]), return_inverse=True)
     values, (one, other) = posterior.evaluate(positions[rows], order=1), places.reshape(2, -1)
@@ -102,5 +101,5 @@ def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) 
         a = C @ (W.T @ steps2)
         expected = np.maximum(X @ np.maximum(a, 0.0), 0.05 * steps2.mean())
     scatter = float((((steps2 - X @ a) / expected) ** 2).mean())
-    is_sure = a[1] > SURE * np.sqrt(scatter * C[1, 1])
+    is_sure = a[1] > ndtri(1 - RARE) * np.sqrt(scatter * C[1, 1])
     return float(a[1] / scale[1]) if is_sure else 0.0

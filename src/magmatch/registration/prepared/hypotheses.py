@@ -9,6 +9,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.compiled import record
 from magmatch.typing import Indices, Points, Tensors, Vector3
 
+# Inaccuracy of a pose that one pair of points proposes: rad, and in correlation lengths.
+POSE_TURN, POSE_SHIFT = 0.1, 0.2
+# Poses that differ by less, in these, are one.
+SAME_POSE_SDS = 2.0
+# Share of samples that may match nothing under a right pose (moved furniture, a passing lift).
+OUTLIER_SHARE = 0.3
+
 
 class Hypotheses(NamedTuple):
     """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.

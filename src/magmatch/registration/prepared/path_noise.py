@@ -19,25 +19,18 @@ from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
 from magmatch.progress import tell
-from magmatch.registration.prepared.walk import bin_along_path, bin_means
+from magmatch.registration.prepared.cubes import FEW_POINTS, SAMPLING
+from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
+from magmatch.registration.prepared.prepared_map import N_DRAWS
+from magmatch.registration.prepared.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
 # Of the base's path: length of a held-out stretch in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
-# Bins per stretch and its step in correlation lengths.
-STEP_LENGTH = 0.25
-MIN_BINS = 8
-MAX_STRETCHES = 80
-# Prior spread (natural log) of the parameters about their guesses.
-PRIOR_LOG_SD = 0.7
-# The data hardly determine lengths and the map's factor: their prior is narrower.
-PRIOR_LOG_SD_LENGTH = 0.35
+# Prior spread (natural log) of the parameters about their guesses, and of one walk's covariance about another's; and
+# the number of stretches that the guess of the latter counts as.
+LOG_SD = 0.5
 PRIOR_STRETCHES = 5
-# Bounds of the search about the guess.
-MOST_PRIOR_SDS = 6.0
-N_DRAWS = 12
-# Guess of how well a hand-held or wheeled sensor knows its own orientation, rad.
-ATTITUDE_SD = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +67,7 @@ class PathNoise:
     attitude_sd: float
     drift_sd: float
     drift_length: float
-    spread: float = 0.5
+    spread: float = LOG_SD
     n_stretches: int = 0
 
     @property
@@ -171,7 +164,7 @@ def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generat
     found = []
     for is_left_out in folds_of(number):
         found += _predict(field_map, samples, is_left_out, number, length, rng)
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), MAX_STRETCHES)).astype(np.int64))
+    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), FEW_POINTS)).astype(np.int64))
     return [found[k] for k in chosen]
 
 
@@ -192,7 +185,7 @@ def _predict(
         rows = np.flatnonzero((number == k) & is_known)
         if len(rows) < MIN_BINS or values.gradient is None:
             continue
-        bins = bin_along_path(np.ascontiguousarray(x[rows]), STEP_LENGTH * length)
+        bins = bin_along_path(np.ascontiguousarray(x[rows]), SAMPLING * length)
         if bins[-1] + 1 >= MIN_BINS:
             found.append(Stretch(*(bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b))))
     return found
@@ -205,8 +198,6 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
 
     names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches")]
     center = np.log([getattr(guess, name) for name in names])
-    is_loose = [name.endswith("_sd") for name in names]
-    prior_log_sd = np.where(is_loose, PRIOR_LOG_SD, PRIOR_LOG_SD_LENGTH)
     stacks = _stack_alike(stretches)
 
     def whiten(noise: PathNoise) -> tuple[Scalars, Scalars]:
@@ -221,10 +212,9 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
 
     def cost(offset: np.ndarray) -> float:
         chi2, half_log_det = whiten(PathNoise(*np.exp(center + offset).tolist()))
-        return float(0.5 * ((offset / prior_log_sd) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
+        return float(0.5 * ((offset / LOG_SD) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
 
-    bounds = [(-MOST_PRIOR_SDS * sd, MOST_PRIOR_SDS * sd) for sd in prior_log_sd]
-    found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B", bounds=bounds)
+    found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B")
     noise = PathNoise(*np.exp(center + found.x).tolist())
     # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
     chi2, _ = whiten(noise)

@@ -12,14 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import chdtri
 
 from magmatch.geometry import perturbation, rotation_matrix, skew
 from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
-# Standard deviations within which a pose must lie to be searched.
-REACH = 3.5
+# Share of right values that are taken for wrong ones, and the squared norm of a normal vector, in its variance, that
+# only this share exceeds.
+RARE = 0.01
+FAR2 = float(chdtri(3, RARE))
+# Standard deviation of the vertical in a survey's frame, rad: a good accelerometer at rest, a robot's floor.
+ATTITUDE_SD = 0.01
 # Poses drawn about a rough one: number for each pose that the search resolves, within bounds; and factor on the
 # number of neighbours tried if a prior rules most of them out.
 N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
@@ -38,8 +43,8 @@ class PosePriorConfig(Settings):
     sd_rotation: float = Field(default=0.17, gt=0)
     # Whether z points up in both surveys, so that only heading and place are unknown.
     is_gravity_aligned: bool = False
-    # Standard deviation of this, per axis (rad): a good accelerometer at rest, or a robot's floor.
-    gravity_sd: float = Field(default=0.01, gt=0)
+    # Standard deviation of this, per axis (rad).
+    gravity_sd: float = Field(default=ATTITUDE_SD, gt=0)
     # Whether both surveys also share the same height, as on one floor; and its standard deviation (m).
     is_planar: bool = False
     height_sd: float = Field(default=0.05, gt=0)
@@ -88,9 +93,9 @@ class PosePrior:
     covariance: Covariance6 | None = None
     up_base: Vector3 | None = None
     up_target: Vector3 | None = None
-    gravity_sd: float = 0.01
+    gravity_sd: float = ATTITUDE_SD
     height: float | None = None
-    height_sd: float = 0.05
+    height_sd: float = PosePriorConfig().height_sd
     height_range: float = 1.0
     log_share_inside: float = 0.0
 
@@ -226,10 +231,10 @@ class PosePrior:
         is_admitted = np.ones(len(R), dtype=bool)
         if self.up_base is not None:
             tilt = np.arccos(np.clip((R @ self.up_target) @ self.up_base, -1.0, 1.0))
-            is_admitted &= tilt < REACH * np.hypot(self.gravity_sd, slack[0])
+            is_admitted &= tilt < np.sqrt(FAR2) * np.hypot(self.gravity_sd, slack[0])
             if self.height is not None:
                 off = np.abs(moved @ self.up_base - center @ self.up_target - self.height)
-                is_admitted &= off < REACH * np.hypot(self.height_sd, slack[1])
+                is_admitted &= off < np.sqrt(FAR2) * np.hypot(self.height_sd, slack[1])
         if self.T_base_target is not None and self.covariance is not None:
             turn = (self.T_base_target.rotation.inv() * Rotation.from_matrix(R)).as_rotvec()
             shift = self.T_base_target.inv().apply(moved) - center
@@ -238,7 +243,7 @@ class PosePrior:
                 (shift, self.covariance[3:, 3:], slack[1]),
             ):
                 wide = np.linalg.inv(C + own**2 * np.eye(3))
-                is_admitted &= np.einsum("hi,ij,hj->h", off, wide, off) < REACH**2
+                is_admitted &= np.einsum("hi,ij,hj->h", off, wide, off) < FAR2
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:

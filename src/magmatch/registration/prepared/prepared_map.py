@@ -10,24 +10,27 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.special import chdtri
 
+from magmatch.data.checks import MIN_SAMPLES
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.features.invariants import rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldFunction, FieldValues, gradient_norm, gradient_of
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import thin
+from magmatch.registration.prepared.cubes import SAMPLING, thin
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
-# Median of a chi-square variable with three degrees of freedom: robust variance from squared norms.
-MEDIAN_CHI2_3 = 2.366
-# Median squared norm of the traceless gradient of a squared-exponential potential field, in its variance per l^2.
-MEDIAN_GRADIENT2 = 8.69
-# Fewest samples in a declared box.
-FEWEST_KNOWN = 10
+# Medians of chi-square variables: robust variance from squared norms of a vector, and of a traceless symmetric
+# gradient, which has five independent components.
+MEDIAN_CHI2_3, MEDIAN_CHI2_5 = (float(chdtri(n, 0.5)) for n in (3, 5))
+
+
+# Posterior samples that give the spread of what is derived from a map.
+N_DRAWS = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,12 +100,12 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
     tell(f"evaluating the map of {field_map.survey.name}")
     survey = known_samples(field_map)
     posterior = field_map.posterior
-    some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2, limit=1000)]
+    some = survey.positions[thin(survey.positions, field_map.hyperparameters.spacing / 2)]
     # At least the scale of the map's basis: for a constant field the ratio would be rounding error only.
     correlation_length = max(
         correlation_length_of(posterior.evaluate(some, order=1)), field_map.hyperparameters.spacing
     )
-    points = survey.positions[thin(survey.positions, correlation_length / 8, limit=4000)]
+    points = survey.positions[thin(survey.positions, SAMPLING / 2 * correlation_length)]
     mean = posterior.evaluate(points, order=1)
     weights = list(posterior.draw_weights(n_draws, rng))
     draws = [posterior.evaluate(points, 1, w) for w in weights]
@@ -122,7 +125,7 @@ def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> Prep
         gradient_sd=np.sqrt(np.mean(np.square(gradient_spread), axis=0)),
         invariants=invariants,
         invariant_sd=np.sqrt(np.mean(np.square(spread), axis=0)),
-        raster=rasterize(field_map, correlation_length / 4, weights),
+        raster=rasterize(field_map, SAMPLING * correlation_length, weights),
         correlation_length=correlation_length,
         noise_sd=field_map.hyperparameters.noise_sd,
         drift=Drift.of(survey, posterior),
@@ -135,8 +138,8 @@ def known_samples(field_map: FieldMap) -> Survey:
     survey = field_map.survey
     if field_map.config.domain is not None:
         survey = survey.subset(field_map.knows(survey.positions))
-        if len(survey) < FEWEST_KNOWN:
-            msg = f"'{survey.name}': {len(survey)} samples lie in the map's domain, expected at least {FEWEST_KNOWN}"
+        if len(survey) < MIN_SAMPLES:
+            msg = f"'{survey.name}': {len(survey)} samples lie in the map's domain, expected at least {MIN_SAMPLES}"
             raise SurveyError(msg)
     return survey.transformed(field_map.T_map_model.inv())
 
@@ -155,7 +158,8 @@ def correlation_length_of(values: FieldValues) -> float:
     """Distance over which a field changes by as much as it varies overall: its spread divided by its gradient."""
     deviation2 = ((values.field - np.median(values.field, axis=0)) ** 2).sum(axis=1)
     g2 = gradient_norm(_harmonic_gradient(values)) ** 2
-    return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / MEDIAN_GRADIENT2, 1e-30)))
+    # For a squared-exponential potential, each component of the gradient has twice the field's variance per l^2.
+    return float(np.sqrt(np.median(deviation2) / MEDIAN_CHI2_3 / max(np.median(g2) / (2 * MEDIAN_CHI2_5), 1e-30)))
 
 
 def _harmonic_gradient(values: FieldValues) -> Tensors:

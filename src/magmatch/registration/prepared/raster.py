@@ -17,7 +17,7 @@ MAX_POINTS = 1_500_000
 MIN_COVERED = 0.95
 # Least share of the raster's partly known cells whose corners are all known. Around a line most cells fail this, and
 # half of the known region would be lost; rasters are therefore refined, up to a number of known points.
-MIN_WHOLE, FEW_POINTS = 0.7, 20_000
+MIN_WHOLE, MAX_REFINED = 0.7, 20_000
 
 
 class Raster(NamedTuple):
@@ -95,7 +95,7 @@ def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Rast
         *_, is_known = raster.lookup(samples)
         # On a coarse grid, a thin layer may fall between the points, and a line may lose its surroundings.
         is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_POINTS / 8
-        is_ragged = raster.whole_share < MIN_WHOLE and 8 * (raster.sd >= 0).sum() < FEW_POINTS
+        is_ragged = raster.whole_share < MIN_WHOLE and 8 * (raster.sd >= 0).sum() < MAX_REFINED
         if raster.spacing > spacing or not (is_lost or is_ragged):
             return raster
         spacing /= 2

@@ -10,16 +10,18 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
+from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
-# Maximum number of bins; longer walks get longer bins. Cost is cubic in it.
-MAX_BINS = 150
-# A survey is a line if its samples spread across the path by less than this share of the neighbourhood's radius.
+# Maximum number of bins, or of a map's cells, that are weighed together: the cost is cubic in it.
+MAX_WEIGHED = 150
+# A survey is a line, or a plane, if it spreads across by less than this share of the extent along.
 MAX_BREADTH = 0.2
-# Share of the samples that must lie on a line.
-MIN_LINE_SHARE = 0.7
+# Fewest bins that a walk is judged by.
+MIN_BINS = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -84,9 +86,9 @@ def walk_of(survey: Survey, length: float) -> Walk:
     side = BIN_LENGTH * length
     while True:
         rows = bin_along_path(np.ascontiguousarray(local.positions), side)
-        if rows[-1] < MAX_BINS:
+        if rows[-1] < MAX_WEIGHED:
             break
-        side *= 1.2
+        side *= COARSER
     counts = np.bincount(rows).astype(np.float64)
     positions, field = (bin_means(values, rows) for values in (local.positions, local.field))
     return Walk(T_survey_walk, positions, field, counts, survey.pose_sd)
@@ -117,7 +119,7 @@ def bin_means(values: np.ndarray, rows: Indices) -> np.ndarray:
 
 def line_share(positions: Points, radius: float) -> float:
     """Share of the samples whose neighbours within a radius are collinear."""
-    some = positions[np.unique(np.linspace(0, len(positions) - 1, min(len(positions), 100)).astype(np.int64))]
+    some = positions[np.unique(np.linspace(0, len(positions) - 1, min(len(positions), FEW_POINTS)).astype(np.int64))]
     is_line = []
     for near in cKDTree(positions).query_ball_point(some, radius):
         offset = positions[near] - positions[near].mean(axis=0)
@@ -128,7 +130,7 @@ def line_share(positions: Points, radius: float) -> float:
 
 def is_line(survey: Survey, length: float) -> bool:
     """Whether a survey's samples lie along a line at the scale of a correlation length (m)."""
-    return line_share(survey.positions, length) >= MIN_LINE_SHARE
+    return line_share(survey.positions, length) >= 1 - OUTLIER_SHARE
 
 
 def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
@@ -148,4 +150,4 @@ def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants
         return "invariants"
     rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTH * length)
     # A long line crosses itself and fills areas: that is breadth of another kind.
-    return "pairs" if rows[-1] < MAX_BINS else "invariants"
+    return "pairs" if rows[-1] < MAX_WEIGHED else "invariants"

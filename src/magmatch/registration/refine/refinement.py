@@ -18,9 +18,10 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, rotate_vectors, skew, transform_points
-from magmatch.registration.prepared.cubes import sum_by_cube
+from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.hypotheses import POSE_SHIFT, POSE_TURN
+from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.settings import Settings
@@ -30,22 +31,20 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, 
 MIN_SAMPLES = 20
 # Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
-# Longest step: rad, and in lengthscales.
-MAX_TURN, MAX_SHIFT = 0.1, 0.3
+# Longest step, rad and in correlation lengths: as far as a hypothesis may be off.
+MAX_TURN, MAX_SHIFT = POSE_TURN, POSE_SHIFT
 
 
 class RefinementConfig(Settings):
     """Settings of the dense refinement."""
 
     # Samples per survey. All 3,000 of a room help: with 1,200 errors grow by a fifth, at 15 % overlap by half.
-    n_samples: int = Field(default=4000, ge=MIN_SAMPLES)
+    n_samples: int = Field(default=MOST_POINTS, ge=MIN_SAMPLES)
+    # Samples while candidates are only ranked.
+    n_ranking_samples: int = Field(default=RANKING_POINTS, ge=MIN_SAMPLES)
     # Most Newton steps; they end when one moves the estimate by less than this many of its standard deviations.
-    n_steps: int = Field(default=20, ge=1)
-    tolerance: float = Field(default=1e-3, gt=0)
-    # The same while candidates are only ranked: wrong ones wander, and the evidence converges before the pose does.
-    n_ranking_samples: int = Field(default=600, ge=MIN_SAMPLES)
-    n_ranking_steps: int = Field(default=8, ge=1)
-    ranking_tolerance: float = Field(default=0.1, gt=0)
+    n_steps: int = Field(default=10, ge=1)
+    tolerance: float = Field(default=0.01, gt=0)
     # Best candidates to refine and compare, and more of them while none has this much evidence, nats.
     n_candidates: int = Field(default=4, ge=1)
     n_more_candidates: int = Field(default=4, ge=0)
@@ -55,13 +54,7 @@ class RefinementConfig(Settings):
 
     def for_ranking(self) -> "RefinementConfig":
         """These settings while candidates are only ranked."""
-        return self.model_copy(
-            update={
-                "n_samples": min(self.n_samples, self.n_ranking_samples),
-                "n_steps": self.n_ranking_steps,
-                "tolerance": self.ranking_tolerance,
-            }
-        )
+        return self.model_copy(update={"n_samples": min(self.n_samples, self.n_ranking_samples)})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -178,7 +171,7 @@ def refine(
         A[6:, 6:] += np.diag(sd**-2)
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
-        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], 4 * sd)
+        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], np.sqrt(FAR2) * sd)
         if float(xi @ A @ xi) < config.tolerance**2:
             break
     known = prior.rows(T, center)[0]
@@ -288,9 +281,9 @@ def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tup
     bend : (n,) array
         The weight falls as its residual grows, in one direction of three: between 1/3 and 1.
     """
-    # Variance of the residuals beyond the map's own spread, never less than a share of the noise.
+    # Variance of the residuals beyond the map's own spread, never less than the noise.
     map_variance = map_sd**2
-    excess = max(float(np.median(residual2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), 0.25 * noise_sd**2)
+    excess = max(float(np.median(residual2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), noise_sd**2)
     variance = excess + map_variance
     chi2 = residual2 / variance
     weight = (STUDENT_DOF + 3) / (STUDENT_DOF + chi2) / variance

@@ -18,6 +18,8 @@ from magmatch.typing import Matrix, Vectors
 
 SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 
+# Strength of a field, T, in which an error of scale is as large as the bias that goes with it.
+SCALED_FIELD = 1e-4
 # Prior standard deviation of what must not differ.
 TIED_SD = 1e-12
 
@@ -28,10 +30,8 @@ class SensorConfig(Settings):
     # 'auto': bias and scale, and soft iron, at the level that the evidence supports; 'none': identical sensors;
     # 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
     mode: SensorMode = "auto"
-    # Prior standard deviations of bias (T) and scale, tightest first: same sensor, the same on another day, of one
-    # kind, uncalibrated.
-    bias_levels: tuple[float, ...] = (0.05e-6, 0.2e-6, 0.7e-6, 3e-6)
-    scale_levels: tuple[float, ...] = (0.0005, 0.002, 0.007, 0.03)
+    # Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
+    bias_levels: tuple[float, ...] = (0.05e-6, 3e-6)
     # Gain in log evidence (nats) required for a wider level.
     min_gain: float = Field(default=15.0, ge=0)
 
@@ -122,5 +122,5 @@ def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
     if level < 0:
         return np.full(n_parameters, TIED_SD)
     level = min(level, len(config.bias_levels) - 1)
-    gain = np.full(n_parameters - 3, config.scale_levels[level])
-    return np.concatenate([np.full(3, config.bias_levels[level]), gain])
+    bias = config.bias_levels[level]
+    return np.concatenate([np.full(3, bias), np.full(n_parameters - 3, bias / SCALED_FIELD)])

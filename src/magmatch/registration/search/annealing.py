@@ -14,8 +14,15 @@ from magmatch.registration.search.scoring import EVIDENCE, Evidence, expected_va
 from magmatch.threads import side_by_side, slices
 from magmatch.typing import Scalars
 
-# Pose error allowed at each step, as a share of a candidate's own.
-COARSE_SCHEDULE = (1.5, 1.0, 1.0, 0.6, 0.4, 0.25)
+# Pose error allowed, as a share of a candidate's own: at the last step for all, and for the best; and its factor per
+# step.
+COARSE, FINE, SHRINKING = 0.25, 0.01, 0.7
+
+
+def schedule(first: float, last: float, sd: tuple[float, float]) -> np.ndarray:
+    """Pose error allowed (rad, m) at each step, from one share of a candidate's own to another."""
+    n = int(np.ceil(np.log(last / first) / np.log(SHRINKING)))
+    return np.outer(np.geomspace(first, last, n + 1), sd)
 
 
 class Room(NamedTuple):
@@ -38,7 +45,7 @@ def anneal_poses(
     base: PreparedMap,
     schedule: np.ndarray,
     outlier_share: float,
-    damping: float,
+    damping: float = 1.0,
 ) -> tuple[Hypotheses, Scalars]:
     """Refine poses while the pose error allowed shrinks: one row (rad, m) of the schedule per step.
 

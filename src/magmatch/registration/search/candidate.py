@@ -8,6 +8,9 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.result import Links
 
+# Distinct poses that a search hands on, at most.
+N_CANDIDATES = 8
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:

@@ -4,16 +4,18 @@
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
+from scipy.special import ndtri
 
 from magmatch.compiled import compiled_ahead
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
-from magmatch.registration.prepared.hypotheses import Hypotheses
+from magmatch.registration.prepared.cubes import FEW_POINTS, RANKING_POINTS
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, POSE_SHIFT, POSE_TURN, SAME_POSE_SDS, Hypotheses
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
-from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.prepared.prepared_map import N_DRAWS, PreparedMap, common_length
+from magmatch.registration.search.annealing import COARSE, FINE, anneal_poses, schedule
+from magmatch.registration.search.candidate import N_CANDIDATES, Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Points, Scalars, Tensors
@@ -26,31 +28,17 @@ class InvariantSearchConfig(Settings):
     n_anchors: int = Field(default=400, ge=10)
     # Base points with the most similar invariants that each anchor is tried on.
     n_neighbours: int = Field(default=30, ge=1)
-    # Samples for the first scoring of every pose, and number of best poses that are scored on all of them.
-    n_first_samples: int = Field(default=40, ge=10)
-    n_second: int = Field(default=2000, ge=1)
     # Samples for scoring a pose: half near its anchor, half anywhere.
-    n_score_samples: int = Field(default=160, ge=20)
-    # Samples for scoring the last few poses.
-    n_fine_samples: int = Field(default=600, ge=20)
-    # Poses that are refined coarsely, and distinct ones that are refined further.
+    n_score_samples: int = Field(default=FEW_POINTS, ge=20)
+    # Distinct poses that are refined coarsely, and those that are refined further.
     n_coarse: int = Field(default=600, ge=1)
     n_fine: int = Field(default=40, ge=1)
     # Distinct poses handed on.
-    n_candidates: int = Field(default=8, ge=1)
-    # Share of samples that may match nothing (moved furniture, a passing lift).
-    outlier_share: float = Field(default=0.3, gt=0, lt=1)
-    # Inaccuracy of a pose from one pair of points: rad, and in lengthscales.
-    sd_rotation: float = Field(default=0.1, gt=0)
-    sd_translation: float = Field(default=0.2, gt=0)
+    n_candidates: int = Field(default=N_CANDIDATES, ge=1)
     # Floor of the invariants' whitening, as a share of their spread over both maps.
     whitening_floor: float = Field(default=0.1, gt=0)
     # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
-    n_draws: int = Field(default=8, ge=2)
-
-
-# As `COARSE_SCHEDULE`, for poses already refined with it.
-FINE_SCHEDULE = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
+    n_draws: int = Field(default=N_DRAWS, ge=2)
 
 
 def invariant_search(
@@ -68,33 +56,27 @@ def invariant_search(
     evidence = weigh_samples(base, target)
     poses = frame_hypotheses(base, target, anchors, neighbours)
     rows = judging_samples(poses.anchors_target, target, config.n_score_samples, rng)
-    lengthscale = common_length(base, target)
-    sd = (config.sd_rotation, config.sd_translation * lengthscale)
+    sd = (POSE_TURN, POSE_SHIFT * common_length(base, target))
+    same = (SAME_POSE_SDS * sd[0], SAME_POSE_SDS * sd[1])
     center = target.samples.mean(axis=0)
     poses = prior.narrow(poses, center, sd, rng)
     if not len(poses.rotations):
         return SearchResult()
-    # Most hypotheses are wrong, which a few samples show.
-    few = rows[:, :: -(-rows.shape[1] // config.n_first_samples)]
-    scores = score_poses(poses, few, evidence, base, *sd, config.outlier_share)
-    poses = poses.subset(np.argsort(-scores, kind="stable")[: config.n_second])
-    scores = score_poses(poses, rows, evidence, base, *sd, config.outlier_share)
+    scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
     # A strong corner of the base attracts hundreds of near-duplicates, which would displace other poses.
-    best = distinct_poses(poses.rotations, poses.carry(center), scores, 2 * sd[0], 2 * sd[1], config.n_coarse)
+    best = distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse)
     poses = poses.subset(best)
 
     tell("refining the best hypotheses")
-    schedule = np.outer(COARSE_SCHEDULE, sd)
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule, config.outlier_share, damping=0.3)
-    keep = distinct_poses(poses.rotations, poses.carry(center), scores, 0.07, 0.6 * lengthscale, config.n_fine)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, COARSE, sd), OUTLIER_SHARE)
+    keep = distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_fine)
     poses = poses.subset(keep)
-    common = rng.permutation(len(target.samples))[: config.n_fine_samples]
+    common = rng.permutation(len(target.samples))[:RANKING_POINTS]
     rows = np.tile(common, (len(anchors), 1))
-    schedule = np.outer(FINE_SCHEDULE, sd)
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule, config.outlier_share, damping=0.05)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(COARSE, FINE, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, 0.14, 0.7 * lengthscale, config.n_candidates)
+    keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
     keep = keep[np.isfinite(scores[keep])]
     candidates = tuple(
         Candidate(poses.pose(k, moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep.tolist()
@@ -114,11 +96,11 @@ def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator
     (a,) int array
         Rows of ``target.points``.
     """
-    g = gradient_norm(target.point_gradient)
-    distinct = g / np.sqrt(target.gradient_sd**2 + (0.3 * np.median(g)) ** 2 + np.finfo(float).tiny)
-    share = np.minimum(distinct, 3 * np.median(distinct)) + 1e-12
-    n = min(n_anchors, len(g))
-    return rng.choice(len(g), n, replace=False, p=share / share.sum()).astype(np.int64)
+    g2, tiny = gradient_norm(target.point_gradient) ** 2, np.finfo(float).tiny
+    # Between 0 and 1, and 1 in a uniform field: a very strong gradient is told no better than a strong one.
+    share = (g2 + tiny) / (g2 + target.gradient_sd**2 + np.median(g2) + tiny)
+    n = min(n_anchors, len(g2))
+    return rng.choice(len(g2), n, replace=False, p=share / share.sum()).astype(np.int64)
 
 
 def similar_points(
@@ -132,7 +114,7 @@ def similar_points(
         Rows of ``base.points``.
     """
     both = np.concatenate([base.invariants, target.invariants])
-    spread = 1.48 * np.median(np.abs(both - np.median(both, axis=0)), axis=0)
+    spread = np.median(np.abs(both - np.median(both, axis=0)), axis=0) / ndtri(0.75)
     scale = np.sqrt(
         np.median(base.invariant_sd, axis=0) ** 2
         + np.median(target.invariant_sd, axis=0) ** 2

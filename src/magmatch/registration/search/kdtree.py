@@ -14,9 +14,8 @@ from magmatch.typing import Indices, Matrix
 
 # Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
 LEAF = 24
-MAX_DEPTH = 40
 # More than any tree has.
-EVERY_LEAF = 1 << MAX_DEPTH
+EVERY_LEAF = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,10 +87,13 @@ class NeighbourTree:
 @compiled
 def _query(points, axes, values, targets, n_leaves, found, distance2):  # type: ignore[no-untyped-def]
     n, d = points.shape
-    k, n_inner = found.shape[1], len(axes)
-    nodes, lows, highs = np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64), np.zeros(MAX_DEPTH, np.int64)
+    k, n_inner, depth = found.shape[1], len(axes), 1
+    while n_inner >> depth:
+        depth += 1
+    # One node waits at each level, at most, and the one in hand.
+    nodes, lows, highs = np.zeros(depth + 1, np.int64), np.zeros(depth + 1, np.int64), np.zeros(depth + 1, np.int64)
     # Distance from the target to each waiting node's box, axis by axis.
-    gaps, gap = np.zeros((MAX_DEPTH, d)), np.zeros(d)
+    gaps, gap = np.zeros((depth + 1, d)), np.zeros(d)
     for t in range(len(targets)):
         near, n_left = distance2[t], n_leaves
         nodes[0], lows[0], highs[0], n_waiting = 0, 0, n, 1

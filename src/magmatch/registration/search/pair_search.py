@@ -9,45 +9,34 @@ from scipy.spatial import cKDTree
 
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import thin
-from magmatch.registration.prepared.hypotheses import Hypotheses
+from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, SAMPLING, thin
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, POSE_SHIFT, POSE_TURN, SAME_POSE_SDS, Hypotheses
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.search.annealing import COARSE_SCHEDULE, anneal_poses
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.annealing import COARSE, anneal_poses, schedule
+from magmatch.registration.search.candidate import N_CANDIDATES, Candidate, SearchResult
 from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
-from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
+from magmatch.typing import Indices, Matrix, Points, Vectors
 
 
 class PairSearchConfig(Settings):
     """Counts and scales of the search; lengths in the base's correlation length."""
 
-    # Distance of the base points that make pairs, and shortest and longest pair.
-    point_distance: float = Field(default=0.25, gt=0)
+    # Shortest and longest pair.
     min_distance: float = Field(default=0.8, gt=0)
     max_distance: float = Field(default=6.2, gt=0)
     # Most pairs in the table; points that would give more are thinned further.
     max_pairs: int = Field(default=600_000, ge=1000)
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
-    n_pairs: int = Field(default=60, ge=1)
+    n_pairs: int = Field(default=FEW_POINTS, ge=1)
     n_neighbours: int = Field(default=8, ge=1)
-    # Bins for scoring a pose.
-    n_score_bins: int = Field(default=60, ge=10)
-    # Poses that are refined coarsely, the most of these in one place, and distinct ones handed on.
+    # Distinct poses that are refined coarsely, and handed on.
     n_coarse: int = Field(default=120, ge=1)
-    n_per_place: int = Field(default=6, ge=1)
-    n_candidates: int = Field(default=10, ge=1)
-    # Share of bins that may match nothing.
-    outlier_share: float = Field(default=0.3, gt=0, lt=1)
-    # Offset of another walk from a base point, per axis.
-    sd_position: float = Field(default=0.12, gt=0)
-    # Inaccuracy of a pose from one pair: rad, and in correlation lengths.
-    sd_rotation: float = Field(default=0.07, gt=0)
-    sd_translation: float = Field(default=0.2, gt=0)
+    n_candidates: int = Field(default=N_CANDIDATES, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -92,7 +81,8 @@ def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: Pa
     is_known = base.raster.lookup(base.points)[3]
     x, b, G = base.points[is_known], base.point_field[is_known], base.point_gradient[is_known]
     rows, pairs = _pairs(x, config, length)
-    sd_position = config.sd_position * length
+    # Another walk passes half-way between two points.
+    sd_position = SAMPLING / 2 * length
     gradient_rms = float(np.sqrt(np.mean(G**2))) if len(G) else 0.0
     sd_field = float(np.hypot(noise_sd, np.sqrt(3) * gradient_rms * sd_position))
     field_norm = float(np.median(np.linalg.norm(b, axis=1))) if len(b) else 0.0
@@ -116,7 +106,7 @@ def pair_search(
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return SearchResult()
-    center, sd = walk.positions.mean(axis=0), (config.sd_rotation, config.sd_translation * table.length)
+    center, sd = walk.positions.mean(axis=0), (POSE_TURN, POSE_SHIFT * table.length)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     similar, _ = similar_pairs(table, walk, i, j, n_neighbours)
     found = hypotheses(table, walk, i, j, similar)
@@ -124,16 +114,17 @@ def pair_search(
     if not len(poses.rotations):
         return SearchResult()
     evidence = _evidence(base, table, walk)
-    some = np.unique(np.linspace(0, len(walk) - 1, min(config.n_score_bins, len(walk))).astype(np.int64))
+    some = np.unique(np.linspace(0, len(walk) - 1, min(FEW_POINTS, len(walk))).astype(np.int64))
     rows = np.tile(some, (len(i), 1))
     tell(f"scoring {len(poses.rotations)} hypotheses")
-    scores = score_poses(poses, rows, evidence, base, *sd, config.outlier_share)
-    poses = poses.subset(_best_by_place(poses.carry(center), scores, table.length, config))
-    schedule = np.outer(COARSE_SCHEDULE, sd)
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule, config.outlier_share, damping=0.3)
+    scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
+    # So that one corridor does not fill the list.
+    same = (SAME_POSE_SDS * sd[0], SAME_POSE_SDS * sd[1])
+    poses = poses.subset(distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse))
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, COARSE, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, 0.1, 0.3 * table.length, config.n_candidates)
+    keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
     keep = keep[np.isfinite(scores[keep])]
     return SearchResult(
         tuple(Candidate(poses.pose(k, moved[k], center), float(scores[k])) for k in keep.tolist()),
@@ -212,14 +203,14 @@ def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: In
 
 def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices, Indices]:
     """Thinned points, and the pairs of them in both orders, as many as fit the table."""
-    spacing = config.point_distance * length
+    spacing = SAMPLING * length
     while True:
-        rows = thin(x, spacing, limit=5000) if len(x) else np.zeros(0, dtype=np.int64)
+        rows = thin(x, spacing) if len(x) else np.zeros(0, dtype=np.int64)
         tree = cKDTree(x[rows]) if len(rows) else None
         n = tree.count_neighbors(tree, config.max_distance * length) if tree else 0
         if n <= config.max_pairs:
             break
-        spacing *= 1.2
+        spacing *= COARSER
     pairs = np.zeros((0, 2), dtype=np.int64)
     if tree:
         pairs = tree.query_pairs(config.max_distance * length, output_type="ndarray").astype(np.int64)
@@ -246,19 +237,3 @@ def _evidence(base: PreparedMap, table: PairTable, walk: Walk) -> Evidence:
         field_rms=float(np.sqrt((walk.field**2).sum(axis=1).mean() * 2 / 3)),
         gradient_rms=np.sqrt(3) * table.gradient_rms,
     )
-
-
-def _best_by_place(centers: Points, scores: Scalars, length: float, config: PairSearchConfig) -> Indices:
-    """Best hypotheses, at most a few in one place, so that one corridor does not fill the list."""
-    places = np.floor(centers / length).astype(np.int64)
-    order = np.argsort(-scores, kind="stable")
-    counts: dict[tuple[int, ...], int] = {}
-    kept: list[int] = []
-    for row in order:
-        place = tuple(places[row].tolist())
-        counts[place] = counts.get(place, 0) + 1
-        if counts[place] <= config.n_per_place:
-            kept.append(int(row))
-        if len(kept) >= config.n_coarse:
-            break
-    return np.asarray(kept, dtype=np.int64)

@@ -13,7 +13,8 @@ import numpy as np
 
 from magmatch.compiled import compiled, compiled_ahead, record
 from magmatch.registration.prepared.hypotheses import HYPOTHESES, Hypotheses
-from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
+from magmatch.registration.prepared.pose_prior import FAR2
+from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, MEDIAN_CHI2_5, PreparedMap
 from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate_field
 from magmatch.threads import side_by_side, slices
 from magmatch.typing import Points, Scalars, Vectors
@@ -48,14 +49,12 @@ class Evidence(NamedTuple):
 EVIDENCE = record(Evidence, "f8[:,::1], f8[:,::1], f8[::1], f8, f8, f8, f8")
 
 
-def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> Evidence:
+def weigh_samples(base: PreparedMap, target: PreparedMap) -> Evidence:
     """Collect the target's samples and the scales for scoring a pose.
 
     Parameters
     ----------
     base, target : PreparedMap
-    cap : float
-        Largest squared deviation that counts, in units of V0.
 
     Returns
     -------
@@ -64,16 +63,17 @@ def weigh_samples(base: PreparedMap, target: PreparedMap, cap: float = 9.0) -> E
     deviation2 = ((target.sample_field - np.median(target.sample_field, axis=0)) ** 2).sum(axis=1)
     noise_variance = base.noise_sd**2 + target.noise_sd**2
     deviation_variance = max(float(np.median(deviation2)) / MEDIAN_CHI2_3, noise_variance)
-    g = np.sqrt((target.point_gradient**2).sum(axis=(1, 2)))
+    # Robust mean of the gradient's square.
+    g2 = np.median((target.point_gradient**2).sum(axis=(1, 2))) * 5 / MEDIAN_CHI2_5
     return Evidence(
         positions=target.samples,
         field=target.sample_field,
-        deviation2=np.minimum(deviation2, cap * deviation_variance),
+        deviation2=np.minimum(deviation2, FAR2 * deviation_variance),
         deviation_variance=deviation_variance,
         noise_variance=noise_variance,
         # A rotation by dth about a random axis changes B by |B| dth sqrt(2/3) in norm.
         field_rms=float(np.sqrt((target.sample_field**2).sum(axis=1).mean() * 2 / 3)),
-        gradient_rms=float(1.3 * np.median(g) / np.sqrt(3)),
+        gradient_rms=float(np.sqrt(g2 / 3)),
     )
 
 

@@ -7,10 +7,8 @@ from magmatch.registration.prepared.cubes import sum_by_cube
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.typing import Covariance6, Matrix
 
-# Fewer independent cells than this give no covariance.
-MIN_CELLS = 4
-# Relative variance below which a direction counts as known to rounding.
-SMALLEST_SPREAD = 1e-12
+# Relative variance or information below which there is none but rounding.
+ROUNDING = 1e-12
 
 
 def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
@@ -28,11 +26,12 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
         clusters = sum_by_cube(block.scores, block.positions, cell_side)
         n_cells = len(clusters)
         curvature = block.curvature + prior
-        if n_cells < MIN_CELLS or np.linalg.cond(_balanced(curvature[:6, :6])) > 1e12:
+        # Each cell is worth three numbers: six are fitted, and their mean is taken out.
+        n_free = n_cells - 6 / 3 - 1
+        if n_free <= 0 or np.linalg.cond(_balanced(curvature[:6, :6])) > 1 / ROUNDING:
             continue
         clusters = clusters - clusters.mean(axis=0)
-        # Correction for six fitted parameters.
-        meat = clusters.T @ clusters * n_cells / max(n_cells - 3.0, 1.0)
+        meat = clusters.T @ clusters * n_cells / n_free
         bread = np.linalg.inv(_regular(curvature))
         total += bread @ (meat + prior) @ bread
         n_used += 1
@@ -41,10 +40,10 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
 
 def enclosing(covariance: Covariance6, other: Covariance6) -> Covariance6:
     """Smallest covariance not below either of two, along the axes in which both are diagonal."""
-    floor = np.maximum(SMALLEST_SPREAD * np.diag(other), np.finfo(float).tiny)
+    floor = np.maximum(ROUNDING * np.diag(other), np.finfo(float).tiny)
     scale = np.sqrt(np.maximum(np.diag(covariance), floor))
     spread, along = np.linalg.eigh(covariance / np.outer(scale, scale))
-    root = scale[:, None] * along * np.sqrt(np.maximum(spread, SMALLEST_SPREAD))
+    root = scale[:, None] * along * np.sqrt(np.maximum(spread, ROUNDING))
     relative = np.linalg.solve(root, np.linalg.solve(root, other).T)
     values, vectors = np.linalg.eigh((relative + relative.T) / 2)
     if values.max() <= 1:
@@ -66,7 +65,7 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
 
 def _regular(A: Matrix) -> Matrix:
     """Guard of the inverse: far below any information that matters."""
-    guarded: Matrix = A + np.diag(1e-12 * np.diag(A))
+    guarded: Matrix = A + np.diag(ROUNDING * np.diag(A))
     return guarded
 
 

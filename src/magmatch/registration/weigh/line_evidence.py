@@ -16,21 +16,22 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, skew
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.prepared.walk import MIN_BINS, Walk
+from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.registration.weigh.unrelated_walk import UnrelatedWalk
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
-# Longest step: rad, and in correlation lengths.
-MAX_TURN, MAX_SHIFT = 0.15, 0.3
-# Prior standard deviation of a pose in undetermined directions, rad and in correlation lengths: wider than the errors
-# of the search.
-FREE_TURN, FREE_SHIFT = 0.5, 1.5
+# Prior standard deviation of a pose in undetermined directions, in those of the search: far wider.
+FREE_SDS = 5.0
+# Bins that something disturbs together, at least.
+PIECE_BINS = 5
 
 
 class LineConfig(Settings):
@@ -41,22 +42,13 @@ class LineConfig(Settings):
     n_fine_steps: int = Field(default=2, ge=1)
     # Poses that take the fine steps.
     n_fine: int = Field(default=4, ge=1)
-    # Fewest bins, and their share, that a pose must put inside the base map.
-    min_bins: int = Field(default=8, ge=7)
-    min_coverage: float = Field(default=0.3, gt=0, le=1)
-    # Penalty of a pose for each correlation length of path that it puts outside the base map, nats: there are many
-    # ways out of a map, and wrong poses tend to lie at its border, where a few bins fit.
-    price_outside: float = Field(default=3.0, ge=0)
-    # Pieces of this many bins whose squared residuals exceed the expected by this factor count as disturbed
-    # (something moved): their standard deviation grows, at a price each, nats, and up to a share of the path.
-    piece_bins: int = Field(default=5, ge=1)
-    max_power: float = Field(default=3.0, gt=1)
-    price_piece: float = Field(default=3.0, ge=0)
-    max_strained_share: float = Field(default=0.3, ge=0, le=1)
+    # Penalty of a pose for each correlation length of path that it leaves unexplained, nats: outside the base map, as
+    # there are many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
+    price: float = Field(default=3.0, ge=0)
 
     def log_weight(self, path: float, share: Any) -> Any:
         """Weight of poses of which each puts a share of a path (in correlation lengths) inside the base map."""
-        return -self.price_outside * path * (1 - share)
+        return -self.price * path * (1 - share)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,24 +127,24 @@ def weigh_walk(
     list of LineEvidence
         Best first.
     """
-    if not starts or len(walk) < config.min_bins:
+    if not starts or len(walk) < MIN_BINS:
         return []
     distance = cdist(walk.positions, walk.positions)
     squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
     null = UnrelatedWalk.most_likely(walk, distance, noise, length, around)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
-    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False), config)
+    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False))
     if not len(coarse.chi2):
         return []
     roughly = _weigh(coarse, squares, null, config)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
     best = coarse.rows(order[: config.n_fine])
-    settled = squares.run(best.rotations, best.centers, _strained(best, config), 2, is_full=False)
+    settled = squares.run(best.rotations, best.centers, squares.strained(best), config.n_fine_steps, is_full=False)
     fine = squares.run(
-        settled.rotations, settled.centers, _strained(settled, config), config.n_fine_steps, is_full=True
+        settled.rotations, settled.centers, squares.strained(settled), config.n_fine_steps, is_full=True
     )
-    weighed = _weigh(_covered(fine, config), squares, null, config)
+    weighed = _weigh(_covered(fine), squares, null, config)
     weighed += [roughly[k] for k in order[config.n_fine :]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
@@ -163,11 +155,9 @@ def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float, 
     return spread_inside(prior, base.raster, walk.positions, lambda share: config.log_weight(path, share))
 
 
-def _covered(fits: "_Fits", config: LineConfig) -> "_Fits":
+def _covered(fits: "_Fits") -> "_Fits":
     """Select poses that put enough of the walk inside the base map."""
-    n_known = fits.known.sum(axis=1)
-    enough = max(config.min_bins, config.min_coverage * fits.known.shape[1])
-    return fits.rows(np.flatnonzero(n_known >= enough))
+    return fits.rows(np.flatnonzero(fits.known.sum(axis=1) >= MIN_BINS))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -231,7 +221,7 @@ class _LeastSquares:
         half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
         normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / variance
         z, JW = white[:, :, 0], white[:, :, 1:]
-        free = np.repeat([FREE_TURN, FREE_SHIFT * self.length], 3)
+        free = FREE_SDS * np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
         information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
         v = np.einsum("hki,hk->hi", JW, z)
         if not self.prior.is_flat:
@@ -239,6 +229,17 @@ class _LeastSquares:
             information += known_before
             v += slope
         return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
+
+    def strained(self, fits: _Fits) -> Matrix:
+        """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
+        # Residuals of a piece are correlated: it counts as one vector. It is no longer than the path.
+        window = np.ones(min(PIECE_BINS, fits.known.shape[1]))
+        counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
+        power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
+        is_strained = (power > FAR2 / 3) & fits.known
+        # A pose that disagrees nearly everywhere is wrong rather than disturbed.
+        is_disturbed = is_strained.sum(axis=1) <= OUTLIER_SHARE * fits.known.sum(axis=1)
+        return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
 
     def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
         """Transform that turns by R and puts the walk's centre somewhere."""
@@ -278,7 +279,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     if not len(fits.chi2):
         return []
     n_known = fits.known.sum(axis=1)
-    n_free = 3 * n_known - 6
+    n_free, path = 3 * n_known - 6, squares.walk.length / squares.length
     inflation, log_likelihood = squares.noise.factor(fits.chi2, n_free)
     # A walk that fits better than a guess expects may still share its frame's errors.
     least = 0.0 if squares.noise.is_learned else 1.0
@@ -292,8 +293,8 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
         - np.array([unrelated[known.tobytes()] for known in fits.known])
         + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
         + squares.prior.log_densities(fits.rotations, fits.centers, squares.center)
-        + config.log_weight(squares.walk.length / squares.length, fits.known.mean(axis=1))
-        - config.price_piece / config.piece_bins * (fits.strain > 1).sum(axis=1)
+        + config.log_weight(path, fits.known.mean(axis=1))
+        - config.price * path * (fits.strain > 1).mean(axis=1)
     )
     attainable = log_evidence + np.maximum(squares.noise.factor(n_free, n_free)[1] - log_likelihood, 0.0)
     misfit = np.sqrt(fits.chi2 / n_free)
@@ -333,15 +334,3 @@ def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
     half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
     return white.reshape(h, 3 * n, k), half_log_det, variance
-
-
-def _strained(fits: _Fits, config: LineConfig) -> Matrix:
-    """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
-    # A piece is no longer than the path.
-    window = np.ones(min(config.piece_bins, fits.known.shape[1]))
-    counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
-    power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
-    is_strained = (power > config.max_power) & fits.known
-    # A pose that disagrees nearly everywhere is wrong rather than disturbed.
-    is_disturbed = is_strained.sum(axis=1) <= config.max_strained_share * fits.known.sum(axis=1)
-    return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))

@@ -15,10 +15,9 @@ from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from magmatch.registration.prepared.cubes import cube_keys
+from magmatch.registration.prepared.walk import MAX_WEIGHED
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
-# Maximum number of cells: more would add cost but no information.
-MAX_CELLS = 150
 # Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
 LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
 STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
@@ -136,7 +135,7 @@ def _strength_here(power: Scalars, b2: Scalars) -> float:
 def average_cells(positions: Points, side: float) -> CellMeans:
     """Divide samples into cubic cells; if there are too many, an even choice of them."""
     _, cell, counts = np.unique(cube_keys(positions, side), return_inverse=True, return_counts=True)
-    chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_CELLS)).astype(np.int64))
+    chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_WEIGHED)).astype(np.int64))
     renamed = np.full(len(counts), -1)
     renamed[chosen] = np.arange(len(chosen))
     means = CellMeans(renamed[cell], counts[chosen].astype(np.float64), np.zeros((0, 3)))

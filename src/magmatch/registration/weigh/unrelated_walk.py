@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
+from magmatch.registration.prepared.cubes import FEW_POINTS
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.walk import Walk
 from magmatch.typing import Mask, Matrix, Vector3, Vectors
@@ -14,8 +15,6 @@ from magmatch.typing import Mask, Matrix, Vector3, Vectors
 # Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
 LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
 STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
-# Every so many-th bin decides which unrelated field is the most likely.
-MOST_BINS = 60
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,7 +51,7 @@ class UnrelatedWalk:
     ) -> "UnrelatedWalk":
         """Try lengthscales and strengths: the most likely ones make its covariance, all of them its likelihood."""
         n = len(walk)
-        some = np.unique(np.linspace(0, n - 1, min(n, MOST_BINS)).astype(np.int64))
+        some = np.unique(np.linspace(0, n - 1, min(n, FEW_POINTS)).astype(np.int64))
         d2 = distance[np.ix_(some, some)] ** 2
         spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
         square = float((walk.field**2).sum(axis=1).mean()) / 3
