@@ -41,7 +41,7 @@ class Match:
 
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
-    log_odds: float  # over an unrelated field, prior included, by the law of a registration
+    log_odds: float  # over an unrelated field, prior included, by the law of a registration without its offset
     log_prior: float  # density of the prior at the pose, per m^3 and rad^3
 
 
@@ -65,7 +65,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
         Match(
             index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv(),
             M @ e.covariance @ M.T,
-            log_odds(e.log_evidence, e.misfit, e.kind),
+            log_odds(e.log_evidence, e.misfit, "log"),
             prior.log_density(e.T_base_target, e.center),
         )
         for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same)
