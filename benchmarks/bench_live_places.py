@@ -17,12 +17,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from bench_serve import children_of, cpu_of, resident
-from scipy.spatial.transform import Rotation
 from short_walks import stretches
 from websockets.sync.client import connect
 
+from drifting import about_z
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
+from magmatch.geometry import path_walked
 from magmatch.serve.messages import read_pose, write_sample
 from magmatch.simulation.paths import heading_along
 from magmatch_evaluation.script import arguments
@@ -34,19 +35,15 @@ BIAS = np.array([2e-6, -1e-6, 1e-6])
 
 def drifting(walk: Survey, step: float, rng: np.random.Generator) -> tuple[list[bytes], np.ndarray]:
     """Samples of a stretch as odometry has it, one each `step` m and so many s, and the true positions."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(walk.positions, axis=0), axis=1))])
+    arc = path_walked(walk.positions)
     t = np.arange(0.0, arc[-1], step)
     p, b = (np.column_stack([np.interp(t, arc, x) for x in rows.T]) for rows in (walk.positions, walk.field))
-    R, steps = _about_z(heading_along(p)), np.diff(p, axis=0)
+    R, steps = about_z(heading_along(p)), np.diff(p, axis=0)
     turns = np.cumsum(np.radians(1.0) * np.sqrt(np.linalg.norm(steps, axis=1)) * rng.standard_normal(len(steps)))
-    drift = _about_z(rng.uniform(0, 2 * np.pi) + np.concatenate([[0.0], turns]))
+    drift = about_z(rng.uniform(0, 2 * np.pi) + np.concatenate([[0.0], turns]))
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(1.01 * drift[:-1].apply(steps), axis=0)])
     rows = zip(t, walked, (drift * R).as_quat(), R.inv().apply(b) + BIAS, strict=True)
     return [write_sample(*row) for row in rows], p
-
-
-def _about_z(angles: np.ndarray) -> Rotation:
-    return Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
 
 
 class Walker(threading.Thread):

@@ -16,7 +16,7 @@ from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.features.pairs import pair_invariants
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, POSE_SHIFT, POSE_TURN
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, pose_inaccuracy
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
@@ -120,10 +120,8 @@ def _best_score(
     neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS, config.whitening_floor)
     poses = frame_hypotheses(base, target, anchors, neighbours)
     judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
-    scores = score_poses(
-        poses, judges, weigh_samples(base, target), base,
-        POSE_TURN, POSE_SHIFT * common_length(base, target), OUTLIER_SHARE,
-    )  # fmt: skip
+    sd = pose_inaccuracy(common_length(base, target))
+    scores = score_poses(poses, judges, weigh_samples(base, target), base, *sd, OUTLIER_SHARE)
     return max(float(scores.max()), 0.0)
 
 

@@ -150,7 +150,7 @@ class Places:
         """A window and its neighbours as a base for a later window, odometry's frame."""
         assert self.maker is not None
         path = self.paths[self.graph.log[node]]
-        last = min(node + 1, before - 1) if path is self.paths[self.graph.log[before]] else node + 1
+        last = min(node + 1, before - 1)
         if (node, last) not in self.made:
             of = path.nodes[path.number]
             rows = np.flatnonzero((of >= node - 1) & (of <= last))

@@ -17,6 +17,17 @@ SAME_POSE_SDS = 2.0
 OUTLIER_SHARE = 0.3
 
 
+def pose_inaccuracy(length: float) -> tuple[float, float]:
+    """Inaccuracy of a pose that one pair of points proposes (rad, m), for a correlation length (m)."""
+    return POSE_TURN, POSE_SHIFT * length
+
+
+def same_pose(length: float) -> tuple[float, float]:
+    """Angle and distance (rad, m) within which two such poses are one."""
+    turn, shift = pose_inaccuracy(length)
+    return SAME_POSE_SDS * turn, SAME_POSE_SDS * shift
+
+
 class Hypotheses(NamedTuple):
     """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
 

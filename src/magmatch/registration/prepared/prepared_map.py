@@ -27,8 +27,6 @@ from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 # Medians of chi-square variables: robust variance from squared norms of a vector, and of a traceless symmetric
 # gradient, which has five independent components.
 MEDIAN_CHI2_3, MEDIAN_CHI2_5 = (float(chdtri(n, 0.5)) for n in (3, 5))
-
-
 # Posterior samples that give the spread of what is derived from a map.
 N_DRAWS = 8
 

@@ -11,7 +11,7 @@ from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import FEW_POINTS, RANKING_POINTS
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, POSE_SHIFT, POSE_TURN, SAME_POSE_SDS, Hypotheses
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import N_DRAWS, PreparedMap, common_length
 from magmatch.registration.search.annealing import COARSE, FINE, anneal_poses, schedule
@@ -56,8 +56,8 @@ def invariant_search(
     evidence = weigh_samples(base, target)
     poses = frame_hypotheses(base, target, anchors, neighbours)
     rows = judging_samples(poses.anchors_target, target, config.n_score_samples, rng)
-    sd = (POSE_TURN, POSE_SHIFT * common_length(base, target))
-    same = (SAME_POSE_SDS * sd[0], SAME_POSE_SDS * sd[1])
+    length = common_length(base, target)
+    sd, same = pose_inaccuracy(length), same_pose(length)
     center = target.samples.mean(axis=0)
     poses = prior.narrow(poses, center, sd, rng)
     if not len(poses.rotations):

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, SAMPLING, thin
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, POSE_SHIFT, POSE_TURN, SAME_POSE_SDS, Hypotheses
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
@@ -106,7 +106,7 @@ def pair_search(
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return SearchResult()
-    center, sd = walk.positions.mean(axis=0), (POSE_TURN, POSE_SHIFT * table.length)
+    center, sd, same = walk.positions.mean(axis=0), pose_inaccuracy(table.length), same_pose(table.length)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     similar, _ = similar_pairs(table, walk, i, j, n_neighbours)
     found = hypotheses(table, walk, i, j, similar)
@@ -119,7 +119,6 @@ def pair_search(
     tell(f"scoring {len(poses.rotations)} hypotheses")
     scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
     # So that one corridor does not fill the list.
-    same = (SAME_POSE_SDS * sd[0], SAME_POSE_SDS * sd[1])
     poses = poses.subset(distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse))
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, COARSE, sd), OUTLIER_SHARE)
     moved = poses.carry(center)

@@ -140,10 +140,8 @@ def weigh_walk(
     roughly = _weigh(coarse, squares, null, config)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
     best = coarse.rows(order[: config.n_fine])
-    settled = squares.run(best.rotations, best.centers, squares.strained(best), config.n_fine_steps, is_full=False)
-    fine = squares.run(
-        settled.rotations, settled.centers, squares.strained(settled), config.n_fine_steps, is_full=True
-    )
+    settled = squares.run(best.rotations, best.centers, _strained(best), config.n_fine_steps, is_full=False)
+    fine = squares.run(settled.rotations, settled.centers, _strained(settled), config.n_fine_steps, is_full=True)
     weighed = _weigh(_covered(fine), squares, null, config)
     weighed += [roughly[k] for k in order[config.n_fine :]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
@@ -229,17 +227,6 @@ class _LeastSquares:
             information += known_before
             v += slope
         return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
-
-    def strained(self, fits: _Fits) -> Matrix:
-        """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
-        # Residuals of a piece are correlated: it counts as one vector. It is no longer than the path.
-        window = np.ones(min(PIECE_BINS, fits.known.shape[1]))
-        counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
-        power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
-        is_strained = (power > FAR2 / 3) & fits.known
-        # A pose that disagrees nearly everywhere is wrong rather than disturbed.
-        is_disturbed = is_strained.sum(axis=1) <= OUTLIER_SHARE * fits.known.sum(axis=1)
-        return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
 
     def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
         """Transform that turns by R and puts the walk's centre somewhere."""
@@ -334,3 +321,15 @@ def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
     half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
     return white.reshape(h, 3 * n, k), half_log_det, variance
+
+
+def _strained(fits: _Fits) -> Matrix:
+    """Factor on each bin's standard deviation where a piece of the path disagrees far more than the rest."""
+    # Residuals of a piece are correlated: it counts as one vector. It is no longer than the path.
+    window = np.ones(min(PIECE_BINS, fits.known.shape[1]))
+    counts = np.maximum([np.convolve(k, window, mode="same") for k in fits.known.astype(float)], 1.0)
+    power = np.stack([np.convolve(x, window, mode="same") for x in fits.normalised * fits.known]) / counts
+    is_strained = (power > FAR2 / 3) & fits.known
+    # A pose that disagrees nearly everywhere is wrong rather than disturbed.
+    is_disturbed = is_strained.sum(axis=1) <= OUTLIER_SHARE * fits.known.sum(axis=1)
+    return np.sqrt(np.where(is_strained & is_disturbed[:, None], power, 1.0))
