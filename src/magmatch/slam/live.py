@@ -164,7 +164,7 @@ class LiveLog:
         places.tie(last, [[]] * (n - len(self._near)) + self._near, tied)
         if places.others(path):
             self._far = [*self._far, places.anywhere(window, path)][-n:]
-            places.tie(last, [[]] * (n - len(self._far)) + self._far)
+            places.connect(last, [[]] * (n - len(self._far)) + self._far, path)
         if len(places.graph.closures) >= self._next_learning:
             places.learn_noise()
             self._next_learning = 2 * len(places.graph.closures)

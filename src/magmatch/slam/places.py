@@ -7,11 +7,13 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import logit
 
 from magmatch.data.checks import CONSTANT_FIELD, extent
 from magmatch.data.survey import Survey
 from magmatch.progress import counted, tell
 from magmatch.registration.clock import Clock
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import Base, BaseMaker
@@ -24,16 +26,19 @@ from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closure import SAME_SHIFT, residuals
 from magmatch.slam.numbers import guessed_noise, shared_numbers
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
+from magmatch.slam.shared_frame import log_odds_shared
 from magmatch.slam.steps import Steps
 from magmatch.slam.tie import Candidate, far_candidates, near_candidates, numbers_of, of_numbers, tie
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Vector3
+from magmatch.typing import Indices, Vector3
 
 log = logging.getLogger(__name__)
 
 # Closures make others possible: maximum number of rounds of search.
 MOST_ROUNDS = 4
+# Log odds from which logs share a frame: those of the probability that a registration needs.
+SURE_ODDS = float(logit(DecisionConfig().min_probability))
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
@@ -64,7 +69,7 @@ class Places:
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
         assert self.maker is not None
-        bias = sensor_bias(survey, self.maker.numbers)
+        bias = sensor_bias(survey, self.maker.numbers, self.maker.config)
         unbiased = without_bias(survey, bias[0])
         (path,) = cut([unbiased], self.maker.length, self.maker.config, len(self.paths), len(self.graph.p))
         self.biases.append(bias)
@@ -104,15 +109,43 @@ class Places:
             # Whoever came first is the base; a log that was tied since is corrected as the graph has it.
             if self.others(path):
                 what = f"looking for {path.survey.name} in other logs"
-                found += self.tie(path, [self.anywhere(w, path) for w in counted(what, path.windows)])
+                found += self.connect(path, [self.anywhere(w, path) for w in counted(what, path.windows)])
         return found
 
-    def near(self, window: Window) -> list[Candidate]:
-        """Where a window may lie on earlier path, as the graph predicts."""
+    def connect(self, path: Path, candidates: list[list[Candidate]], whole: Path | None = None) -> int:
+        """Add the certain closures with other components, if all of the log's windows say that the frame is shared.
+
+        The candidates are of a whole log's windows, or of its last ones. Returns how many closures were found.
+        """
+        whole, component, found = whole or path, self.graph.component(), 0
+        proposed = tie(path, candidates, self.graph, self.paths)
+        log_prior = {w.node: c[0].match.log_prior for w, c in zip(path.windows, candidates, strict=True) if c}
+        for one in sorted({int(component[c.first]) for c in proposed}):
+            closures = [c for c in proposed if component[c.first] == one]
+            before, self.graph = self.graph, copy(self.graph)
+            self.graph.closures = before.closures + closures
+            self.graph.level = before.level.copy()
+            solve(self.graph)
+            nodes, others = (
+                np.flatnonzero(component == one),
+                [p for p in self.paths if component[p.first_node] == one],
+            )
+            near = [self.near(w, nodes) for w in whole.windows]
+            priors = {c.second: log_prior[c.second] for c in closures}
+            odds = log_odds_shared(whole, others, near, priors, self.graph)
+            log.info("%s in the frame of %s: log odds %.1f", whole.survey.name, others[0].survey.name, odds)
+            if odds >= SURE_ODDS:
+                found += len(closures) + self.tie(whole, near, {c.second for c in self.graph.closures})
+            else:
+                self.graph = before
+        return found
+
+    def near(self, window: Window, nodes: Indices | None = None) -> list[Candidate]:
+        """Where a window may lie on earlier path, or at some nodes, as the graph predicts."""
 
         def look() -> list[Candidate]:
             component = self.graph.component()
-            mine = np.flatnonzero(component == component[window.node])
+            mine = np.flatnonzero(component == component[window.node]) if nodes is None else nodes
             return near_candidates(window, mine[mine < window.node], self.graph, self.stretch)
 
         found = self.looked[window.node] = of_numbers(self.steps(lambda: numbers_of(look())))
@@ -208,7 +241,7 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
         return Places(paths, odometry_graph(paths, config), None, [NO_BIAS] * len(given))
     tell("learning how the field changes")
     numbers, length = shared_numbers(given)
-    biases = [sensor_bias(survey, numbers) for survey in given]
+    biases = [sensor_bias(survey, numbers, config) for survey in given]
     paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
     n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
     log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)

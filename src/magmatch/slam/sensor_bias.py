@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hard iron, estimated from a log whose poses drift.
 
-Along the path the field is a constant, plus an independent smooth field in each part, plus the bias rotated by the
-orientation: generalised least squares over all parts. Components that the headings do not separate from the constant,
-such as the vertical of an upright carrier, are left to the constant.
+Along the path the field is a constant, turned as the odometry drifts, plus an independent smooth field in each part,
+plus the bias rotated by the orientation: generalised least squares over all parts. Components that the headings do
+not separate from the constant, such as the vertical of an upright carrier, are left to the constant.
 """
 
 from dataclasses import replace
@@ -16,6 +16,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
 from magmatch.registration.prepared.walk import bin_along_path, bin_means
+from magmatch.slam.config import SlamConfig
 from magmatch.typing import Vector3
 
 # Of a phone or a robot that was not calibrated, T; weak against a hundred metres of path.
@@ -24,23 +25,32 @@ BIAS_SD = 10e-6
 BINS, PART_LENGTH = 4, 25.0
 
 
-def sensor_bias(survey: Survey, numbers: Hyperparameters) -> tuple[Vector3, Vector3]:
+def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:
     """Bias of the magnetometer in its own axes, and its sd, T; zero where orientations are missing."""
     if survey.orientations is None:
         return np.zeros(3), np.zeros(3)
     rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)
     x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, survey.orientations.as_matrix()))
     A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
-    parts = (path_walked(x) / (PART_LENGTH * numbers.lengthscale)).astype(np.int64)
+    walked, drift = path_walked(x), config.odometry_of(survey.name)
+    # A small turn of the axes, about each that drifts, is a change of the field across it.
+    axes = np.eye(3)[2:] if config.is_gravity_aligned else np.eye(3)
+    across = np.cross(axes, survey.field.mean(axis=0))
+    parts = (walked / (PART_LENGTH * numbers.lengthscale)).astype(np.int64)
     for part in np.unique(parts):
         some = np.flatnonzero(parts == part)
-        d = np.sqrt(5) * cdist(x[some], x[some]) / numbers.lengthscale
+        d, s = np.sqrt(5) * cdist(x[some], x[some]) / numbers.lengthscale, walked[some]
         C = numbers.signal_sd**2 * (1 + d + d * d / 3) * np.exp(-d) + numbers.noise_sd**2 * np.eye(len(some))
-        factor = cho_factor(C, lower=True)
-        for axis in range(3):
-            J = np.concatenate([R[some][:, axis], np.tile(np.eye(3)[axis], (len(some), 1))], axis=1)
-            A = A + J.T @ cho_solve(factor, J)
-            v = v + J.T @ cho_solve(factor, b[some, axis])
+        turn = drift.rotation_sd**2 * np.minimum.outer(s, s) + drift.turn_rate_sd**2 * np.outer(s, s)
+        factor = cho_factor(np.kron(np.eye(3), C) + np.kron(across.T @ across, turn), lower=True)
+        J = np.concatenate(
+            [
+                np.concatenate([R[some][:, axis], np.tile(np.eye(3)[axis], (len(some), 1))], axis=1)
+                for axis in range(3)
+            ]
+        )
+        A = A + J.T @ cho_solve(factor, J)
+        v = v + J.T @ cho_solve(factor, b[some].T.ravel())
     C = np.linalg.pinv(A, hermitian=True)
     return (C @ v)[:3], np.sqrt(np.diag(C)[:3])
 

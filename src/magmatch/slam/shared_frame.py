@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether two logs share a frame: all windows that a tie between them puts beside known path have a say.
+
+Those that proposed the tie are the best of many windows and places. The others were not chosen: of a right tie most
+find their place where it says, of a wrong one none does.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.tie import Candidate
+from magmatch.slam.windows import Path
+from magmatch.typing import Indices
+
+# Poses drawn, to see how likely a window is on known path.
+N_DRAWS = 64
+
+
+def log_odds_shared(
+    path: Path,
+    others: Sequence[Path],
+    found: Sequence[Sequence[Candidate]],
+    log_prior: dict[int, float],
+    graph: PoseGraph,
+) -> float:
+    """Log odds that a log shares the frame of others over that it is unconnected.
+
+    Parameters
+    ----------
+    path : Path
+        The log, tied to the others in the graph.
+    others : sequence of Path
+    found : sequence of sequences of Candidate
+        For each of its windows: where it lies on the others' path, given the tie.
+    log_prior : dict
+        For the nodes that proposed the tie, the density of the prior that they were found with, from nowhere.
+    graph : PoseGraph
+
+    Returns
+    -------
+    float
+        Nats. One window pays for the transform, whose prior is that of nowhere; the others are predicted by it.
+    """
+    best = [max(c, key=lambda one: one.match.log_odds, default=None) for c in found]
+    free = {
+        w.node: one.match.log_odds - one.match.log_prior + log_prior[w.node]
+        for w, one in zip(path.windows, best, strict=True)
+        if one is not None and w.node in log_prior
+    }
+    if not free:
+        return -np.inf
+    first = max(free, key=lambda node: free[node])
+    rows = [k for k, one in enumerate(best) if one is not None and path.first_node + k != first]
+    chance = graph.config.keeps_on * _chances_on_path(
+        path.first_node + np.array(rows, np.int64), first, others, graph
+    )
+    odds = np.array([one.match.log_odds for k in rows if (one := best[k]) is not None])
+    return float(free[first] + np.logaddexp(np.log1p(-chance), np.log(np.maximum(chance, 1e-300)) + odds).sum())
+
+
+def _chances_on_path(nodes: Indices, tied: int, others: Sequence[Path], graph: PoseGraph) -> np.ndarray:
+    """How likely each node is within a field length of others' path, as the graph has it from a node that is tied."""
+    known = cKDTree(np.concatenate([corrected(other, graph).positions for other in others]))
+    length, draws = others[0].windows[0].length, np.random.default_rng(0).standard_normal((N_DRAWS, 3))
+    chances = []
+    for node in nodes:
+        C = graph.relative_covariances(np.array([tied]), int(node))[0][3:, 3:]
+        w, V = np.linalg.eigh(C)
+        points = graph.p[node] + (draws * np.sqrt(np.maximum(w, 0.0))) @ (graph.R[node] @ V).T
+        chances.append(float(np.mean(known.query(points)[0] < length)))
+    return np.array(chances)
