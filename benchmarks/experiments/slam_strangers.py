@@ -1,6 +1,6 @@
 """Logs of two places, in one session: whatever ties them is wrong.
 
-    python benchmarks/experiments/slam_strangers.py --data DIR --out DIR [--pairs 24] [--jobs 2]
+    python benchmarks/experiments/slam_strangers.py --data DIR --out DIR [--pairs 24] [--jobs 2] [--save NAME]
 
 DIR as for `slam_walks.py`; each pair is a walk of infcenter and one of the museum. Counted are pairs of windows, one
 of each log, closures between them, and those that the graph keeps. Rows stay in the folder of ``--out``; a second run
@@ -15,7 +15,7 @@ from slam_walks import PLACES
 
 import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
-from magmatch_evaluation.saved_table import show
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept
 from magmatch_evaluation.statistics import wilson_interval
 
@@ -41,13 +41,13 @@ def work(name: str, data: Path) -> dict[str, object]:
 
 
 def main() -> None:
-    asked = arguments(__doc__, data=Path, out=Path, pairs=24, jobs=os.cpu_count())
+    asked = arguments(__doc__, data=Path, out=Path, pairs=24, jobs=os.cpu_count(), save=saver)
     asked.out.mkdir(parents=True, exist_ok=True)
     make = partial(work, data=asked.data)
     found = list(kept(asked.out / "strangers.jsonl", names(asked.pairs), make, jobs=asked.jobs).values())
     sums = {key: sum(row[key] for row in found) for key in ("windows", "between", "kept")}
     low, high = wilson_interval(sum(row["kept"] > 0 for row in found), len(found))
-    show(COLUMNS, [[str(len(found)), *map(str, sums.values()), f"{low:.3f} to {high:.3f}"]], None)
+    show(COLUMNS, [[str(len(found)), *map(str, sums.values()), f"{low:.3f} to {high:.3f}"]], asked.save, found)
 
 
 if __name__ == "__main__":
