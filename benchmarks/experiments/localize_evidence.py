@@ -5,7 +5,8 @@
 
 DIR, its maps and its walks are those of `localize_walks.py`. Rows are kept in OUT and not made again.
 starts: walks of 30 m in CEA's walk two, alternately on both floors, with odometry of 0.5, 1 and 3 % and steps in turn
-and a bias of up to 30 uT in any direction. off: walks of other places. others: Kok's square and library, mapped by
+and a bias of up to 30 uT in any direction. off: walks of other places and of the other
+floor. others: Kok's square and library, mapped by
 their first 55 %, thirds of the rest walked; Aalto's run 4 of one sensor in a map of runs 1 and 2 of the other, with
 made-up odometry of 1 %. reliability: before a pose is stated, how probable the best one was said to be, every half
 metre of all rows, and how often it was right: within three of the largest standard deviations allowed. Walks off the
@@ -146,6 +147,8 @@ def names(table, n):
         pairs = [("cea1", log) for log in (*WALKS, *ROUTES, *kok)] + [(INFCENTER, log) for log in (*ROUTES, *kok)]
         pairs += [("route3_1 route3_2", log) for log in WALKS] + [("route1_1 route1_2", log) for log in WALKS]
         pairs += [(INFCENTER, f"cea#{k}") for k in range(20)]
+        # The other floor.
+        pairs += [(("cea2", "cea1")[k % 2], f"cea#{k}") for k in range(500, 620)]
         # In an order of no meaning: a part of them is a sample of all.
         pairs = [pairs[k] for k in np.random.default_rng(0).permutation(len(pairs))]
         return [f"off: {place}: {log}" for place, log in pairs][: None if n >= 100 else n]
