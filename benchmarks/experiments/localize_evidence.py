@@ -4,12 +4,12 @@
         [--minutes M] [--save NAME]
 
 DIR, its maps and its walks are those of `localize_walks.py`. Rows are kept in OUT and not made again.
-starts: walks of 30 m in CEA's walk two, alternately on both floors, with odometry of 0.5, 1 and 3 % and steps in turn
-and a bias of up to 30 uT in any direction. off: walks of other places. others: Kok's square and library, mapped by
-their first 55 %, thirds of the rest walked; Aalto's run 4 of one sensor in a map of runs 1 and 2 of the other, with
-made-up odometry of 1 %. reliability: before a pose is stated, how probable the best one was said to be, every half
-metre of all rows, and how often it was right: within three of the largest standard deviations allowed. Walks off the
-map weigh as much as the prior odds say.
+starts: walks of 30 m in CEA's walk two, alternately on both floors, with odometry of 0.5, 1 and 3 % and steps in
+turn and a bias of up to 30 uT in any direction. off: walks of other places and of the other floor. others: Kok's
+square and library, mapped by their first 55 %, thirds of the rest walked; Aalto's run 4 of one sensor in a map of
+runs 1 and 2 of the other, with made-up odometry of 1 %. reliability: before a pose is stated, how probable the best
+one was said to be, every half metre of all rows, and how often it was right: within three of the largest standard
+deviations allowed. Walks off the map weigh as much as the prior odds say.
 """
 
 import os
@@ -26,12 +26,13 @@ from magmatch.data.recordings import load_recordings
 from magmatch.registration.index.map_index import make_index, open_index
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept
+from magmatch_evaluation.statistics import wilson_interval
 
 INFCENTER = "walk1 walk2 walk3 walk4"
 WALKS = [f"walk{k}" for k in range(5, 10)]
 ROUTES = [f"route{r}_{k}" for r in range(1, 6) for k in range(1, 5)]
 EVERY, RIGHT = 0.5, 1.0
-BINS = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
+BINS = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0001)
 LEVELS = ("0.5%", "1%", "3%", "steps")
 CONFIG = mm.LocalizerConfig()
 
@@ -146,6 +147,8 @@ def names(table, n):
         pairs = [("cea1", log) for log in (*WALKS, *ROUTES, *kok)] + [(INFCENTER, log) for log in (*ROUTES, *kok)]
         pairs += [("route3_1 route3_2", log) for log in WALKS] + [("route1_1 route1_2", log) for log in WALKS]
         pairs += [(INFCENTER, f"cea#{k}") for k in range(20)]
+        # The other floor.
+        pairs += [(("cea2", "cea1")[k % 2], f"cea#{k}") for k in range(500, 620)]
         # In an order of no meaning: a part of them is a sample of all.
         pairs = [pairs[k] for k in np.random.default_rng(0).permutation(len(pairs))]
         return [f"off: {place}: {log}" for place, log in pairs][: None if n >= 100 else n]
@@ -176,38 +179,41 @@ def off_the_map(rows):
     return [len(rows), f"{path / 1000:.2f}", sum(row["stated"] > 0 for row in rows), f"{stated / path:.4f}"]
 
 
-def wilson(k, n):
-    """Interval of 95 % of a share."""
-    z2 = 1.96**2
-    middle, half = (k + z2 / 2) / (n + z2), 1.96 * np.sqrt(k * (n - k) / n + z2 / 4) / (n + z2)
-    return f"{max(middle - half, 0):.2f} to {min(middle + half, 1):.2f}"
-
-
 def reliability(rows):
-    """Share of right poses by stated probability; intervals by as many walks as there are, not samples."""
-    total = {is_off: sum(row["name"].startswith("off") == is_off for row in rows) for is_off in (False, True)}
-    weight_off = total[False] / max(total[True], 1) / CONFIG.decision.prior_odds
+    """Share of right poses by stated probability, of walks; intervals of 95 %, of walks on the map and off it."""
+    parts = [[row for row in rows if row["name"].startswith("off") == is_off] for is_off in (False, True)]
+    n = [max(len(part), 1) for part in parts]
+    weight = 1 / CONFIG.decision.prior_odds
+
+    def of_all(share, on, off):
+        """Share of right ones among walks on the map, and off it as many as the prior odds say."""
+        return share * on / (on + weight * off) if on else 0.0
+
     table = []
     for low, high in pairwise(BINS):
-        right = walks = weights = stated = 0.0
-        for row in rows:
-            mine = [(p, r) for p, r in row["said"] if low <= p < high or p == high == 1.0]
-            if mine:
-                w = weight_off if row["name"].startswith("off") else 1.0
-                walks, weights = walks + 1, weights + w
-                right += w * np.mean([r for _, r in mine])
-                stated += w * np.mean([p for p, _ in mine])
-        if walks:
-            share = right / weights
-            table.append(
-                [
-                    f"{low:g} to {high:g}",
-                    int(walks),
-                    f"{stated / weights:.3f}",
-                    f"{share:.3f}",
-                    wilson(share * walks, walks),
-                ]
+        # Means of each walk that was ever said to be so probable: stated, right.
+        on, off = (
+            np.array(
+                [np.mean(mine, axis=0) for row in part if (mine := [s for s in row["said"] if low <= s[0] < high])]
             )
+            for part in parts
+        )
+        rates = [len(some) / n_walks for some, n_walks in zip((on, off), n, strict=True)]
+        if not any(rates):
+            continue
+        sums = on.reshape(-1, 2).sum(axis=0), off.reshape(-1, 2).sum(axis=0)
+        stated = (sums[0][0] / n[0] + weight * sums[1][0] / n[1]) / (rates[0] + weight * rates[1])
+        right = sums[0][1] / max(len(on), 1)
+        shares, most_off = wilson_interval(sums[0][1], len(on)), wilson_interval(len(off), n[1])[::-1]
+        bounds = [of_all(share, rates[0], rate) for share, rate in zip(shares, most_off, strict=True)]
+        line = (
+            len(on),
+            len(off),
+            f"{stated:.3f}",
+            f"{of_all(right, *rates):.3f}",
+            f"{bounds[0]:.2f} to {bounds[1]:.2f}",
+        )
+        table.append([f"{low:g} to {min(high, 1):g}", *line])
     return table
 
 
@@ -231,7 +237,7 @@ def main() -> None:
     print(f"{len(rows)} of {len(wanted)} rows")
     found = list(rows.values())
     if asked.table == "reliability":
-        columns = ("stated probability", "walks", "stated", "right", "95 % interval")
+        columns = ("stated probability", "walks on the map", "off it", "stated", "right", "95 % interval")
         show(columns, reliability(found), asked.save)
         return
     groups = {}

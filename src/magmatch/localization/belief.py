@@ -25,7 +25,7 @@ from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.registration.decide.decision import in_words
 from magmatch.registration.decide.estimate import worst_sd
-from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
+from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of, unit_slope
 from magmatch.typing import Matrix
 
 # Length of a bin in field lengths: short against the field's changes, long against noise.
@@ -61,8 +61,6 @@ class Belief:
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf
-        # Odds that the body is in the map at all.
-        self._prior_odds = config.decision.prior_odds
 
     def follow(self, new: Bin) -> None:
         """Update all hypotheses with one bin."""
@@ -79,11 +77,9 @@ class Belief:
     def _forget_first(self) -> None:
         """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
         config, window = self._config, self._window
-        forget(window.steps, window.fit, window.null, self._toll, -np.log(config.end_probability), self._bank)
+        if self._since == 0:
+            forget(*self._parts(), self._known, self._toll, -np.log(config.end_probability), self._bank)
         window.forget_first()
-        if self._since == 0 and not self.is_sure:
-            # A whole window did not find it in the map: it must have entered since, at the same prior odds.
-            self._prior_odds = config.decision.prior_odds**2
         self._since = max(self._since - 1, 0)
 
     @property
@@ -148,7 +144,8 @@ class Belief:
         """Weigh all hypotheses and keep distinct ones, most likely first; returns the first one's log odds, nats."""
         same = self._config.decision.tolerance(self._known.length)
         weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
-        ranked = sorted(((log_odds(w.log_evidence, w.misfit, w.kind), w) for w in weighed), key=lambda one: -one[0])
+        odds = [log_odds(w.log_evidence, w.misfit, w.kind, unit_slope()) for w in weighed]
+        ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
         # Improbable hypotheses are dropped: a search would find them again.
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
@@ -163,10 +160,10 @@ class Belief:
     def judge(self, elsewhere: float) -> None:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
         decision = self._config.decision
-        self._found = posterior_of(self._weighed, self._prior_odds, elsewhere)
+        self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere, unit_slope())
         self.is_sure = self._found.best >= decision.min_probability and self._is_known_well(self._found.poses[0])
         if self.is_sure:
-            self._was_sure, self._prior_odds = True, decision.prior_odds
+            self._was_sure = True
             self._words = f"probability {in_words(self._found.best)}"
         else:
             self._trail = []

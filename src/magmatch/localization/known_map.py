@@ -46,6 +46,7 @@ class KnownMap:
     volume: float  # m^3: of all that is searched
     field_sd: float  # T: of one component over the map's samples
     field_rms: float  # T
+    mean_field: Vector3  # T, model frame
     bent: Covariance6  # (6, 6): covariance of its own poses' errors, rotation first (rad, m)
     # Two (f,) arrays: `PathNoise.log_factors`, as many as a window's bins can tell apart
     log_factors: tuple[Scalars, Scalars]
@@ -75,6 +76,7 @@ class KnownMap:
             raster.volume,
             float(np.sqrt(base.sample_field.var(axis=0).mean())),
             float(np.sqrt((base.sample_field**2).mean())),
+            base.sample_field.mean(axis=0),
             np.diag(np.repeat([noise.attitude_sd**2, noise.drift_sd**2], 3)),
             _some_factors(noise),
         )

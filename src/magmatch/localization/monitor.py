@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.compiled import compiled
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, move
-from magmatch.registration.decide.posterior import log_odds
+from magmatch.registration.decide.posterior import log_odds, unit_slope
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
 
@@ -70,14 +70,14 @@ class Toll(NamedTuple):
 def evidence(
     steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll
 ) -> tuple[Scalars, Scalars, Scalars]:
-    """Evidence of each hypothesis over an unrelated field (nats), normalised misfit, and factor on its covariance.
+    """Evidence of each hypothesis over unrelated fields (nats), its covariance's factor, and its misfit beyond that.
 
     ``fit`` (n, k) and ``null`` (n, c) are FIT of hypotheses and of unrelated fields at the same steps.
     """
     n = fit.shape[1]
     gained, misfit, factor = np.zeros(n), np.zeros(n), np.ones(n)
     _weigh_all(steps, fit, null, toll, *known.log_factors, gained, misfit, factor)
-    return gained, misfit, factor
+    return gained, factor, misfit
 
 
 @compiled
@@ -100,28 +100,25 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, 
                 if fit[m, k].is_seen and fit[m, k].is_known:
                     total += null[m, c].chi2
                     det += null[m, c].half_log_det
-            unrelated = max(unrelated, _average(total, n, log_factors, inverse, log_priors)[0] - det)
+            one_field = _average(total, n, log_factors, inverse, log_priors)[0] - det
+            unrelated = np.logaddexp(unrelated, one_field)
+        unrelated -= np.log(null.shape[1])
         likelihood, best = _average(own, n, log_factors, inverse, log_priors)
         gained[k] = likelihood - own_det - unrelated - paid
-        misfit[k] = np.sqrt(own / max(n, 1))
         factor[k] = np.exp(log_factors[best])
+        # The covariance's factor is averaged over: what it explains is not to count again.
+        misfit[k] = np.sqrt(own / factor[k] / max(n, 1))
 
 
-@compiled
-def forget(steps, fit, null, toll, most, bank):  # type: ignore[no-untyped-def]
-    """Move each hypothesis's gain over the best unrelated field in the first bin to earlier evidence, up to a cap."""
-    best, u = np.inf, steps[0].u
-    for c in range(null.shape[1]):
-        best = min(best, 0.5 * null[0, c].chi2 + null[0, c].half_log_det)
-    for k in range(len(bank)):
-        one, gained = fit[0, k], 0.0
-        if one.is_seen and one.is_known:
-            gained = best - 0.5 * one.chi2 - one.half_log_det
-        elif one.is_seen and k >= toll.n_free:
-            gained = -toll.per_metre * np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-        # A body that may leave the map and is outside forgets nothing.
-        limit = np.inf if k < toll.n_free and not fit[len(fit) - 1, k].is_known else most
-        bank[k].earlier = min(bank[k].earlier + gained, max(limit, bank[k].earlier))
+def forget(
+    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll, most: float, bank: np.ndarray
+) -> None:
+    """Move what each hypothesis gained by the first bin to earlier evidence, up to a cap."""
+    gained, rest = (evidence(steps[k:], fit[k:], null[k:], known, toll)[0] for k in (0, 1))
+    # A body that may leave the map and is outside forgets nothing.
+    is_outside = (np.arange(len(bank)) < toll.n_free) & (fit[-1]["is_known"] == 0)
+    limit = np.where(is_outside, np.inf, np.maximum(most, bank["earlier"]))
+    bank["earlier"] = np.minimum(bank["earlier"] + gained - rest, limit)
 
 
 @compiled
@@ -145,7 +142,7 @@ def weigh(
     tolerance: tuple[float, float],
 ) -> list[Weighed]:  # fmt: skip
     """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`."""
-    gained, misfit, factor = evidence(steps, fit, null, known, toll)
+    gained, factor, misfit = evidence(steps, fit, null, known, toll)
     gained += bank["earlier"]
     return [
         Weighed(k, bank[k : k + 1], float(gained[k]), float(misfit[k]), float(factor[k]))
@@ -168,8 +165,8 @@ def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float])
 
 def is_doubtful(steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, prior_odds: float) -> bool:
     """Whether bins of a hypothesis (n, 1), of some odds before, look more like an unrelated field."""
-    gained, misfit, _ = evidence(steps, fit, null, known, Toll(0.0, 1))
-    return bool(log_odds(float(gained[0]), float(misfit[0]), "log") < -np.log(prior_odds))
+    gained, _, misfit = evidence(steps, fit, null, known, Toll(0.0, 1))
+    return bool(log_odds(float(gained[0]), float(misfit[0]), "log", unit_slope()) < -np.log(prior_odds))
 
 
 def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:

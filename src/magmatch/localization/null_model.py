@@ -2,8 +2,8 @@
 """The null model: the field along the path is an independent smooth random field.
 
 A bank of Kalman filters along the path, in the odometry's axes: per component a Matern-3/2 field of some lengthscale
-and strength, the same misfit and nugget as in a hypothesis, and a constant; in addition the sensor's bias. The most
-likely of them counts.
+and strength, the same misfit and nugget as in a hypothesis, and a constant; in addition the sensor's bias. All are
+equally probable beforehand.
 """
 
 from itertools import product
@@ -15,6 +15,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT
 from magmatch.localization.state import Model, settle
+from magmatch.typing import Vector3
 
 # Lengthscales, in field lengths, and strengths, in the map's standard deviation.
 LENGTHSCALES, STRENGTHS = (0.6, 1.2, 2.4), (0.25, 0.5, 1.0, 2.0)
@@ -32,10 +33,12 @@ class NullModel:
         self._model = model._replace(misfit_variance=model.misfit_variance + turned)
         kinds = list(product(LENGTHSCALES, STRENGTHS, (config.calibrated_bias_sd, config.bias_sd)))
         self._start = np.zeros(len(kinds), UNRELATED)
+        mean, variances = _constant_elsewhere(known, config)
         for one, (lengthscale, strength, bias) in zip(self._start, kinds, strict=True):
             one["rate"], one["variance"] = np.sqrt(3) / (lengthscale * known.length), (strength * known.field_sd) ** 2
-            alike = [one["variance"], one["variance"], self._model.misfit_variance, known.field_rms**2]
-            np.fill_diagonal(one["P"], [*alike, *alike, *alike, *[bias**2] * 3])
+            one["x"][CONSTANT:BIAS:4] = mean
+            alike = [one["variance"], one["variance"], self._model.misfit_variance]
+            np.fill_diagonal(one["P"], [x for v in variances for x in (*alike, v)] + 3 * [bias**2])
         self._now = self._start.copy()
 
     def __len__(self) -> int:
@@ -55,6 +58,15 @@ class NullModel:
     def follow(self, steps: np.ndarray, fit: np.ndarray) -> None:
         """Take all through some bins, as `measurement.follow` does hypotheses."""
         _follow(self._now, steps, self._model, fit)
+
+
+def _constant_elsewhere(known: KnownMap, config: LocalizerConfig) -> tuple[Vector3, Vector3]:
+    """Mean and variances of another place's constant, in the odometry's axes: the Earth's field, of any heading."""
+    square, vertical = float(known.mean_field @ known.mean_field), float(known.mean_field @ known.up)
+    if not config.is_gravity_aligned:
+        return np.zeros(3), np.full(3, square / 3 + known.field_sd**2)
+    level = (square - vertical**2) / 2
+    return np.array([0.0, 0.0, vertical]), np.array([level, level, 0.0]) + known.field_sd**2
 
 
 @compiled

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Evidence weighs models by all that they allow for, and is neither lost nor made when bins are forgotten."""
+
+import numpy as np
+import pytest
+
+from magmatch.localization.known_map import KnownMap
+from magmatch.localization.measurement import FIT, STEP
+from magmatch.localization.monitor import Toll, evidence, forget
+from magmatch.localization.state import hypotheses
+
+N, FREE = 24, Toll(0.0, 0)
+
+
+@pytest.fixture(scope="module")
+def known(place):
+    return KnownMap.of(place)
+
+
+def fits(rng, n_models, chi2):
+    """Bins of some models, all seen and known, of a mean chi^2."""
+    fit = np.zeros((N, n_models), FIT)
+    fit["chi2"] = chi2 / 3 * rng.chisquare(3, (N, n_models))
+    fit["half_log_det"], fit["is_seen"], fit["is_known"] = 1.0, 1, 1
+    return fit
+
+
+def test_an_unrelated_field_that_explains_nothing_costs_the_others_its_prior_share(known):
+    rng = np.random.default_rng(0)
+    steps, fit, null = np.zeros(N, STEP), fits(rng, 2, 3.0), fits(rng, 3, 4.0)
+    with_another = np.concatenate([null, fits(rng, 1, 300.0)], axis=1)
+    before, after = (evidence(steps, fit, some, known, FREE)[0] for some in (null, with_another))
+    np.testing.assert_allclose(after, before + np.log(4 / 3), atol=1e-9)
+
+
+def test_unrelated_fields_that_explain_alike_count_once(known):
+    rng = np.random.default_rng(1)
+    steps, fit, null = np.zeros(N, STEP), fits(rng, 2, 3.0), fits(rng, 3, 4.0)
+    twice = np.concatenate([null, null], axis=1)
+    once, again = (evidence(steps, fit, some, known, FREE)[0] for some in (null, twice))
+    np.testing.assert_allclose(again, once, atol=1e-9)
+
+
+def test_residuals_that_the_covariances_factor_explains_are_no_misfit(known):
+    steps, rng = np.zeros(N, STEP), np.random.default_rng(2)
+    null = fits(rng, 3, 4.0)
+    (_, usual, a), (_, large, b) = (evidence(steps, fits(rng, 1, chi2), null, known, FREE) for chi2 in (3.0, 4.0))
+    assert large > usual
+    np.testing.assert_allclose([a, b], 1.0, atol=0.15)
+    # No covariance of a factor that was ever seen explains these.
+    assert evidence(steps, fits(rng, 1, 60.0), null, known, FREE)[2] > 2
+
+
+def test_a_bin_that_is_forgotten_leaves_what_it_gained_up_to_a_cap(known):
+    steps, rng = np.zeros(N, STEP), np.random.default_rng(3)
+    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
+    # The first bin speaks for the first hypothesis, and against the second.
+    fit["chi2"][0], null["chi2"][0] = [0.1, 60.0], 20.0
+    before = evidence(steps, fit, null, known, FREE)[0]
+    for most in (np.inf, 1.0):
+        bank["earlier"] = 0.0
+        forget(steps, fit, null, known, FREE, most, bank)
+        after = bank["earlier"] + evidence(steps[1:], fit[1:], null[1:], known, FREE)[0]
+        np.testing.assert_allclose(after[1], before[1], atol=1e-9)
+        assert bank["earlier"][0] == pytest.approx(1.0) if most == 1.0 else after[0] == pytest.approx(before[0])
+
+
+def test_who_is_trusted_and_outside_the_map_forgets_nothing(known):
+    steps, rng = np.zeros(N, STEP), np.random.default_rng(4)
+    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
+    fit["chi2"][0], null["chi2"][0], fit["is_known"][-1] = 0.1, 20.0, 0
+    forget(steps, fit, null, known, Toll(0.0, 1), 1.0, bank)
+    assert bank["earlier"][0] > 5
+    assert bank["earlier"][1] == pytest.approx(1.0)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Another place shares the Earth's field with the map: that is no evidence for being in the map."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import magmatch as mm
+from drifting import about_z
+from magmatch.localization.known_map import KnownMap
+from magmatch.localization.measurement import FIT, STEP
+from magmatch.localization.null_model import NullModel
+from magmatch.localization.state import model_of
+
+
+def likelihood(known, field, config):
+    """Log-likelihood of the best unrelated field where a body stands in a field, (3,), T, by odometry's axes."""
+    step, null = np.zeros(1, STEP), NullModel(known, model_of(known, config), config)
+    step["R"], step["M"], step["z"] = np.eye(3), np.eye(3), field
+    fit = np.zeros((1, len(null)), FIT)
+    null.follow(step, fit)
+    return float(np.logaddexp.reduce(-0.5 * fit["chi2"][0] - fit["half_log_det"][0]) - np.log(len(null)))
+
+
+@pytest.fixture(scope="module")
+def known(place):
+    return KnownMap.of(place)
+
+
+def of_the_map(known):
+    """Mean field in axes whose z is up."""
+    return known.T_map_model[:3, :3] @ known.mean_field
+
+
+@pytest.mark.parametrize("is_gravity_aligned", [True, False])
+def test_the_earths_field_from_any_heading_is_as_likely(known, is_gravity_aligned):
+    config = mm.LocalizerConfig(is_gravity_aligned=is_gravity_aligned)
+    turns = Rotation.random(6, random_state=0) if not is_gravity_aligned else about_z(np.arange(6.0))
+    found = [likelihood(known, turn.apply(of_the_map(known)), config) for turn in turns]
+    np.testing.assert_allclose(found, found[0], atol=1e-6)
+
+
+def test_the_earths_field_is_likelier_than_one_that_points_up(known):
+    config, usual = mm.LocalizerConfig(), of_the_map(known)
+    assert likelihood(known, usual, config) > likelihood(known, usual * [1, 1, -1], config) + 1
+    free = config.model_copy(update={"is_gravity_aligned": False})
+    assert likelihood(known, usual, free) == pytest.approx(likelihood(known, usual * [1, 1, -1], free), abs=1e-6)
