@@ -43,14 +43,12 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
         build_app(service), http="h11", loop="asyncio", ws=_Wire, ws_max_size=config.max_message,
-        ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="on", log_config=None,
+        ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="off", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5, backlog=BACKLOG,
     )  # fmt: skip
-    server = _Server(settings, lambda: on_start(address_of(listening)))
+    server = _Server(settings, service, lambda: on_start(address_of(listening)))
     with listening:
         server.run(sockets=[listening])
-    if service.fault is not None:
-        raise service.fault
 
 
 class _Wire(WebSocketsSansIOProtocol):
@@ -62,16 +60,21 @@ class _Wire(WebSocketsSansIOProtocol):
 
 
 class _Server(uvicorn.Server):
-    """Says when it is ready."""
+    """Begins and ends with the service, whose faults are told by whoever runs this; says when it is ready."""
 
-    def __init__(self, config: uvicorn.Config, on_start: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service, on_start: Callable[[], None]) -> None:
         super().__init__(config)
-        self._on_start = on_start
+        self._running, self._on_start = service.running(), on_start
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._running.__aenter__()
         await super().startup(sockets)
         if self.started:
             self._on_start()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().shutdown(sockets)
+        await self._running.__aexit__(None, None, None)
 
 
 def _listen(config: ServeConfig) -> socket.socket:

@@ -4,8 +4,8 @@
 import asyncio
 import json
 import logging
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,15 +36,13 @@ class Service:
         self.catalogue = Catalogue(place, look_at(place))
         self.connected: dict[str, Live] = {}
         self.n_clients = 0
-        # Why it could not start.
-        self.fault: Exception | None = None
         self._watchers: set[asyncio.Queue[str]] = set()
         self._pictures: dict[tuple[Listing, str], dict[str, Any]] = {}
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Everything is up for the block."""
-        with self._noting_fault(), checkpoints.held(self.config.states):
+        with checkpoints.held(self.config.states):
             self.trackers = Trackers(self.place, self.config)
             await self.trackers.start()
             self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
@@ -65,14 +63,6 @@ class Service:
                 await self.trackers.stop()
                 if self.foxglove is not None:
                     self.foxglove.stop()
-
-    @contextmanager
-    def _noting_fault(self) -> Iterator[None]:
-        try:
-            yield
-        except Exception as error:
-            self.fault = error
-            raise
 
     def enter(self) -> None:
         """Take one of the places for clients."""
