@@ -35,7 +35,7 @@ def fault(request, hall, tmp_path):
         }[request.param]
 
 
-def test_what_keeps_it_from_starting_is_one_line(fault):
+def test_what_keeps_it_from_starting_is_one_line(fault, tmp_path):
     place, options, words = fault
     if "--host" in options:
         options = [*options, "--token-file", place.with_name("token.txt")]
@@ -44,3 +44,5 @@ def test_what_keeps_it_from_starting_is_one_line(fault):
     said = [line for line in done.stderr.splitlines() if not line.startswith("Loading")]
     assert (done.returncode, len(said)) == (2, 1), done.stderr
     assert words in said[0]
+    # Nothing was begun beside what is no map.
+    assert place.name == "hall.map" or not [*tmp_path.rglob("*.clients"), *tmp_path.rglob(".clients")]

@@ -10,6 +10,7 @@ import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from magmatch.errors import ConfigurationError
+from magmatch.localization.known_places import open_place
 from magmatch.serve.app import build_app
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.service import Service
@@ -40,6 +41,8 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
         The address cannot be had.
     """
     listening = _listen(config)
+    # Once, before several processes do: a folder's maps are indexed where they are not yet.
+    open_place(Path(place))
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
         build_app(service), http="h11", loop="asyncio", ws=_Wire, ws_max_size=config.max_message,
