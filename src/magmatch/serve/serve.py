@@ -5,6 +5,7 @@ import asyncio
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -60,6 +61,11 @@ class _Wire(WebSocketsSansIOProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         transport.max_size = MAX_READ  # type: ignore[attr-defined]
         super().connection_made(transport)
+
+    async def send(self, message: Any) -> None:
+        """A refusal is an answer, too: uvicorn would log an error and send 500 after it."""
+        await super().send(message)
+        self.handshake_complete = self.handshake_complete or self.close_sent
 
 
 class _Server(uvicorn.Server):
