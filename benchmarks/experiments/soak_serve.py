@@ -7,9 +7,12 @@ Another posts whole logs to /localize and /register, each of another walk. Now a
 resumed, samples that had to be sent again (those since the last checkpoint), poses farther from the truth than five
 standard deviations, which another's pose would be, logs that were answered, refused or cut off, and resident memory
 along the way, of each kind of process: of the largest, and by how much one grew after its first hour of samples (of
-all clients together, as long as it lived). Ends by itself.
+all clients together, as long as it lived). Those that work on logs have little time beside clients that never rest, so
+that they may still be reading their code by then: ``--logs 160`` posts so many logs, each another walk, to a service
+without other clients, and says how its worker grew; nothing else is done. Ends by itself.
 
 Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
+    [--logs N]
 """
 
 import json
@@ -98,11 +101,11 @@ class Walker(threading.Thread):
 class Poster(threading.Thread):
     """A client that posts whole logs, one after another; whatever is not answered is posted again."""
 
-    def __init__(self, folder: Path, where: dict) -> None:
+    def __init__(self, folder: Path, where: dict, n_logs: int = N_LOGS) -> None:
         super().__init__(daemon=True)
         self.where, self.said, self.n_wrong, self.is_over = where, Counter(), 0, False
         self.logs = []
-        for seed in range(101, 101 + N_LOGS):
+        for seed in range(101, 101 + n_logs):
             log, truth = drifting_walk(Place(1), seed, laps=1.0, start=float(seed), bias=(2e-6, -1e-6, 1e-6))
             log.save(folder / "log.csv")
             self.logs.append(((folder / "log.csv").read_bytes(), log, truth))
@@ -111,7 +114,7 @@ class Poster(threading.Thread):
         """Until told."""
         n = 0
         while not self.is_over:
-            content, log, truth = self.logs[n // 2 % N_LOGS]
+            content, log, truth = self.logs[n // 2 % len(self.logs)]
             verb = ("localize", "register")[n % 2]
             try:
                 status, _, answer = self.where["service"].ask(f"/{verb}", content)
@@ -142,7 +145,10 @@ class Poster(threading.Thread):
 
 def main() -> None:
     # Hours of samples, of all clients together; minutes after which it ends in any case.
-    asked = arguments(__doc__, hours=24.0, kills=20, clients=4, minutes=60.0, save=saver)
+    asked = arguments(__doc__, hours=24.0, kills=20, clients=4, minutes=60.0, logs=0, save=saver)
+    if asked.logs:
+        in_a_row(asked.logs, asked.save)
+        return
     rng, where = random.Random(0), {}
     until = time.monotonic() + 60 * asked.minutes
     with TemporaryDirectory() as name:
@@ -180,6 +186,26 @@ def main() -> None:
         *memory.rows(),
     ]  # fmt: skip
     show(["what", f"{asked.hours:g} h of samples"], rows, asked.save)
+
+
+def in_a_row(n_logs: int, save) -> None:
+    """Memory of the process that works on logs, by how many it has answered."""
+    with TemporaryDirectory() as name:
+        folder, sizes, said = Path(name), [], Counter()
+        make_map(folder / "hall.map")
+        logs = Poster(folder, {}, (n_logs + 1) // 2).logs
+        with serving(folder / "hall.map", "--states", folder / "states") as service:
+            own = service.process.pid
+            for n in range(n_logs):
+                said[service.ask(("/localize", "/register")[n % 2], logs[n // 2][0])[0]] += 1
+                sizes.append(max(resident(pid) for pid in children_of(own) if kind_of(pid, own) == WORKER))
+    eighths = [f"{max(part):.0f}" for part in np.array_split(sizes, 8)]
+    rows = [
+        ["logs answered", f"{said[200]} of {n_logs}"],
+        [f"resident MB of the {WORKER} after 1, 10, 20", ", ".join(f"{sizes[n - 1]:.0f}" for n in (1, 10, 20))],
+        ["the most in each eighth of them", ", ".join(eighths)],
+    ]
+    show(["what", f"{n_logs} logs in a row"], rows, save)
 
 
 class Memory:

@@ -2,6 +2,7 @@
 """A service that cannot start says why in one line, and leaves as other commands do."""
 
 import os
+import socket
 import subprocess
 import sys
 
@@ -18,19 +19,23 @@ def start(place, *options):
     return subprocess.run(words, check=False, capture_output=True, text=True, timeout=180, env=environment)
 
 
-@pytest.fixture(params=["no map", "half a map", "a folder without maps", "an address", "states in use"])
+@pytest.fixture(
+    params=["no map", "half a map", "a folder without maps", "an address", "Foxglove's port", "states in use"]
+)
 def fault(request, hall, tmp_path):
     """What is served, with which options, and what is said of it."""
     log, half, empty, states = (tmp_path / name for name in ("walk.csv", "half.map", "empty", "states"))
     log.write_text("t,x\n1,2\n")
     half.write_bytes(hall.map.read_bytes()[:-2000])
     empty.mkdir()
-    with checkpoints.held(states):
+    with checkpoints.held(states), socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
         yield {
             "no map": (log, [], "expected a saved map"),
             "half a map": (half, [], str(half)),
             "a folder without maps": (empty, [], "map"),
             "an address": (hall.map, ["--host", "203.0.113.1"], "say --host or --port"),
+            "Foxglove's port": (hall.map, ["--foxglove", port], "--foxglove"),
             "states in use": (hall.map, ["--states", states], "another service"),
         }[request.param]
 

@@ -5,7 +5,7 @@ import asyncio
 import json
 import logging
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +42,17 @@ class Service:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Everything is up for the block."""
-        with checkpoints.held(self.config.states):
+        async with AsyncExitStack() as until_end:
+            until_end.enter_context(checkpoints.held(self.config.states))
             self.trackers = Trackers(self.place, self.config)
             await self.trackers.start()
+            until_end.push_async_callback(self.trackers.stop)
             self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
             self.workers = LogWorkers(self.config)
+            until_end.callback(self.workers.close)
             self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
+            if self.foxglove is not None:
+                until_end.callback(self.foxglove.stop)
             jobs = {
                 self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every,
                 self._show_maps: MAPS_EVERY,
@@ -59,10 +64,6 @@ class Service:
                 for task in tasks:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
-                self.workers.close()
-                await self.trackers.stop()
-                if self.foxglove is not None:
-                    self.foxglove.stop()
 
     def enter(self) -> None:
         """Take one of the places for clients."""
