@@ -7,8 +7,8 @@ Another posts whole logs to /localize and /register, each of another walk. Now a
 resumed, samples that had to be sent again (those since the last checkpoint), poses farther from the truth than five
 standard deviations, which another's pose would be, logs that were answered, refused or cut off, and resident memory
 along the way, of each kind of process: of the largest, and by how much one grew after its first hour of samples (of
-all clients together, as long as it lived). Those that work on logs have little time beside clients that never rest, so
-that they may still be reading their code by then: ``--logs 160`` posts so many logs, each another walk, to a service
+all clients together, as long as it lived). Those that work on logs have little time beside clients that never rest,
+and may still be reading their code by then: ``--logs 160`` posts so many logs, each another walk, to a service
 without other clients, and says how its worker grew; nothing else is done. Ends by itself.
 
 Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
