@@ -80,8 +80,7 @@ def read_question(words: list[tuple[str, str]]) -> LogQuestion:
 
 def begin_worker() -> None:
     """Let those that answer live go first; the service says when to stop."""
-    for stop in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(stop, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(10)
     threading.Thread(target=_end_with_service, daemon=True).start()
 
