@@ -6,12 +6,15 @@ Another posts whole logs to /localize and /register, each of another walk. Now a
 (-9): the service itself, one that follows clients, or one that works on logs. Counted are answers, states that
 resumed, samples that had to be sent again (those since the last checkpoint), poses farther from the truth than five
 standard deviations, which another's pose would be, logs that were answered, refused or cut off, and resident memory
-along the way: of the largest process, and by how much one grew after its first hour of samples. Ends by itself.
+along the way, of each kind of process: of the largest, and by how much one grew after its first hour of samples (of
+all clients together, as long as it lived). Those that work on logs have little time beside clients that never rest,
+and may still be reading their code by then: ``--logs 160`` posts so many logs, each another walk, to a service
+without other clients, and says how its worker grew; nothing else is done. Ends by itself.
 
 Run: PYTHONPATH=tests:benchmarks python benchmarks/experiments/soak_serve.py [--hours H] [--kills N] [--clients N]
+    [--logs N]
 """
 
-import argparse
 import json
 import os
 import random
@@ -31,6 +34,8 @@ from websockets.sync.client import connect
 
 from drifting import Place, drifting_walk
 from magmatch.serve.messages import read_pose
+from magmatch_evaluation.saved_table import saver, show
+from magmatch_evaluation.script import arguments
 from serving import packed, samples, serving, wait_until
 
 TRIES = 2000
@@ -38,7 +43,8 @@ TRIES = 2000
 UNDER_WAY = 16
 RATE = 10.0
 # Logs that are posted in turn, s between two, and what is far from the truth, m: some drift more than others.
-N_LOGS, PAUSE, FAR = 10, 3.0, 1.0
+N_LOGS, PAUSE, FAR = 50, 3.0, 1.0
+SERVICE, FOLLOWER, WORKER = "service", "follower of clients", "worker on logs"
 
 
 class Walker(threading.Thread):
@@ -95,11 +101,11 @@ class Walker(threading.Thread):
 class Poster(threading.Thread):
     """A client that posts whole logs, one after another; whatever is not answered is posted again."""
 
-    def __init__(self, folder: Path, where: dict) -> None:
+    def __init__(self, folder: Path, where: dict, n_logs: int = N_LOGS) -> None:
         super().__init__(daemon=True)
         self.where, self.said, self.n_wrong, self.is_over = where, Counter(), 0, False
         self.logs = []
-        for seed in range(101, 101 + N_LOGS):
+        for seed in range(101, 101 + n_logs):
             log, truth = drifting_walk(Place(1), seed, laps=1.0, start=float(seed), bias=(2e-6, -1e-6, 1e-6))
             log.save(folder / "log.csv")
             self.logs.append(((folder / "log.csv").read_bytes(), log, truth))
@@ -108,7 +114,7 @@ class Poster(threading.Thread):
         """Until told."""
         n = 0
         while not self.is_over:
-            content, log, truth = self.logs[n // 2 % N_LOGS]
+            content, log, truth = self.logs[n // 2 % len(self.logs)]
             verb = ("localize", "register")[n % 2]
             try:
                 status, _, answer = self.where["service"].ask(f"/{verb}", content)
@@ -138,12 +144,11 @@ class Poster(threading.Thread):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hours", type=float, default=24.0, help="of samples, all clients together")
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--clients", type=int, default=4)
-    parser.add_argument("--minutes", type=float, default=60.0, help="after which it ends in any case")
-    asked = parser.parse_args()
+    # Hours of samples, of all clients together; minutes after which it ends in any case.
+    asked = arguments(__doc__, hours=24.0, kills=20, clients=4, minutes=60.0, logs=0, save=saver)
+    if asked.logs:
+        in_a_row(asked.logs, asked.save)
+        return
     rng, where = random.Random(0), {}
     until = time.monotonic() + 60 * asked.minutes
     with TemporaryDirectory() as name:
@@ -152,7 +157,7 @@ def main() -> None:
         walkers = [Walker(seed, asked.hours / asked.clients, where) for seed in range(1, asked.clients + 1)]
         total, n_kills, killed = sum(len(w.log) for w in walkers), 0, Counter()
         poster = Poster(folder, where)
-        memory: dict[int, list[tuple[int, float]]] = {}
+        memory = Memory(total)
         while any(not w.is_done for w in walkers) and time.monotonic() < until:
             with serving(folder / "hall.map", "--states", folder / "states") as service:
                 where |= {"live": service.live, "service": service}
@@ -163,55 +168,116 @@ def main() -> None:
                         walker.start()
                 n_kills += watch(service, walkers, total, asked.kills, n_kills, rng, memory, until, killed)
         poster.is_over = True
-    print(f"{sum(w.n_answers for w in walkers)} answers to {total} samples, {n_kills} kills "
-          f"({dict(killed)}), {sum(w.is_done for w in walkers)} of {len(walkers)} walks to their end")  # fmt: skip
-    print(f"{sum(w.n_resumed for w in walkers)} resumed, {sum(w.n_anew for w in walkers)} began anew, "
-          f"{sum(w.n_again for w in walkers)} samples sent again, the oldest "
-          f"{max(w.oldest_again for w in walkers):.1f} s old")  # fmt: skip
-    print(f"{sum(w.n_stated for w in walkers)} poses stated, {sum(w.n_wrong for w in walkers)} not this walk's")
-    print(f"logs: {dict(poster.said)}; {poster.n_wrong} of their poses farther than {FAR} m from the truth")
-    report_memory(memory, total)
+    said = poster.said
+    rows = [
+        ["samples, answers, walks to their end",
+         f"{total:,}; {sum(w.n_answers for w in walkers):,}; {sum(w.is_done for w in walkers)} of {len(walkers)}"],
+        ["killed", f"{n_kills}: " + ", ".join(f"{kind} {n}" for kind, n in killed.items())],
+        ["clients resumed, begun anew", f"{sum(w.n_resumed for w in walkers)}, {sum(w.n_anew for w in walkers)}"],
+        ["samples sent again after a kill, the oldest",
+         f"{sum(w.n_again for w in walkers):,}, {max(w.oldest_again for w in walkers):.1f} s old"],
+        ["poses stated, of these wrong",
+         f"{sum(w.n_stated for w in walkers):,}, {sum(w.n_wrong for w in walkers)}"],
+        ["logs posted: answered, refused with 503, cut off, else",
+         f"{said[200]}, {said[503]}, {said['cut off']}, "
+         f"{sum(n for k, n in said.items() if isinstance(k, int) and k not in (200, 503))}"],
+        ["poses of logs, registrations accepted, of both wrong",
+         f"{said['poses']:,}, {said['accepted']}, {poster.n_wrong}"],
+        *memory.rows(),
+    ]  # fmt: skip
+    show(["what", f"{asked.hours:g} h of samples"], rows, asked.save)
 
 
-def report_memory(memory: dict[int, list[tuple[int, float]]], total: int) -> None:
-    """Of the largest process in each twelfth of the samples, and how much one grew after its first hour."""
-    parts: list[dict[int, float]] = [{} for _ in range(12)]
-    grown, longest, hour = [], 0, RATE * 3600
-    for pid, rows in memory.items():
-        for n, mb in rows:
-            part = parts[min(12 * n // total, 11)]
-            part[pid] = max(part.get(pid, 0.0), mb)
-        later = [mb for n, mb in rows if n >= rows[0][0] + hour]
-        if later:
-            grown.append(max(later) - later[0])
-            longest = max(longest, rows[-1][0] - rows[0][0])
-    print("resident MB of each twelfth's largest process: " + " ".join(f"{max(p.values()):.0f}" for p in parts if p))
-    print(f"{len(grown)} processes lived for more than an hour of samples, one for {longest / hour:.1f} h; "
-          f"after the first hour the largest grew by {max(grown, default=0.0):.1f} MB")  # fmt: skip
+def in_a_row(n_logs: int, save) -> None:
+    """Memory of the process that works on logs, by how many it has answered."""
+    with TemporaryDirectory() as name:
+        folder, sizes, said = Path(name), [], Counter()
+        make_map(folder / "hall.map")
+        logs = Poster(folder, {}, (n_logs + 1) // 2).logs
+        with serving(folder / "hall.map", "--states", folder / "states") as service:
+            own = service.process.pid
+            for n in range(n_logs):
+                said[service.ask(("/localize", "/register")[n % 2], logs[n // 2][0])[0]] += 1
+                sizes.append(max(resident(pid) for pid in children_of(own) if kind_of(pid, own) == WORKER))
+    eighths = [f"{max(part):.0f}" for part in np.array_split(sizes, 8)]
+    rows = [
+        ["logs answered", f"{said[200]} of {n_logs}"],
+        [f"resident MB of the {WORKER} after 1, 10, 20", ", ".join(f"{sizes[n - 1]:.0f}" for n in (1, 10, 20))],
+        ["the most in each eighth of them", ", ".join(eighths)],
+    ]
+    show(["what", f"{n_logs} logs in a row"], rows, save)
+
+
+class Memory:
+    """Resident memory of every process: its kind, and by answers at each look."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.kinds = total, {}
+        self.seen: dict[int, list[tuple[int, float]]] = {}
+
+    def look(self, service, n_answers: int) -> None:
+        """Note all processes of the service."""
+        own = service.process.pid
+        for pid in [own, *children_of(own)]:
+            with suppress(OSError):
+                if kind := kind_of(pid, own):
+                    self.kinds[pid] = kind
+                    self.seen.setdefault(pid, []).append((n_answers, resident(pid)))
+
+    def rows(self) -> list[list[str]]:
+        """Of each kind: the largest process in each twelfth of the samples, and growth after a first hour."""
+        found, hour = [], RATE * 3600
+        for kind in (SERVICE, FOLLOWER, WORKER):
+            parts, grown, longest = {}, [], 0.0
+            for rows in (rows for pid, rows in self.seen.items() if self.kinds[pid] == kind):
+                for n, mb in rows:
+                    part = min(12 * n // self.total, 11)
+                    parts[part] = max(parts.get(part, 0.0), mb)
+                if later := [mb for n, mb in rows if n >= rows[0][0] + hour]:
+                    grown.append(max(later) - later[0])
+                    longest = max(longest, (rows[-1][0] - rows[0][0]) / hour)
+            sizes = ", ".join(f"{mb:.0f}" for _, mb in sorted(parts.items()))
+            found.append([f"resident MB, largest {kind} in each twelfth of the samples", sizes])
+            growth = (
+                f"{max(grown):.1f} MB ({len(grown)} processes, one for {longest:.1f} h)" if grown else "none so old"
+            )
+            found.append([f"growth after its first hour of samples, the most of one {kind}", growth])
+        return found
+
+
+def kind_of(pid: int, own: int) -> str | None:
+    """What a process of the service does; None of Python's own helpers."""
+    if pid == own:
+        return SERVICE
+    if b"spawn_main" not in command_of(pid):
+        return None
+    with suppress(OSError):
+        # Those that work on logs let others go first (nice).
+        is_worker = os.getpriority(os.PRIO_PROCESS, pid) > os.getpriority(os.PRIO_PROCESS, own)
+        return WORKER if is_worker else FOLLOWER
+    return None
 
 
 def watch(service, walkers, total, most, n_before, rng, memory, until, killed) -> int:
     """Kill a process each time that a share of all is answered; gives the kills. The service's own ends the watch."""
-    n, own = 0, os.getpriority(os.PRIO_PROCESS, service.process.pid)
+    n = 0
     while any(not w.is_done for w in walkers) and time.monotonic() < until:
         time.sleep(0.5)
-        n_answers = sum(w.n_answers for w in walkers)
-        for pid in [service.process.pid, *children_of(service.process.pid)]:
-            with suppress(OSError):
-                memory.setdefault(pid, []).append((n_answers, resident(pid)))
+        n_answers, own = sum(w.n_answers for w in walkers), service.process.pid
+        memory.look(service, n_answers)
         share = n_answers / total
         if share * (most + 1) < n_before + n + 1 or n_before + n >= most:
             continue
         n += 1
         if rng.random() < 0.3:
             service.process.kill()
-            killed["service"] += 1
+            killed[SERVICE] += 1
             return n
-        # Those that work on logs let others go first (nice).
-        victims = [pid for pid in children_of(service.process.pid) if b"spawn_main" in command_of(pid)]
-        victim = rng.choice(victims)
-        killed["worker on logs" if os.getpriority(os.PRIO_PROCESS, victim) > own else "follower, or starting"] += 1
-        os.kill(victim, signal.SIGKILL)
+        kinds = {pid: kind for pid in children_of(own) if (kind := kind_of(pid, own))}
+        victim = rng.choice(list(kinds))
+        killed[kinds[victim]] += 1
+        with suppress(OSError):
+            os.kill(victim, signal.SIGKILL)
         wait_until(lambda: service.ask("/health")[0] == 200)
     return n
 

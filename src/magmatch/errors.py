@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Errors that a caller can act on: each message says where, what was expected and what was found."""
 
+import copyreg
 import json
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -24,6 +25,10 @@ _EXPECTED = dict.fromkeys(("dict_type", "dataclass_type"), "an object") | {
 
 class MagmatchError(Exception):
     """Base of all errors that magmatch raises on purpose; the command line shows it as one line, exit code 2."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # As it is: what is given to __init__ is no longer known in another process.
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class DataFormatError(MagmatchError, ValueError):

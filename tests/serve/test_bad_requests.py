@@ -306,6 +306,8 @@ def test_with_a_token_nothing_is_told_without_it(hall, tmp_path):
         assert int(headers["retry-after"]) >= 1
         assert is_a_sentence_of_its_own(json.loads(said)["message"])
         assert token not in service.words()
+        # Who is refused writes nothing into its log.
+        assert "handshake" not in service.words()
 
 
 def test_there_are_at_least_60_kinds():

@@ -183,6 +183,22 @@ def test_states_outlive_kills_of_trackers_and_of_the_service(hall, limits, tmp_p
     assert said[-1]["status"] == "localized"
 
 
+@pytest.mark.slow
+def test_a_stop_of_all_its_processes_at_once_loses_nothing(hall, tmp_path):
+    # As service managers stop them. No state is due before that.
+    (tmp_path / "late.yaml").write_text("checkpoint_every: 10000\ntrackers: 1\n")
+    options = ("--config", tmp_path / "late.yaml", "--states", tmp_path / "states")
+    rows = list(samples(hall.walk(6, laps=0.6)[0]))[:60]
+    with serving(hall.map, *options) as service, client(service) as one:
+        key = one.welcome["key"]
+        followed(one.socket, rows)
+        for tracker in trackers_of(service):
+            os.kill(tracker, signal.SIGTERM)
+        assert "Traceback" not in service.end()
+    with serving(hall.map, *options) as service, client(service, key) as one:
+        assert (one.welcome["resumed"], one.welcome["n"]) == (True, 60)
+
+
 def trackers_of(service):
     """Processes that a service started."""
     pid = service.process.pid

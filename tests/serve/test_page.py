@@ -49,6 +49,14 @@ def test_a_walk_is_watched_from_search_to_pose(door, browser, walking, width, he
     assert paper == ("rgb(255, 255, 255)" if theme == "light" else "rgb(20, 24, 29)")
 
 
+def test_a_window_without_room_for_the_map_is_no_error(door, browser, walking):
+    browser.open(door.url)
+    browser.wait_for(f"{STATUSES}.some(s => s.startsWith('localized'))")
+    browser.wait_for(f"{COLOURS} > 50")
+    browser.evaluate("document.getElementById('map').style.height = '20px'; draw()")
+    assert browser.errors() == []
+
+
 def test_a_name_is_text_and_not_markup(door, browser, hall):
     with client(door, name="<img src=x onerror=alert(1)>") as one:
         for row in list(samples(hall.walk(2)[0]))[:3]:

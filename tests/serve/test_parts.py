@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Limits, keys, kept states and listings of maps, each alone."""
 
+import ctypes
 import os
 import pickle
 import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from magmatch.serve.bodies.tracker import Tracker, load_places
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key
-from magmatch.serve.logs.work import picture_of
+from magmatch.serve.logs.work import LogQuestion, picture_of, work_on_log
 from magmatch.serve.messages import write_sample
 from magmatch.serve.refusals import RefusedError
 
@@ -164,3 +166,22 @@ def test_maps_that_vanished_are_not_a_client_s_fault_and_break_no_worker(hall, t
     told = pickle.loads(pickle.dumps(refused.value))
     assert told.status == 503
     assert str(tmp_path) not in told.message
+
+
+def resident():
+    """Bytes of memory that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="another allocator")
+def test_what_a_log_needed_is_given_back_after_it(hall, tmp_path):
+    pieces = [bytes(50_000) for _ in range(4000)]
+    full = resident()
+    # Some stay: the heap cannot shrink from its end.
+    pieces = pieces[::64]
+    (tmp_path / "log").write_text("t,x\n1,2\n")
+    found = work_on_log(
+        "localize", hall.map, look_at(hall.map), tmp_path / "log", LogQuestion(), ServeConfig(states=tmp_path)
+    )
+    assert found.status == 422
+    assert (len(pieces), full - resident() > 150e6) == (63, True)

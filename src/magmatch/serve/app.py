@@ -49,7 +49,6 @@ def build_app(service: Service) -> Starlette:
         ],
         middleware=[Middleware(Gate, config=service.config, metrics=service.metrics)],
         exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
-        lifespan=lambda _: service.running(),
     )
     # A path with a slash too many is another path.
     app.router.redirect_slashes = False

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.errors import import_extra
+from magmatch.errors import ConfigurationError, import_extra
 
 # Standard deviations that an ellipse spans: 95 % of a plane's Gaussian.
 SIGMAS = 2.45
@@ -24,7 +24,11 @@ class FoxgloveFeed:
             import_extra("foxglove.messages", "", "foxglove"),
         )
         context = self._context = self._foxglove.Context()
-        self._server = self._foxglove.start_server(name="magmatch", host="127.0.0.1", port=port, context=context)
+        try:
+            self._server = self._foxglove.start_server(name="magmatch", host="127.0.0.1", port=port, context=context)
+        except RuntimeError as error:
+            msg = f"--foxglove {port}: {error}; say another port"
+            raise ConfigurationError(msg) from None
         self._frames = channels.FrameTransformsChannel("/tf", context=context)
         self._scene = channels.SceneUpdateChannel("/bodies", context=context)
         self._maps = channels.GridChannel("/maps", context=context)

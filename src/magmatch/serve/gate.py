@@ -44,9 +44,6 @@ class Gate:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let in, or answer with a refusal."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
         is_http = scope["type"] == "http"
 
         async def send_guarded(message: MutableMapping[str, Any]) -> None:

@@ -5,11 +5,13 @@ import asyncio
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from magmatch.errors import ConfigurationError
+from magmatch.localization.known_places import open_place
 from magmatch.serve.app import build_app
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.service import Service
@@ -40,17 +42,17 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
         The address cannot be had.
     """
     listening = _listen(config)
+    # Once, before several processes do: a folder's maps are indexed where they are not yet.
+    open_place(Path(place))
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
         build_app(service), http="h11", loop="asyncio", ws=_Wire, ws_max_size=config.max_message,
-        ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="on", log_config=None,
+        ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="off", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5, backlog=BACKLOG,
     )  # fmt: skip
-    server = _Server(settings, lambda: on_start(address_of(listening)))
+    server = _Server(settings, service, lambda: on_start(address_of(listening)))
     with listening:
         server.run(sockets=[listening])
-    if service.fault is not None:
-        raise service.fault
 
 
 class _Wire(WebSocketsSansIOProtocol):
@@ -60,18 +62,28 @@ class _Wire(WebSocketsSansIOProtocol):
         transport.max_size = MAX_READ  # type: ignore[attr-defined]
         super().connection_made(transport)
 
+    async def send(self, message: Any) -> None:
+        """A refusal is an answer, too: uvicorn would log an error and send 500 after it."""
+        await super().send(message)
+        self.handshake_complete = self.handshake_complete or self.close_sent
+
 
 class _Server(uvicorn.Server):
-    """Says when it is ready."""
+    """Begins and ends with the service, whose faults are told by whoever runs this; says when it is ready."""
 
-    def __init__(self, config: uvicorn.Config, on_start: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service, on_start: Callable[[], None]) -> None:
         super().__init__(config)
-        self._on_start = on_start
+        self._running, self._on_start = service.running(), on_start
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._running.__aenter__()
         await super().startup(sockets)
         if self.started:
             self._on_start()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().shutdown(sockets)
+        await self._running.__aexit__(None, None, None)
 
 
 def _listen(config: ServeConfig) -> socket.socket:

@@ -4,8 +4,8 @@
 import asyncio
 import json
 import logging
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +36,23 @@ class Service:
         self.catalogue = Catalogue(place, look_at(place))
         self.connected: dict[str, Live] = {}
         self.n_clients = 0
-        # Why it could not start.
-        self.fault: Exception | None = None
         self._watchers: set[asyncio.Queue[str]] = set()
         self._pictures: dict[tuple[Listing, str], dict[str, Any]] = {}
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Everything is up for the block."""
-        with self._noting_fault(), checkpoints.held(self.config.states):
+        async with AsyncExitStack() as until_end:
+            until_end.enter_context(checkpoints.held(self.config.states))
             self.trackers = Trackers(self.place, self.config)
             await self.trackers.start()
+            until_end.push_async_callback(self.trackers.stop)
             self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
             self.workers = LogWorkers(self.config)
+            until_end.callback(self.workers.close)
             self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
+            if self.foxglove is not None:
+                until_end.callback(self.foxglove.stop)
             jobs = {
                 self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every,
                 self._show_maps: MAPS_EVERY,
@@ -61,18 +64,6 @@ class Service:
                 for task in tasks:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
-                self.workers.close()
-                await self.trackers.stop()
-                if self.foxglove is not None:
-                    self.foxglove.stop()
-
-    @contextmanager
-    def _noting_fault(self) -> Iterator[None]:
-        try:
-            yield
-        except Exception as error:
-            self.fault = error
-            raise
 
     def enter(self) -> None:
         """Take one of the places for clients."""

@@ -46,7 +46,8 @@ class Opened:
 
 def run_tracker(pipe: Connection, place: Path, config: ServeConfig) -> None:
     """Follow clients until told to stop, or until the service is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service says when
+    for stop in (signal.SIGINT, signal.SIGTERM):  # the service says when, also where all are told
+        signal.signal(stop, signal.SIG_IGN)
     with one_blas_thread():
         try:
             known = load_places(place)

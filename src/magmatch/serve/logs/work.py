@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a worker process does with a whole log: read it, localize or register it, say the result."""
 
+import ctypes
 import logging
 import multiprocessing
 import os
@@ -115,6 +116,8 @@ def work_on_log(
     except Exception:
         log.exception("a log was not worked on")
         return RefusedError(500, "the service made a mistake with this log; please report it")
+    finally:
+        _give_back_memory()
 
 
 def work_on_sent_log(
@@ -151,6 +154,12 @@ def _localized(known: Place, survey: Survey, question: LogQuestion, config: Loca
         T = track.poses
         document["trajectory"] = np.column_stack([times[rows], T.translation, T.rotation.as_quat()]).tolist()
     return document
+
+
+def _give_back_memory() -> None:
+    """Let the system have what a log needed: glibc keeps pages between others that are in use."""
+    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+        trim(0)
 
 
 @lru_cache(maxsize=2)

@@ -137,6 +137,7 @@ const draw = () => {
   const style = getComputedStyle(document.documentElement), of = name => style.getPropertyValue(`--${name}`).trim();
   const [x0, x1] = picture.x, [y0, y1] = picture.y, margin = 18;
   const scale = Math.min((box.width - 2 * margin) / (x1 - x0), (box.height - 2 * margin) / (y1 - y0));
+  if (scale <= 0) return; // no room within the margins
   const left = (box.width - scale * (x1 - x0)) / 2, top = (box.height - scale * (y1 - y0)) / 2;
   const at = (x, y) => [left + scale * (x - x0), top + scale * (y1 - y)];
   pen.imageSmoothingEnabled = true;
