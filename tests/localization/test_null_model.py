@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Another place shares the Earth's field with the map: that is no evidence for being in the map."""
+"""Another place shares the Earth's field with the map, and may be smoother: neither is evidence for being in it."""
 
 import numpy as np
 import pytest
@@ -45,3 +45,22 @@ def test_the_earths_field_is_likelier_than_one_that_points_up(known):
     assert likelihood(known, usual, config) > likelihood(known, usual * [1, 1, -1], config) + 1
     free = config.model_copy(update={"is_gravity_aligned": False})
     assert likelihood(known, usual, free) == pytest.approx(likelihood(known, usual * [1, 1, -1], free), abs=1e-6)
+
+
+def test_a_poor_maps_errors_are_not_asked_of_another_place(known):
+    # Errors of 6 uT explain a smooth walk badly; so would the map, which must not win for it.
+    config, model = mm.LocalizerConfig(), model_of(known, mm.LocalizerConfig())
+    poor = model._replace(misfit_variance=6e-6**2, nugget_variance=3e-6**2)
+    steps, null = np.zeros(20, STEP), NullModel(known, poor, config)
+    steps["R"], steps["M"], steps["z"], steps["u"][:, 0] = np.eye(3), np.eye(3), of_the_map(known), 0.3
+    fit = np.zeros((len(steps), len(null)), FIT)
+    null.follow(steps, fit)
+    found = (-0.5 * fit["chi2"] - fit["half_log_det"]).sum(axis=0)
+    as_rough = null._start["nugget"] >= poor.nugget_variance
+    assert as_rough.any()
+    assert np.logaddexp.reduce(found) - np.log(len(found)) > found[as_rough].max() + 10
+
+
+def test_a_heading_need_not_be_known_as_well_as_a_surveys_frame():
+    ours, theirs = mm.LocalizerConfig().decision, mm.RegistrationConfig().decision
+    assert ours.max_sd(1.0) == (theirs.max_sd(1.0)[0], 2 * theirs.max_sd(1.0)[1])

@@ -35,7 +35,7 @@ def fault(request, hall, tmp_path):
             "half a map": (half, [], str(half)),
             "a folder without maps": (empty, [], "map"),
             "an address": (hall.map, ["--host", "203.0.113.1"], "say --host or --port"),
-            "Foxglove's port": (hall.map, ["--foxglove", port], "--foxglove"),
+            "Foxglove's port": (hall.map, ["--foxglove", port, "--states", empty], "--foxglove"),
             "states in use": (hall.map, ["--states", states], "another service"),
         }[request.param]
 

@@ -38,5 +38,6 @@ class LocalizerConfig(Settings):
     # Penalty of a hypothesis that was never trusted for each field length of path outside the map, nats.
     price_outside: float = Field(default=3.0, ge=0)
     # When a pose is stated: the decision of a registration. The body may well be elsewhere, and is asked for at every
-    # step: at these odds a walk elsewhere is ever stated once in 1,600 (Ville's inequality), in 10 km once in 16.
-    decision: DecisionConfig = Field(default_factory=lambda: DecisionConfig(prior_odds=1 / 16))
+    # step: at these odds a walk elsewhere is ever stated once in 1,600 (Ville's inequality), in 10 km once in 16. An
+    # error of a body's heading, unlike that of a survey's frame, moves no point: twice a registration's is enough.
+    decision: DecisionConfig = Field(default_factory=lambda: DecisionConfig(prior_odds=1 / 16, max_sd_rotation=0.16))

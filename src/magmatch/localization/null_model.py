@@ -2,7 +2,7 @@
 """The null model: the field along the path is an independent smooth random field.
 
 A bank of Kalman filters along the path, in the odometry's axes: per component a Matern-3/2 field of some lengthscale
-and strength, the same misfit and nugget as in a hypothesis, and a constant; in addition the sensor's bias. All are
+and strength, misfit and nugget as in a hypothesis or less, and a constant; in addition the sensor's bias. All are
 equally probable beforehand.
 """
 
@@ -18,10 +18,14 @@ from magmatch.localization.state import Model, settle
 from magmatch.typing import Vector3
 
 # Lengthscales, in field lengths, and strengths, in the map's standard deviation.
-LENGTHSCALES, STRENGTHS = (0.6, 1.2, 2.4), (0.25, 0.5, 1.0, 2.0)
+LENGTHSCALES, STRENGTHS = (0.7, 2.0), (0.25, 0.7, 2.0)
+# Misfit and nugget, in the hypotheses' standard deviations: another place may be smoother than a poor map's errors.
+NOISES = (1.0, 0.3)
 FIELD, SLOPE, MISFIT, CONSTANT, BIAS, N = 0, 1, 2, 3, 12, 15
-# One unrelated field: its lengthscale's rate (1/m) and variance (T^2), its filter's state and covariance.
-UNRELATED = np.dtype([("rate", "f8"), ("variance", "f8"), ("x", "f8", N), ("P", "f8", (N, N))])
+# One unrelated field: its lengthscale's rate (1/m), variances (T^2), its filter's state and covariance.
+UNRELATED = np.dtype(
+    [("rate", "f8"), ("variance", "f8"), ("misfit", "f8"), ("nugget", "f8"), ("x", "f8", N), ("P", "f8", (N, N))]
+)
 
 
 class NullModel:
@@ -30,14 +34,16 @@ class NullModel:
     def __init__(self, known: KnownMap, model: Model, config: LocalizerConfig) -> None:
         # A field turned by the errors of orientations varies, too.
         turned = 2 * known.field_rms**2 * known.noise.attitude_sd**2
-        self._model = model._replace(misfit_variance=model.misfit_variance + turned)
-        kinds = list(product(LENGTHSCALES, STRENGTHS, (config.calibrated_bias_sd, config.bias_sd)))
+        self._model = model
+        kinds = list(product(LENGTHSCALES, STRENGTHS, NOISES, (config.calibrated_bias_sd, config.bias_sd)))
         self._start = np.zeros(len(kinds), UNRELATED)
         mean, variances = _constant_elsewhere(known, config)
-        for one, (lengthscale, strength, bias) in zip(self._start, kinds, strict=True):
+        for one, (lengthscale, strength, noise, bias) in zip(self._start, kinds, strict=True):
             one["rate"], one["variance"] = np.sqrt(3) / (lengthscale * known.length), (strength * known.field_sd) ** 2
+            one["misfit"] = noise**2 * (model.misfit_variance + turned)
+            one["nugget"] = noise**2 * model.nugget_variance
             one["x"][CONSTANT:BIAS:4] = mean
-            alike = [one["variance"], one["variance"], self._model.misfit_variance]
+            alike = [one["variance"], one["variance"], one["misfit"]]
             np.fill_diagonal(one["P"], [x for v in variances for x in (*alike, v)] + 3 * [bias**2])
         self._now = self._start.copy()
 
@@ -82,8 +88,8 @@ def _follow(nulls, steps, model, fit):  # type: ignore[no-untyped-def]
                 RM[a, e] = R[a, 0] * M[0, e] + R[a, 1] * M[1, e] + R[a, 2] * M[2, e]
         for k in range(len(nulls)):
             one, found = nulls[k], fit[n, k]
-            _predict(one.x, one.P, d, steps[n].dt, one.rate, one.variance, model)
-            _compare(one.x, one.P, b, RM, model.nugget_variance, PH, S, r)
+            _predict(one.x, one.P, d, steps[n].dt, one.rate, one.variance, one.misfit, model)
+            _compare(one.x, one.P, b, RM, one.nugget, PH, S, r)
             found.is_seen, found.is_known = 1, 1
             found.chi2, found.half_log_det = settle(one.P, PH, S, r, model.gate, dx)
             for i in range(N):
@@ -112,7 +118,7 @@ def _compare(x, P, b, RM, nugget, PH, S, r):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _predict(x, P, d, dt, rate, variance, model):  # type: ignore[no-untyped-def]
+def _predict(x, P, d, dt, rate, variance, misfit, model):  # type: ignore[no-untyped-def]
     """Along d metres of path; the slope is in units of the field, times the rate."""
     v = rate * d
     e, fade = np.exp(-v), np.exp(-d / model.misfit_length)
@@ -134,5 +140,5 @@ def _predict(x, P, d, dt, rate, variance, model):  # type: ignore[no-untyped-def
         P[j + 1, j + 1] += variance * (1 - f10 * f10 - f11 * f11)
         P[j, j + 1] -= variance * (f00 * f10 + f01 * f11)
         P[j + 1, j] -= variance * (f00 * f10 + f01 * f11)
-        P[j + MISFIT, j + MISFIT] += model.misfit_variance * (1 - fade * fade)
+        P[j + MISFIT, j + MISFIT] += misfit * (1 - fade * fade)
         P[BIAS + a, BIAS + a] += model.bias_drift * dt
