@@ -130,7 +130,7 @@ class Places:
                 np.flatnonzero(component == one),
                 [p for p in self.paths if component[p.first_node] == one],
             )
-            near = [self.near(w, nodes) for w in whole.windows]
+            near = [self.at(w, nodes) for w in whole.windows]
             priors = {c.second: log_prior[c.second] for c in closures}
             odds = log_odds_shared(whole, others, near, priors, self.graph)
             log.info("%s in the frame of %s: log odds %.1f", whole.survey.name, others[0].survey.name, odds)
@@ -140,16 +140,19 @@ class Places:
                 self.graph = before
         return found
 
-    def near(self, window: Window, nodes: Indices | None = None) -> list[Candidate]:
-        """Where a window may lie on earlier path, or at some nodes, as the graph predicts."""
+    def near(self, window: Window) -> list[Candidate]:
+        """Where a window may lie on earlier path, as the graph predicts."""
+        component = self.graph.component()
+        found = self.looked[window.node] = self.at(window, np.flatnonzero(component == component[window.node]))
+        return found
+
+    def at(self, window: Window, nodes: Indices) -> list[Candidate]:
+        """Where a window may lie near some nodes, of those before it, as the graph predicts."""
 
         def look() -> list[Candidate]:
-            component = self.graph.component()
-            mine = np.flatnonzero(component == component[window.node]) if nodes is None else nodes
-            return near_candidates(window, mine[mine < window.node], self.graph, self.stretch)
+            return near_candidates(window, nodes[nodes < window.node], self.graph, self.stretch)
 
-        found = self.looked[window.node] = of_numbers(self.steps(lambda: numbers_of(look())))
-        return found
+        return of_numbers(self.steps(lambda: numbers_of(look())))
 
     def others(self, path: Path) -> list[Path]:
         """Earlier logs that nothing ties to this one."""

@@ -38,9 +38,9 @@ def test_a_session_read_again_is_what_it_was(lone, folder):
 
 def test_one_more_log_is_tied_and_nothing_is_looked_for_again(lone, folder, monkeypatch):
     looked = []
-    near = Places.near
+    at = Places.at
     monkeypatch.setattr(
-        Places, "near", lambda self, window, *at: looked.append(window.log) or near(self, window, *at)
+        Places, "at", lambda self, window, nodes: looked.append(window.log) or at(self, window, nodes)
     )
     session, new = read_session(folder, [lone.log, OTHER])
     session.add_logs(new)
