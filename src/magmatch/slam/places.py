@@ -3,7 +3,6 @@
 
 import logging
 from collections.abc import Collection, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -61,10 +60,8 @@ class Places:
 
     def copied(self) -> "Places":
         """A copy, to continue from without changing this one."""
-        graph = copy(self.graph)
-        graph.closures = list(graph.closures)
         maker = None if self.maker is None else replace(self.maker)
-        return Places(list(self.paths), graph, maker, list(self.biases), self.anchors)
+        return Places(list(self.paths), self.graph.copied(), maker, list(self.biases), self.anchors)
 
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
@@ -122,15 +119,12 @@ class Places:
         log_prior = {w.node: c[0].match.log_prior for w, c in zip(path.windows, candidates, strict=True) if c}
         for one in sorted({int(component[c.first]) for c in proposed}):
             closures = [c for c in proposed if component[c.first] == one]
-            before, self.graph = self.graph, copy(self.graph)
-            self.graph.closures = before.closures + closures
-            self.graph.level = before.level.copy()
+            before, self.graph = self.graph, self.graph.copied()
+            self.graph.closures += closures
             solve(self.graph)
-            nodes, others = (
-                np.flatnonzero(component == one),
-                [p for p in self.paths if component[p.first_node] == one],
-            )
+            nodes = np.flatnonzero(component == one)
             near = [self.at(w, nodes) for w in whole.windows]
+            others = [p for p in self.paths if component[p.first_node] == one]
             priors = {c.second: log_prior[c.second] for c in closures}
             odds = log_odds_shared(whole, others, near, priors, self.graph)
             log.info("%s in the frame of %s: log odds %.1f", whole.survey.name, others[0].survey.name, odds)

@@ -43,12 +43,8 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) ->
         C = numbers.signal_sd**2 * (1 + d + d * d / 3) * np.exp(-d) + numbers.noise_sd**2 * np.eye(len(some))
         turn = drift.rotation_sd**2 * np.minimum.outer(s, s) + drift.turn_rate_sd**2 * np.outer(s, s)
         factor = cho_factor(np.kron(np.eye(3), C) + np.kron(across.T @ across, turn), lower=True)
-        J = np.concatenate(
-            [
-                np.concatenate([R[some][:, axis], np.tile(np.eye(3)[axis], (len(some), 1))], axis=1)
-                for axis in range(3)
-            ]
-        )
+        # Component by component, as the covariance.
+        J = np.hstack([np.swapaxes(R[some], 0, 1).reshape(-1, 3), np.repeat(np.eye(3), len(some), axis=0)])
         A = A + J.T @ cho_solve(factor, J)
         v = v + J.T @ cho_solve(factor, b[some].T.ravel())
     C = np.linalg.pinv(A, hermitian=True)

@@ -14,7 +14,6 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.tie import Candidate
 from magmatch.slam.windows import Path
-from magmatch.typing import Indices
 
 # Poses drawn, to see how likely a window is on known path.
 N_DRAWS = 64
@@ -45,30 +44,25 @@ def log_odds_shared(
     float
         Nats. One window pays for the transform, whose prior is that of nowhere; the others are predicted by it.
     """
-    best = [max(c, key=lambda one: one.match.log_odds, default=None) for c in found]
-    free = {
-        w.node: one.match.log_odds - one.match.log_prior + log_prior[w.node]
-        for w, one in zip(path.windows, best, strict=True)
-        if one is not None and w.node in log_prior
-    }
+    matches = (max((c.match for c in some), key=lambda m: m.log_odds, default=None) for some in found)
+    best = {w.node: m for w, m in zip(path.windows, matches, strict=True) if m is not None}
+    free = {node: best[node].log_odds - best[node].log_prior + log_prior[node] for node in best if node in log_prior}
     if not free:
         return -np.inf
     first = max(free, key=lambda node: free[node])
-    rows = [k for k, one in enumerate(best) if one is not None and path.first_node + k != first]
-    chance = graph.config.keeps_on * _chances_on_path(
-        path.first_node + np.array(rows, np.int64), first, others, graph
-    )
-    odds = np.array([one.match.log_odds for k in rows if (one := best[k]) is not None])
+    rest = [node for node in best if node != first]
+    chance = graph.config.keeps_on * _chances_on_path(rest, first, others, graph)
+    odds = np.array([best[node].log_odds for node in rest])
     return float(free[first] + np.logaddexp(np.log1p(-chance), np.log(np.maximum(chance, 1e-300)) + odds).sum())
 
 
-def _chances_on_path(nodes: Indices, tied: int, others: Sequence[Path], graph: PoseGraph) -> np.ndarray:
+def _chances_on_path(nodes: Sequence[int], tied: int, others: Sequence[Path], graph: PoseGraph) -> np.ndarray:
     """How likely each node is within a field length of others' path, as the graph has it from a node that is tied."""
     known = cKDTree(np.concatenate([corrected(other, graph).positions for other in others]))
     length, draws = others[0].windows[0].length, np.random.default_rng(0).standard_normal((N_DRAWS, 3))
     chances = []
     for node in nodes:
-        C = graph.relative_covariances(np.array([tied]), int(node))[0][3:, 3:]
+        C = graph.relative_covariances(np.array([tied]), node)[0][3:, 3:]
         w, V = np.linalg.eigh(C)
         points = graph.p[node] + (draws * np.sqrt(np.maximum(w, 0.0))) @ (graph.R[node] @ V).T
         chances.append(float(np.mean(known.query(points)[0] < length)))

@@ -38,6 +38,17 @@ def graph_of(rows, logs=(LOG,), config=LEVEL, sd=0.02, truths=(TRUTH,)):
     return graph, paths
 
 
+def test_what_is_done_to_a_copy_leaves_the_graph_as_it_was():
+    graph, _ = graph_of([10, 90, 200])
+    was = [array.copy() for array in (graph.R, graph.p, graph.level)]
+    other = graph.copied()
+    other.fixed = replace(graph.fixed, position=graph.fixed.position + np.array([5.0, 0.0, 1.0]))
+    solve(other)
+    assert np.abs(other.p - graph.p).max() > 1
+    for array, before in zip((graph.R, graph.p, graph.level), was, strict=True):
+        np.testing.assert_array_equal(array, before)
+
+
 def test_slopes_are_those_of_finite_differences():
     graph, _ = graph_of([10, 90, 200], config=SlamConfig(is_gravity_aligned=False))
     rng = np.random.default_rng(0)

@@ -4,6 +4,7 @@
 Odometry predicts the next node, up to a random walk and two constant errors per log, scale and turn rate.
 """
 
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,6 +52,13 @@ class PoseGraph:
         self.start, self.level = self.p.copy(), self.p[:, 2].copy()
         if not len(self.lasting):
             self.lasting = np.zeros((int(self.log.max(initial=-1)) + 1, N_LASTING))
+
+    def copied(self) -> "PoseGraph":
+        """A copy to try something on: what is then moved or tied is not moved or tied here."""
+        other = copy(self)
+        other.R, other.p, other.level = self.R.copy(), self.p.copy(), self.level.copy()
+        other.closures = list(self.closures)
+        return other
 
     def grow(self, centers: Points, logs: Indices, edges: Edges) -> None:
         """Add nodes at the end: where odometry leads from those before, or in a frame of their own."""
