@@ -9,6 +9,7 @@ import pytest
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.localization.known_map import KnownMap
 from magmatch.localization.localize import localize
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import prepare_index
@@ -21,6 +22,12 @@ def place():
     noise = 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
     field_map = build_map(Survey(truth, Place(1).field(truth) + noise, name="place"))
     return prepare_index(field_map, RegistrationConfig())
+
+
+@pytest.fixture(scope="session")
+def known(place):
+    """The same, ready to be localised in."""
+    return KnownMap.of(place)
 
 
 @pytest.fixture(scope="session")

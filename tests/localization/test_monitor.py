@@ -4,17 +4,11 @@
 import numpy as np
 import pytest
 
-from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, STEP
 from magmatch.localization.monitor import Toll, evidence, forget
 from magmatch.localization.state import hypotheses
 
 N, FREE = 24, Toll(0.0, 0)
-
-
-@pytest.fixture(scope="module")
-def known(place):
-    return KnownMap.of(place)
 
 
 def fits(rng, n_models, chi2):

@@ -7,24 +7,18 @@ from scipy.spatial.transform import Rotation
 
 import magmatch as mm
 from drifting import about_z
-from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, STEP
 from magmatch.localization.null_model import NullModel
 from magmatch.localization.state import model_of
 
 
 def likelihood(known, field, config):
-    """Log-likelihood of the best unrelated field where a body stands in a field, (3,), T, by odometry's axes."""
+    """Log of the mean likelihood of unrelated fields where a body stands in a field, (3,), T, by odometry's axes."""
     step, null = np.zeros(1, STEP), NullModel(known, model_of(known, config), config)
     step["R"], step["M"], step["z"] = np.eye(3), np.eye(3), field
     fit = np.zeros((1, len(null)), FIT)
     null.follow(step, fit)
     return float(np.logaddexp.reduce(-0.5 * fit["chi2"][0] - fit["half_log_det"][0]) - np.log(len(null)))
-
-
-@pytest.fixture(scope="module")
-def known(place):
-    return KnownMap.of(place)
 
 
 def of_the_map(known):

@@ -25,7 +25,7 @@ from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.registration.decide.decision import in_words
 from magmatch.registration.decide.estimate import worst_sd
-from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of, unit_slope
+from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
 from magmatch.typing import Matrix
 
 # Length of a bin in field lengths: short against the field's changes, long against noise.
@@ -144,7 +144,7 @@ class Belief:
         """Weigh all hypotheses and keep distinct ones, most likely first; returns the first one's log odds, nats."""
         same = self._config.decision.tolerance(self._known.length)
         weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
-        odds = [log_odds(w.log_evidence, w.misfit, w.kind, unit_slope()) for w in weighed]
+        odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
         # Improbable hypotheses are dropped: a search would find them again.
@@ -160,7 +160,7 @@ class Belief:
     def judge(self, elsewhere: float) -> None:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
         decision = self._config.decision
-        self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere, unit_slope())
+        self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere)
         self.is_sure = self._found.best >= decision.min_probability and self._is_known_well(self._found.poses[0])
         if self.is_sure:
             self._was_sure = True

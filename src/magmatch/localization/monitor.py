@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.compiled import compiled
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, move
-from magmatch.registration.decide.posterior import log_odds, unit_slope
+from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
 
@@ -166,7 +166,7 @@ def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float])
 def is_doubtful(steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, prior_odds: float) -> bool:
     """Whether bins of a hypothesis (n, 1), of some odds before, look more like an unrelated field."""
     gained, _, misfit = evidence(steps, fit, null, known, Toll(0.0, 1))
-    return bool(log_odds(float(gained[0]), float(misfit[0]), "log", unit_slope()) < -np.log(prior_odds))
+    return bool(log_odds(float(gained[0]), float(misfit[0]), "log") < -np.log(prior_odds))
 
 
 def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:

@@ -65,7 +65,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
         Match(
             index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv(),
             M @ e.covariance @ M.T,
-            log_odds(e.log_evidence, e.misfit, "log"),
+            log_odds(e.log_evidence, e.misfit, "window"),
             prior.log_density(e.T_base_target, e.center),
         )
         for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same)

@@ -53,10 +53,10 @@ def fitted() -> Fitted:
 
 
 @cache
-def unit_slope() -> Fitted:
-    """The law for evidence that is calibrated while it is small: only common errors are left to allow for."""
-    saturation = fitted().saturation
-    return Fitted(scale=saturation, saturation=saturation, offset={})
+def law_of(kind: Kind) -> Fitted:
+    """The law of a kind of evidence; a live log's is calibrated while small: common errors alone are allowed for."""
+    numbers = fitted()
+    return numbers if kind != "log" else Fitted(scale=numbers.saturation, saturation=numbers.saturation, offset={})
 
 
 def effective_evidence(log_evidence: float, misfit: float) -> float:
@@ -69,7 +69,7 @@ def effective_evidence(log_evidence: float, misfit: float) -> float:
 
 def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | None = None) -> float:
     """Log odds of one pose over unrelated surveys, at prior odds of one, nats."""
-    numbers = numbers or fitted()
+    numbers = numbers or law_of(kind)
     if not np.isfinite(log_evidence):
         return -np.inf
     effective = effective_evidence(log_evidence, misfit)
@@ -144,19 +144,17 @@ def posterior_over(
     return posterior_of(distinct(_ranked(hypotheses), tolerance), prior_odds, elsewhere)
 
 
-def posterior_of(
-    distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: float = -np.inf, numbers: Fitted | None = None
-) -> Posterior[H]:
+def posterior_of(distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
     """`posterior_over` for poses of which no two are one answer."""
-    kept = _ranked(distinct, numbers)
-    odds = [log_odds(h.log_evidence, h.misfit, h.kind, numbers) for h in kept]
+    kept = _ranked(distinct)
+    odds = [log_odds(h.log_evidence, h.misfit, h.kind) for h in kept]
     terms = np.array([*odds, elsewhere, -np.log(prior_odds)])
     shares = np.exp(terms - np.logaddexp.reduce(terms))
     return Posterior(tuple(kept), tuple(map(float, shares[:-2])), float(shares[-2]), float(shares[-1]))
 
 
-def _ranked(hypotheses: Sequence[H], numbers: Fitted | None = None) -> list[H]:
-    odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind, numbers) for h in hypotheses}
+def _ranked(hypotheses: Sequence[H]) -> list[H]:
+    odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind) for h in hypotheses}
     return sorted((h for h in hypotheses if np.isfinite(odds[id(h)])), key=lambda h: -odds[id(h)])
 
 

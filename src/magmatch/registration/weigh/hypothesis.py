@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.typing import Covariance6, Vector3
 
-Kind = Literal["map", "walk", "log"]
+Kind = Literal["map", "walk", "log", "window"]
 
 
 class Hypothesis(Protocol):
@@ -15,7 +15,7 @@ class Hypothesis(Protocol):
 
     @property
     def kind(self) -> Kind:
-        """The kind of evidence: from cells of a map, bins along a walk, or bins of a live log."""
+        """The kind of evidence: from cells of a map, bins along a walk, of a live log, or of a window of a path."""
 
     @property
     def T_base_target(self) -> RigidTransform:
