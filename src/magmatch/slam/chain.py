@@ -25,7 +25,7 @@ class Placed:
 
 
 def log_density(off: RigidTransform, covariance: Covariance6, drifts: Indices) -> float:
-    """Log density of a pose that is off by ``off = Exp(xi)`` from where it is predicted, of the components that drift.
+    """Log density of a pose that is ``off = Exp(xi)`` from where it is predicted, of the components that drift.
 
     Gravity and the floor hold each window by itself, so its own evidence has them; a neighbour predicts the others.
     """

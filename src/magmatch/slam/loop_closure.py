@@ -73,7 +73,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
 
 
 def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:
-    """Log density of what the graph predicts: the components that drift. The others hold for each window by itself."""
+    """Log density of what the graph predicts: components that drift. The others hold for each window by itself."""
     if not isinstance(expected, Rough):
         turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
         height = prior.height_range if prior.height is not None else 1.0
