@@ -91,12 +91,8 @@ class Places:
         """Search for closures where the graph predicts them; returns how many were found."""
         found = 0
         for path in paths:
-            closed = {c.second for c in self.graph.closures}
-            candidates = [
-                [] if w.node in closed else self.near(w)
-                for w in counted(f"looking for closures of {path.survey.name}", path.windows)
-            ]
-            found += self.tie(path, candidates)
+            what = f"looking for closures of {path.survey.name}"
+            found += self.tie(path, [self.near(w) for w in counted(what, path.windows)])
         return found
 
     def close_far(self, paths: Sequence[Path]) -> int:
@@ -135,9 +131,10 @@ class Places:
         return found
 
     def near(self, window: Window) -> list[Candidate]:
-        """Where a window may lie on earlier path, as the graph predicts."""
+        """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
         component = self.graph.component()
-        found = self.looked[window.node] = self.at(window, np.flatnonzero(component == component[window.node]))
+        nodes = np.flatnonzero(component == component[window.node])
+        found = self.looked[window.node] = self.at(window, nodes[~self.graph.is_tied(nodes, window.node)])
         return found
 
     def at(self, window: Window, nodes: Indices) -> list[Candidate]:

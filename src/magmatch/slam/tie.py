@@ -12,14 +12,12 @@ from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, log_density, smooth
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
-from magmatch.slam.graph.pose_graph import REACH, PoseGraph
+from magmatch.slam.graph.pose_graph import APART, REACH, PoseGraph
 from magmatch.slam.graph.ties import Closure
 from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
-# Nodes nearer than this along one log are not compared: their windows adjoin.
-APART = 2
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
 # The base about a node, of path before another.
