@@ -62,6 +62,11 @@ class SlamConfig(Settings):
             np.arange(6) if not self.is_gravity_aligned else np.array([2, 3, 4] if self.is_planar else [2, 3, 4, 5])
         )
 
+    @property
+    def run_length(self) -> int:
+        """So many windows in a row lie near where the one before did, on average."""
+        return round(1 / (1 - self.keeps_on))
+
     def odometry_of(self, name: str) -> OdometryConfig:
         """How the odometry of a log drifts."""
         sd = self.sd_of_logs.get(name)

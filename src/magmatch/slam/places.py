@@ -88,11 +88,17 @@ class Places:
                 break
 
     def close_near(self, paths: Sequence[Path]) -> int:
-        """Search for closures where the graph predicts them; returns how many were found."""
-        found = 0
+        """Search for closures where the graph predicts them; returns how many were found.
+
+        A few windows at a time: what they close is known when the graph predicts those that follow.
+        """
+        found, n = 0, self.graph.config.run_length
         for path in paths:
-            what = f"looking for closures of {path.survey.name}"
-            found += self.tie(path, [self.near(w) for w in counted(what, path.windows)])
+            candidates: list[list[Candidate]] = []
+            for w in counted(f"looking for closures of {path.survey.name}", path.windows):
+                candidates.append(self.near(w))
+                if len(candidates) % n == 0 or w is path.windows[-1]:
+                    found += self.tie(replace(path, windows=path.windows[: len(candidates)]), candidates)
         return found
 
     def close_far(self, paths: Sequence[Path]) -> int:
