@@ -35,10 +35,10 @@ from magmatch.simulation.paths import (
 )
 from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
 from magmatch.slam.config import OdometryConfig
+from magmatch.slam.graph.pose_graph import APART
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.ties import Closure
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.tie import APART
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
 

@@ -200,3 +200,18 @@ def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path):
         e = np.concatenate([delta.translation, delta.rotation.as_quat(canonical=True)[:3]])
         ours = c.weight * xi @ np.linalg.solve(c.covariance, xi)
         assert e @ information @ e == pytest.approx(ours, rel=1e-4)
+
+
+def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(three):
+    places = three.session.places.copied()
+    graph = places.graph
+    closure = next(c for c in graph.closures if graph.log[c.first] != graph.log[c.second])
+    window = next(w for path in places.paths for w in path.windows if w.node == closure.second)
+    graph.closures = [c for c in graph.closures if c.second != closure.second or c is closure]
+    nodes = np.flatnonzero(graph.log == graph.log[closure.first])
+    assert nodes[graph.is_tied(nodes, window.node)].tolist() == [
+        n for n in nodes.tolist() if abs(n - closure.first) <= 1
+    ]
+    others = np.flatnonzero(graph.log == graph.log[closure.second])
+    assert not graph.is_tied(others, window.node).any()
+    assert not {c.node for c in places.near(window)} & set(nodes[graph.is_tied(nodes, window.node)].tolist())

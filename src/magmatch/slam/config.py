@@ -8,6 +8,7 @@ from magmatch.data.units import STATED_OVER
 from magmatch.registration.search.pair_search import PairSearchConfig
 from magmatch.registration.weigh.line_evidence import LineConfig
 from magmatch.settings import Settings
+from magmatch.typing import Indices
 
 
 class OdometryConfig(Settings):
@@ -53,6 +54,18 @@ class SlamConfig(Settings):
     keeps_on: float = Field(default=0.8, gt=0, lt=1)
     search: PairSearchConfig = Field(default_factory=PairSearchConfig)
     evidence: LineConfig = Field(default_factory=LineConfig)
+
+    @property
+    def drifts(self) -> Indices:
+        """Components of a pose that odometry lets drift, rotation first: gravity and the floor hold the others."""
+        return (
+            np.arange(6) if not self.is_gravity_aligned else np.array([2, 3, 4] if self.is_planar else [2, 3, 4, 5])
+        )
+
+    @property
+    def run_length(self) -> int:
+        """So many windows in a row lie near where the one before did, on average."""
+        return round(1 / (1 - self.keeps_on))
 
     def odometry_of(self, name: str) -> OdometryConfig:
         """How the odometry of a log drifts."""

@@ -155,8 +155,7 @@ class LiveLog:
 
     def _look(self, path: Path, places: Places) -> None:
         """Search for the last window, and weigh its candidates by those of the windows before it."""
-        # So many windows in a row lie near where the one before did, on average.
-        n = min(round(1 / (1 - self.config.keeps_on)), len(path.windows))
+        n = min(self.config.run_length, len(path.windows))
         last = replace(path, windows=path.windows[-n:], first_node=path.windows[-n].node)
         window = path.windows[-1]
         tied = {c.second for c in places.graph.closures}

@@ -14,6 +14,7 @@ from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.line_evidence import inside_base, weigh_walk
 from magmatch.slam.bases import Base
+from magmatch.slam.chain import log_density
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.windows import Window
@@ -21,6 +22,8 @@ from magmatch.typing import Covariance6
 
 # Poses nearer than this are one answer: in field lengths, and rad.
 SAME_SHIFT, SAME_TURN = 0.3, 0.1
+# Of a node about where the graph has it, whatever its covariance.
+NODE_COVARIANCE = np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,16 +45,16 @@ class Match:
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
     log_odds: float  # over an unrelated field, prior included, by the law of a registration without its offset
-    log_prior: float  # density of the prior at the pose, per m^3 and rad^3
+    log_prior: float  # density of the prior at the pose, of the components that drift, per m and rad of each
 
 
 def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) -> list[Match]:
     """Poses of a window in a base, most likely first."""
     index, walk = base.index, window.walk
     prior = _prior(window, base, config, expected)
-    found = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
+    proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
     # The predicted pose is a starting point too.
-    starts = [c.T_base_target for c in found.candidates] + (
+    starts = [c.T_base_target for c in proposed.candidates] + (
         [] if prior.T_base_target is None else [prior.T_base_target]
     )
     around = window.around if isinstance(expected, Rough) else None
@@ -61,15 +64,22 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     M = adjoint(window.T_middle_node.inv())
     # Poses that the data cannot tell apart are one answer.
     same = SAME_SHIFT * index.length, SAME_TURN
-    return [
-        Match(
-            index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv(),
-            M @ e.covariance @ M.T,
-            log_odds(e.log_evidence, e.misfit, "window"),
-            prior.log_density(e.T_base_target, e.center),
-        )
-        for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same)
-    ]
+    found = []
+    for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
+        T = index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv()
+        odds = log_odds(e.log_evidence, e.misfit, "window")
+        found.append(Match(T, M @ e.covariance @ M.T, odds, _log_prior(window, T, prior, expected)))
+    return found
+
+
+def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:
+    """Log density of what the graph predicts: components that drift. The others hold for each window by itself."""
+    if not isinstance(expected, Rough):
+        turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
+        height = prior.height_range if prior.height is not None else 1.0
+        return float(np.log(height / (expected * turns)) - prior.log_share_inside)
+    off = (expected.T_base_log * window.T_log_node).inv() * T_base_log * window.T_log_node
+    return log_density(off, expected.covariance + NODE_COVARIANCE, window.config.drifts)
 
 
 def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:
@@ -97,5 +107,5 @@ def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -
     if not isinstance(expected, Rough):
         return inside_base(prior, base.index.base, window.walk, base.index.length, config.evidence)
     M = adjoint(window.T_middle_node)
-    C = M @ (expected.covariance + np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))) @ M.T
+    C = M @ (expected.covariance + NODE_COVARIANCE) @ M.T
     return replace(prior, T_base_target=T_base.inv() * expected.T_base_log * T_walk, covariance=C)

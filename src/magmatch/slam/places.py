@@ -88,15 +88,17 @@ class Places:
                 break
 
     def close_near(self, paths: Sequence[Path]) -> int:
-        """Search for closures where the graph predicts them; returns how many were found."""
-        found = 0
+        """Search for closures where the graph predicts them; returns how many were found.
+
+        A few windows at a time: what they close is known when the graph predicts those that follow.
+        """
+        found, n = 0, self.graph.config.run_length
         for path in paths:
-            closed = {c.second for c in self.graph.closures}
-            candidates = [
-                [] if w.node in closed else self.near(w)
-                for w in counted(f"looking for closures of {path.survey.name}", path.windows)
-            ]
-            found += self.tie(path, candidates)
+            candidates: list[list[Candidate]] = []
+            for w in counted(f"looking for closures of {path.survey.name}", path.windows):
+                candidates.append(self.near(w))
+                if len(candidates) % n == 0 or w is path.windows[-1]:
+                    found += self.tie(replace(path, windows=path.windows[: len(candidates)]), candidates)
         return found
 
     def close_far(self, paths: Sequence[Path]) -> int:
@@ -135,9 +137,10 @@ class Places:
         return found
 
     def near(self, window: Window) -> list[Candidate]:
-        """Where a window may lie on earlier path, as the graph predicts."""
+        """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
         component = self.graph.component()
-        found = self.looked[window.node] = self.at(window, np.flatnonzero(component == component[window.node]))
+        nodes = np.flatnonzero(component == component[window.node])
+        found = self.looked[window.node] = self.at(window, nodes[~self.graph.is_tied(nodes, window.node)])
         return found
 
     def at(self, window: Window, nodes: Indices) -> list[Candidate]:

@@ -9,17 +9,15 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_error, transform_from_matrix
 from magmatch.slam.bases import Base
-from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.chain import Placed, log_density, smooth
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
-from magmatch.slam.graph.pose_graph import REACH, PoseGraph
+from magmatch.slam.graph.pose_graph import APART, REACH, PoseGraph
 from magmatch.slam.graph.ties import Closure
 from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
-# Nodes nearer than this along one log are not compared: their windows adjoin.
-APART = 2
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
 # The base about a node, of path before another.
@@ -157,10 +155,8 @@ def _log_transition(
     M = np.zeros((len(placed[k]), len(placed[k + 1])))
     for i, one in enumerate(placed[k]):
         for j, other in enumerate(placed[k + 1]):
-            xi = (one.T * step).inv() * other.T
-            r = np.concatenate([xi.rotation.as_rotvec(), xi.translation])
             # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
             apart = abs(candidates[k][i].node - candidates[k + 1][j].node)
             S = Q * (1 + min(apart, APART)) + one.covariance + other.covariance
-            M[i, j] = -0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(2 * np.pi * S)[1])
+            M[i, j] = log_density((one.T * step).inv() * other.T, S, graph.config.drifts)
     return M

@@ -133,6 +133,21 @@ def test_what_is_learned_is_the_mode_of_likelihood_and_guess():
     assert found.n_stretches == 6
 
 
+def test_a_field_that_repeats_exactly_but_for_a_constant_has_a_noise_too():
+    """The likelihood grows as the other parameters shrink, until covariances are singular."""
+    rng, stretches = np.random.default_rng(0), []
+    for _ in range(30):
+        x, constant = (
+            np.cumsum(0.3 * rng.standard_normal((5, 3)), axis=0),
+            np.tile(1e-6 * rng.standard_normal(3), (5, 1)),
+        )
+        G, b = 1e-9 * rng.standard_normal((5, 3, 3)), 1e-9 * rng.standard_normal((5, 3))
+        stretches.append(Stretch(x, constant, np.zeros(5), G, b))
+    found = most_likely(replace(NOISE, spread=0.5, n_stretches=0), stretches)
+    assert found.constant_sd > 10 * max(found.misfit_sd, found.nugget_sd) > 0
+    assert np.isfinite(found.spread)
+
+
 @pytest.mark.parametrize("scatter", [0.0, 0.6])
 def test_how_walks_differ_is_learned_beside_what_chance_makes_of_them(scatter):
     """The scatter of chi^2, less that of chance, against a guess that counts as five stretches."""

@@ -31,6 +31,8 @@ STRETCH_LENGTH = 5.0
 # the number of stretches that the guess of the latter counts as.
 LOG_SD = 0.5
 PRIOR_STRETCHES = 5
+# Where the search for parameters ends (natural log, about the guesses): beyond, covariances are singular to rounding.
+FARTHEST = 10 * LOG_SD
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,12 +212,15 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
             half_log_det.append(np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1))
         return np.concatenate(chi2), np.concatenate(half_log_det)
 
+    def noise_at(offset: np.ndarray) -> PathNoise:
+        return PathNoise(*np.exp(center + np.clip(offset, -FARTHEST, FARTHEST)).tolist())
+
     def cost(offset: np.ndarray) -> float:
-        chi2, half_log_det = whiten(PathNoise(*np.exp(center + offset).tolist()))
+        chi2, half_log_det = whiten(noise_at(offset))
         return float(0.5 * ((offset / LOG_SD) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
 
     found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B")
-    noise = PathNoise(*np.exp(center + found.x).tolist())
+    noise = noise_at(found.x)
     # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
     chi2, _ = whiten(noise)
     n_values = np.concatenate([np.full(len(stack[0]), 3 * stack[0].shape[1]) for stack in stacks])

@@ -16,7 +16,7 @@ from magmatch.geometry import skew
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
 from magmatch.slam.graph.ties import N_LASTING, Closure, Edges, FixedPoints
-from magmatch.typing import Covariance6, Indices, Matrix, Points, Tensors
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
 # drift.
@@ -25,6 +25,8 @@ SURE = 1e-4
 FREE = 1e3
 # Standard deviations beyond which a difference is one, or is looked for.
 REACH = 3.0
+# Nodes nearer than this along one log are one pass of a place, and are not compared: their windows adjoin.
+APART = 2
 UP = np.array([0.0, 0.0, 1.0])
 # How well gravity and one floor hold at a node: rad, m.
 UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
@@ -80,6 +82,12 @@ class PoseGraph:
         root[np.isin(root, told)] = min(told, default=0)
         found: Indices = root[self.log].astype(np.int64)
         return found
+
+    def is_tied(self, nodes: Indices, second: int) -> Mask:
+        """Whether a closure ties a node to each of some others, or to one beside it on the same pass."""
+        firsts = np.array([c.first for c in self.closures if c.second == second], dtype=np.int64)
+        is_beside = np.abs(nodes[:, None] - firsts) < APART
+        return np.asarray((is_beside & (self.log[nodes][:, None] == self.log[firsts])).any(axis=1))
 
     def tied(self) -> Indices:
         """For each log, the first log that closures connect it to."""
