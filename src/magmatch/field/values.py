@@ -52,7 +52,6 @@ class FieldFunction(Protocol):
 
     def evaluate(self, points: Points, order: int = 0) -> FieldValues:
         """Field and, for order 1, its gradient."""
-        ...
 
 
 def gradient_of(values: FieldValues) -> Tensors:

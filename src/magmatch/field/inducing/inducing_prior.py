@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
-from magmatch.field.inducing.inducing_model import InducingModel
+from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.kernels import Kernel, Term
 from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
@@ -98,15 +99,12 @@ class InducingPrior:
                 "inducing points %.3g m apart for a lengthscale of %.3g m: the field between them is lost",
                 grid.spacing, h.lengthscale,
             )  # fmt: skip
-        return InducingModel.over(
-            points,
-            replace(h, spacing=grid.spacing),
-            GaussianGrid(grid, h.lengthscale, self.terms),
-            self._unit_kernel(h.lengthscale),
-            constant_sd=config.constant_sd,
-            jitter=config.jitter,
-            known_reach=config.known_ratio * h.lengthscale,
-        )
+        basis, constant_sd = GaussianGrid(grid, h.lengthscale, self.terms), config.constant_sd
+        return InducingModel(
+            replace(h, spacing=grid.spacing), basis, self._unit_kernel(h.lengthscale), constant_sd,
+            dense_prior(basis.gram(), h, constant_sd, config.jitter), cKDTree(points),
+            config.known_ratio * h.lengthscale,
+        )  # fmt: skip
 
     def _grid(self, points: Points, spacing: float, lengthscale: float | None) -> InducingGrid:
         """Inducing points for a lengthscale, or for one in proportion to the spacing."""

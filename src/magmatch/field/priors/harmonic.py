@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from magmatch.field.box import Box
 from magmatch.field.equivalent_sources.inner_sources import InnerSources, find_inner_sources
@@ -14,7 +15,7 @@ from magmatch.field.equivalent_sources.shell_search import ShellFit, fit_shell, 
 from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
-from magmatch.field.inducing.inducing_model import InducingModel
+from magmatch.field.inducing.inducing_model import InducingModel, independent_prior
 from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
 from magmatch.field.inducing.kernels import CurlFreeKernel
 from magmatch.field.linear_model import check_samples
@@ -93,9 +94,11 @@ class HarmonicPrior:
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
                 shell.distance, h.lengthscale, self.config.max_sources,
             )  # fmt: skip
-        return InducingModel.of_independent_weights(
-            points, h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd=self.config.constant_sd,
-            known_reach=self.config.known_ratio * shell.distance, sources=shell.inner,
+        constant_sd = self.config.constant_sd
+        return InducingModel(
+            h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd,
+            independent_prior(shell.n_weights, h, constant_sd), cKDTree(points),
+            self.config.known_ratio * shell.distance, shell.inner,
         )  # fmt: skip
 
     def _shell(self, points: Points, distance: float, spacing: float, most: int) -> SourceShell:

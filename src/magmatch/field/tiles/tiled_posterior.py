@@ -24,7 +24,7 @@ from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
 from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_tasks import TileTasks
+from magmatch.field.tiles.tile_fit import TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues, check_covariance_order
@@ -79,14 +79,14 @@ class TiledPosterior:
         """Constant field where no tile answers, T."""
         return np.asarray(np.mean([w[-3:] for w in self.tile_weights], axis=0))
 
-    def evaluate(self, points: Points, order: int = 0, weights: Scalars | TiledDraw | None = None) -> FieldValues:
-        """Field and derivatives at points; the posterior mean unless weights or a draw are given."""
+    def evaluate(self, points: Points, order: int = 0, weights: TiledDraw | None = None) -> FieldValues:
+        """Field and derivatives at points; the posterior mean unless a draw is given."""
         p = np.asarray(points, dtype=np.float64)
-        weights_of = self._weights_of(weights)
         total = Blend(len(p), order, self.constant)
         for number, rows, shares in self._shares(p, max(order, 0)):
             tile = self.tile(number)
-            total.add(rows, shares, tile.evaluate(p[rows], order, weights_of(number)))
+            drawn = None if weights is None else weights.of_tile(number)
+            total.add(rows, shares, tile.evaluate(p[rows], order, drawn))
         return total.values()
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
@@ -176,15 +176,6 @@ class TiledPosterior:
     def _shares(self, points: Points, order: int) -> Iterator[Share]:
         """Each tile with a say at some points."""
         return tile_shares(self.tiling, self.tiles, self._tile_keys(), points, order)
-
-    def _weights_of(self, weights: Scalars | TiledDraw | None) -> Callable[[int], Scalars | None]:
-        """Weights by the tile's number."""
-        if weights is None:
-            return lambda _: None
-        if isinstance(weights, TiledDraw):
-            return weights.of_tile
-        starts = np.cumsum([0, *(len(w) for w in self.tile_weights)])
-        return lambda number: np.asarray(weights[starts[number] : starts[number + 1]])
 
     def _tile_keys(self) -> TileKeys:
         if not self._keys:
