@@ -14,7 +14,7 @@ from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
 from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.kernels import Kernel, Term
-from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
+from magmatch.field.inducing.marginal_likelihood import ScaleFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
 from magmatch.field.variogram import typical_length
 from magmatch.settings import Settings
@@ -67,15 +67,15 @@ class InducingPrior:
             # Nothing varies, or nothing can be told from noise: any numbers do, these give flat answers.
             sd = max(float(field.std(axis=0).max()), SMALLEST_SD)
             lengthscale = max(extent / 2, 1.0)
-            return self._resolved(points, LikelihoodFit(lengthscale, sd, sd, 0.0))
+            return self._resolved(points, ScaleFit(lengthscale, sd, sd, 0.0))
         n = self.config.n_likelihood_samples
         fit = fit_lengthscale(self._unit_kernel, points, field, _bounds(extent), n)
-        grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, None)
+        grid = self._grid(points, self.config.spacing_ratio * fit.scale, None)
         affordable = grid.spacing / self.config.spacing_ratio
-        if affordable > fit.lengthscale * (1 + 1e-9):
+        if affordable > fit.scale * (1 + 1e-9):
             log.warning(
                 "lengthscale %.3g m instead of %.3g m: %d inducing points cannot cover the survey more finely",
-                affordable, fit.lengthscale, self.config.max_inducing_points,
+                affordable, fit.scale, self.config.max_inducing_points,
             )  # fmt: skip
             rows = choose_samples(points, field, n)
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
@@ -115,10 +115,10 @@ class InducingPrior:
 
         return lay_affordable_grid(points, spacing, reach_at, config.max_inducing_points)
 
-    def _resolved(self, points: Points, fit: LikelihoodFit) -> Hyperparameters:
+    def _resolved(self, points: Points, fit: ScaleFit) -> Hyperparameters:
         """Numbers of a fit, with the spacing that the cap on nodes allows."""
-        grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, fit.lengthscale)
-        return Hyperparameters(fit.lengthscale, fit.signal_sd, fit.noise_sd, grid.spacing)
+        grid = self._grid(points, self.config.spacing_ratio * fit.scale, fit.scale)
+        return Hyperparameters(fit.scale, fit.signal_sd, fit.noise_sd, grid.spacing)
 
     def _unit_kernel(self, lengthscale: float) -> Kernel:
         return self.kernel(lengthscale, 1.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.field.box import Box
+from magmatch.field.domain import Box
 from magmatch.field.folds import Folds
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import LinearModel
