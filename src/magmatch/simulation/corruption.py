@@ -13,15 +13,32 @@ from magmatch.typing import Matrix, Scalars, Vector3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Corruption:
-    """Errors of a sensor and its log."""
+    """Errors of a sensor and its log.
 
-    hard_iron: Vector3 = field(default_factory=lambda: np.zeros(3))  # (3,), T: added to every reading, sensor frame
-    soft_iron: Matrix = field(default_factory=lambda: np.eye(3))  # (3, 3): multiplies the true field, sensor frame
-    clock_offset: float = 0.0  # s: to be added to the magnetometer's times to have those of the poses
-    n_spikes: int = 0  # number of readings with an error in a random direction, and its size, T
+    Attributes
+    ----------
+    hard_iron : (3,) array, T
+        Added to every reading, sensor frame.
+    soft_iron : (3, 3) array
+        Multiplies the true field, sensor frame; the identity for a perfect sensor.
+    clock_offset : float, s
+        To be added to the magnetometer's times to have those of the poses.
+    n_spikes : int
+        Number of readings with an error of `spike_size` in a random direction.
+    spike_size : float, T
+        Size of a spike.
+    current : (n,) array, A, optional
+        A current aboard, one value per sample.
+    current_coefficient : (3,) array, T/A
+        What it adds to the readings, sensor frame.
+    """
+
+    hard_iron: Vector3 = field(default_factory=lambda: np.zeros(3))
+    soft_iron: Matrix = field(default_factory=lambda: np.eye(3))
+    clock_offset: float = 0.0
+    n_spikes: int = 0
     spike_size: float = 30e-6
-    current: Scalars | None = None  # (n,), A: a current aboard, one value per sample
-    # (3,), T/A: what it adds to the readings, sensor frame
+    current: Scalars | None = None
     current_coefficient: Vector3 = field(default_factory=lambda: np.zeros(3))
 
 
