@@ -67,7 +67,7 @@ class Posterior(Protocol):
         """
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """Evaluate on the grid spanned by three axes (C order), through separability."""
+        """Evaluate on the grid spanned by three ascending axes (C order), through separability."""
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Marginal posterior covariance at each point, returning to the prior far from data.
@@ -89,6 +89,22 @@ class Posterior(Protocol):
 
     def knows(self, points: Points) -> Mask:
         """Where the model has basis functions informed by data; elsewhere it falls back to the prior."""
+
+
+# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and at how
+# many samples a refitted field is compared with the stored one.
+REFIT_TOLERANCE, N_CHECKED = 1e-6, 2000
+
+
+def is_refit(posterior: Posterior, weights: Scalars, points: Points) -> bool:
+    """Whether stored weights give the field of a new fit where there are data, but for rounding."""
+    if weights.shape != posterior.weights.shape:
+        return False
+    if np.array_equal(weights, posterior.weights):
+        return True
+    some = points[:: -(-len(points) // N_CHECKED)]
+    change = posterior.evaluate(some).field - posterior.evaluate(some, weights=weights).field
+    return bool(np.abs(change).max() <= REFIT_TOLERANCE * posterior.hyperparameters.noise_sd)
 
 
 def check_samples(points: Points, field: Vectors, fewest: int) -> None:

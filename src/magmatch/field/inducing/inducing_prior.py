@@ -69,7 +69,9 @@ class InducingPrior:
             lengthscale = max(extent / 2, 1.0)
             return self._resolved(points, ScaleFit(lengthscale, sd, sd, 0.0))
         n = self.config.n_likelihood_samples
-        fit = fit_lengthscale(self._unit_kernel, points, field, _bounds(extent), n)
+        # Beyond half the extent a field cannot be told from a gradient or two.
+        bounds = extent / 100, extent / 2
+        fit = fit_lengthscale(self._unit_kernel, points, field, bounds, n)
         grid = self._grid(points, self.config.spacing_ratio * fit.scale, None)
         affordable = grid.spacing / self.config.spacing_ratio
         if affordable > fit.scale * (1 + 1e-9):
@@ -122,8 +124,3 @@ class InducingPrior:
 
     def _unit_kernel(self, lengthscale: float) -> Kernel:
         return self.kernel(lengthscale, 1.0)
-
-
-def _bounds(extent: float) -> tuple[float, float]:
-    """Lengthscales to search, m: beyond half the extent a field cannot be told from a gradient or two."""
-    return extent / 100, extent / 2

@@ -108,7 +108,7 @@ class LiveTiles:
         shares = list(tile_shares(self.tiling, tiles, keys, points, order))
         fits = {number: self._fitted(tiles[number], max_age) for number, _, _ in shares}
         mean, spread = self._far_away()
-        values = blended_values(points, order, mean, shares, fits.__getitem__)
+        values = blended_values(points, order, mean, shares, lambda k, p: fits[k].evaluate(p, order))
         covariance = np.full((len(points), 3, 3), np.nan)
         if with_variance:
             outside = outside_covariance(self.hyperparameters, spread)[:3, :3]

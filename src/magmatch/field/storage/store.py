@@ -19,7 +19,7 @@ from magmatch.errors import DataFormatError, MagmatchError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters, is_number
-from magmatch.field.linear_model import Index, Posterior, StoredTile
+from magmatch.field.linear_model import Index, Posterior, StoredTile, is_refit
 from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
 from magmatch.geometry import transform_from_matrix
 from magmatch.typing import Scalars
@@ -30,10 +30,6 @@ MAX_NODES = 2e8
 # Nodes beyond the box on each side that any prior may add.
 MARGIN_NODES = 12
 UNIT_QUATERNION_TOLERANCE = 1e-9
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd.
-REFIT_TOLERANCE = 1e-6
-# Samples at which the refitted field is compared with the saved one.
-N_CHECKED = 2000
 OTHER_FIELD = (
     "fitting its samples again gives another field (made by another version of magmatch?); the samples are intact: "
     "build the map again from this file's survey"
@@ -99,7 +95,7 @@ class MapRecord:
             )
         except (ValueError, KeyError, np.linalg.LinAlgError, MagmatchError) as error:
             raise DataFormatError(path, f"its samples cannot be fitted again: {error}") from error
-        if not self.tiles and not _is_same_field(posterior, self.weights, self.fitted_samples):
+        if not self.tiles and not is_refit(posterior, self.weights, self.fitted_samples.positions):
             raise DataFormatError(path, f"entry 'weights': {OTHER_FIELD}")
         return posterior
 
@@ -146,17 +142,6 @@ class MapRecord:
                 T_domain_model=_transform(attributes, "T_domain_model"),
                 tiles=_tiles(attributes["tiles"], arrays),
             )
-
-
-def _is_same_field(posterior: Posterior, weights: Scalars, samples: Survey) -> bool:
-    """Whether two means agree where there are data, but for rounding."""
-    if weights.shape != posterior.weights.shape:
-        return False
-    if np.array_equal(weights, posterior.weights):
-        return True
-    points = samples.positions[:: -(-len(samples) // N_CHECKED)]
-    change = posterior.evaluate(points).field - posterior.evaluate(points, weights=weights).field
-    return bool(np.abs(change).max() <= REFIT_TOLERANCE * posterior.hyperparameters.noise_sd)
 
 
 def tile_name(index: Index) -> str:

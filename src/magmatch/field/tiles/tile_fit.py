@@ -14,7 +14,7 @@ from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import CholeskyFactor
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index
+from magmatch.field.linear_model import Index, is_refit
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.threads import single_threaded
@@ -22,10 +22,6 @@ from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Changes with whatever lets the same samples and numbers give other weights: stored fits are then done again.
 LAYOUT = "magmatch.tile/2"
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd.
-REFIT_TOLERANCE = 1e-6
-# Samples at which a refitted field is compared with the stored one.
-N_CHECKED = 2000
 # Position and field of samples in the model's frame.
 Samples = tuple[Points, Vectors]
 
@@ -103,11 +99,8 @@ class TileTask:
         model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
         fit = model.infer if precision == np.float64 else model.infer_in_single_precision
         fitted = fit(self.observe(model))
-        if not np.array_equal(fitted.weights, weights):
-            points = self.around[:: -(-len(self.around) // N_CHECKED)]
-            change = fitted.evaluate(points).field - fitted.evaluate(points, weights=weights).field
-            if not np.abs(change).max() <= REFIT_TOLERANCE * self.hyperparameters.noise_sd:
-                raise FitError(self.index, "fitting its samples again gives another field than was stored")
+        if not is_refit(fitted, weights, self.around):
+            raise FitError(self.index, "fitting its samples again gives another field than was stored")
         return fitted.factors.light
 
     def _inside(self, points: Points, field: Vectors) -> Samples:
