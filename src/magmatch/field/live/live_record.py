@@ -80,12 +80,12 @@ class LiveRecord:
         h = self.hyperparameters
         attributes = {
             "config": self.config.model_dump(mode="json"),
-            "hyperparameters": None if h is None else {name: float(value) for name, value in h.as_dict().items()},
+            "hyperparameters": None if h is None else h.as_dict(),
             "n_chosen": self.n_chosen,
             "n_samples": self.n_samples,
         }
         # What is empty is told by the shape alone.
-        write_archive(path, SCHEMA, attributes, {n: np.asarray(a, dtype=np.float64) for n, a in self.arrays.items()})
+        write_archive(path, SCHEMA, attributes, self.arrays)
 
     @classmethod
     def read(cls, path: str | Path) -> "LiveRecord":

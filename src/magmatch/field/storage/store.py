@@ -6,7 +6,7 @@ fits nothing. Whatever needs more than the mean (covariance, draws) factorises t
 samples, and so checks its weights. Models of other priors are fitted again on loading and checked against theirs.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -57,8 +57,8 @@ class MapRecord:
         return self.surveys[0].merged(*self.surveys[1:])
 
     def __post_init__(self) -> None:
-        for name, value in self._numbers():
-            if not np.isfinite(value).all():
+        for name, array in self.arrays().items():
+            if not np.isfinite(array).all():
                 msg = f"expected finite {name}, got NaN or infinity"
                 raise ValueError(msg)
         h = self.hyperparameters
@@ -72,19 +72,21 @@ class MapRecord:
             )
             raise ValueError(msg)
 
-    def _numbers(self) -> Iterator[tuple[str, Any]]:
-        """All numbers that must be finite."""
-        for survey in self.surveys:
-            yield from (("positions", survey.positions), ("field", survey.field), ("pose_sd", survey.pose_sd))
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of the file by their names."""
+        arrays: dict[str, np.ndarray] = {} if self.tiles else {"weights": self.weights}
+        arrays |= {tile_name(index): tile.weights for index, tile in self.tiles.items()}
+        first = 0
+        for k, survey in enumerate(self.surveys):
+            rows = slice(first, first := first + len(survey))
+            arrays |= {f"positions.{k}": survey.positions, f"field.{k}": survey.field}
+            arrays |= {f"model_positions.{k}": self.fitted_samples.positions[rows]}
+            arrays |= {f"model_field.{k}": self.fitted_samples.field[rows]}
             if survey.times is not None:
-                yield "times", survey.times
-        yield "model_positions", self.fitted_samples.positions
-        yield "model_field", self.fitted_samples.field
-        yield "weights", self.weights
-        yield from ((tile_name(index), tile.weights) for index, tile in self.tiles.items())
-        yield "T_map_model", self.T_map_model.as_matrix()
-        yield "T_domain_model", self.T_domain_model.as_matrix()
-        yield from self.hyperparameters.as_dict().items()
+                arrays[f"times.{k}"] = survey.times
+            if survey.orientations is not None:
+                arrays[f"orientations.{k}"] = survey.orientations.as_quat()
+        return arrays
 
     def restore(self, path: str | Path) -> Posterior:
         """Posterior of the samples, once it is seen to be the one that was saved."""
@@ -101,18 +103,6 @@ class MapRecord:
 
     def write(self, path: str | Path) -> None:
         """Save the record; see `read`."""
-        arrays = {} if self.tiles else {"weights": self.weights}
-        arrays |= {tile_name(index): tile.weights for index, tile in self.tiles.items()}
-        first = 0
-        for k, survey in enumerate(self.surveys):
-            rows = slice(first, first := first + len(survey))
-            arrays |= {f"positions.{k}": survey.positions, f"field.{k}": survey.field}
-            arrays |= {f"model_positions.{k}": self.fitted_samples.positions[rows]}
-            arrays |= {f"model_field.{k}": self.fitted_samples.field[rows]}
-            if survey.times is not None:
-                arrays[f"times.{k}"] = survey.times
-            if survey.orientations is not None:
-                arrays[f"orientations.{k}"] = survey.orientations.as_quat()
         attributes = {
             "surveys": [{"frame": s.frame, "name": s.name, "pose_sd": float(s.pose_sd)} for s in self.surveys],
             "tiles": {tile_name(index): tile.fingerprint for index, tile in self.tiles.items()},
@@ -120,9 +110,9 @@ class MapRecord:
             "T_map_model": self.T_map_model.as_matrix().tolist(),
             "T_domain_model": self.T_domain_model.as_matrix().tolist(),
             "config": self.config.model_dump(mode="json"),
-            "hyperparameters": {name: float(value) for name, value in self.hyperparameters.as_dict().items()},
+            "hyperparameters": self.hyperparameters.as_dict(),
         }
-        write_archive(path, SCHEMA, attributes, {n: np.asarray(a, dtype=np.float64) for n, a in arrays.items()})
+        write_archive(path, SCHEMA, attributes, self.arrays())
 
     @classmethod
     def read(cls, path: str | Path) -> "MapRecord":
@@ -194,7 +184,7 @@ def _survey(k: int, about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
         # Unit already; to normalise once more would change their last bits.
         orientations = Rotation(quaternions, normalize=False)
     frame, name, pose_sd = (_at(about, key) for key in ("frame", "name", "pose_sd"))
-    if not (isinstance(frame, str) and isinstance(name, str) and is_number(pose_sd) and pose_sd >= 0):
+    if not (isinstance(frame, str) and isinstance(name, str) and is_number(pose_sd) and 0 <= pose_sd < np.inf):
         msg = "entry 'zarr.json', surveys: expected frame and name in words and pose_sd in metres"
         raise ValueError(msg)
     return Survey(

@@ -48,8 +48,7 @@ class TileTask:
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""
         sizes = None if self.tiling is None else astuple(self.tiling)
-        numbers = [(name, float(value)) for name, value in sorted(self.hyperparameters.as_dict().items())]
-        about = (LAYOUT, numbers, sizes, self.index)
+        about = (LAYOUT, sorted(self.hyperparameters.as_dict().items()), sizes, self.index)
         digest = hashlib.sha256(repr(about).encode())
         arrays = [self.around]
         for k, (points, field) in enumerate(self.parts):
