@@ -221,7 +221,7 @@ class FieldEstimator:
         record = LiveRecord.read(path)
         estimator = cls(None, record.config, clock)
         estimator._start, estimator._n_chosen = record.start, record.n_chosen
-        estimator._first = None if record.first is None else [record.first]
+        estimator._first = [record.arrays["first"]] if "first" in record.arrays else None
         if record.hyperparameters is not None:
             estimator._tiles = record.restore_into(estimator._laid(record.hyperparameters))
         return estimator

@@ -41,11 +41,6 @@ class LiveRecord:
         """Position of the first sample."""
         return self.arrays["start"][0] if "start" in self.arrays else None
 
-    @property
-    def first(self) -> np.ndarray | None:
-        """Samples from before the hyperparameters were settled."""
-        return self.arrays.get("first")
-
     @classmethod
     def of(
         cls, config: EstimatorConfig, n_chosen: int, start: np.ndarray | None, first: np.ndarray | None,
