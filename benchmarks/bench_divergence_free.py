@@ -13,14 +13,15 @@ import numpy as np
 
 from magmatch import simulate
 from magmatch.field.config import FieldConfig
+from magmatch.field.inducing.inducing_prior import InducingConfig
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.prior_choice.numbers import choose_numbers
-from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
+from magmatch.field.priors.divergence_free import DivergenceFreePrior
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.script import rmse_ut
 from oracles.dense import DenseGP
 
-CONSTANT_SD = DivergenceFreeConfig().constant_sd
+CONSTANT_SD = InducingConfig().constant_sd
 SPACINGS = ((0.6, 0.8), (0.7, 0.7), (0.7, 1.0), (0.85, 1.0), (0.85, 1.4), (1.0, 1.4))
 
 
@@ -37,7 +38,7 @@ def main() -> None:
         exact = DenseGP.fit(kernel, train.positions, train.field, h.noise_sd, constant_sd)
         print(f"  {label}: {rmse_ut(exact.mean(test.positions).field, test.field):.3f} uT")
     for spacing, reach in SPACINGS:
-        prior = DivergenceFreePrior(DivergenceFreeConfig(spacing_ratio=spacing, reach_ratio=reach))
+        prior = DivergenceFreePrior(InducingConfig(spacing_ratio=spacing, reach_ratio=reach))
         model = prior.build(train.positions, train.field, replace(h, spacing=spacing * h.lengthscale))
         posterior = model.infer(model.observe(train.positions, train.field))
         rmse = rmse_ut(posterior.evaluate(test.positions).field, test.field)

@@ -20,9 +20,10 @@ from magmatch import FieldConfig, build_map
 from magmatch.data.recordings import load_recordings
 from magmatch.errors import MagmatchError
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.inducing_prior import InducingConfig
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
-from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
+from magmatch.field.priors.divergence_free import DivergenceFreePrior
 from magmatch.threads import single_threaded
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 from oracles.dense import DenseGP
@@ -59,7 +60,7 @@ def infer(prior, h, points, field, queries):
 def contenders(points, field, queries, length, signal):
     """Each way of getting the mean at the queries from the samples with numbers fixed beforehand."""
     kernel = DivergenceFreeKernel(length, signal)
-    published, spline = DivergenceFreePrior(DivergenceFreeConfig(constant_sd=0.0)), PRIORS["spline"]
+    published, spline = DivergenceFreePrior(InducingConfig(constant_sd=0.0)), PRIORS["spline"]
     h = Hyperparameters(length, signal, NOISE_SD, 0.7 * length)
     chosen = spline.choose_hyperparameters(points, field)
 
@@ -86,7 +87,7 @@ def compare_times():
     print("|---|---|---|---|---|---|---|")
     for n in (1000, 2000):
         points, field, queries, truth = simulated(n)
-        likely = DivergenceFreePrior(DivergenceFreeConfig(constant_sd=0.0)).choose_hyperparameters(points, field)
+        likely = DivergenceFreePrior(InducingConfig(constant_sd=0.0)).choose_hyperparameters(points, field)
         same = (0.3, np.sqrt(2) * SD)
         for label, numbers in (("0.3 m", same), ("likeliest", (likely.lengthscale, likely.signal_sd))):
             lines = {}

@@ -38,7 +38,7 @@ from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategies import strategies
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.scenario import SimulatedPair
+from magmatch.simulation.scene import SimulatedPair
 from magmatch.threads import one_blas_thread
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept

@@ -31,7 +31,7 @@ from magmatch.data.recordings import load_recordings
 from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
-from magmatch.simulation.scenario import SimulatedPair
+from magmatch.simulation.scene import SimulatedPair
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
 from magmatch_evaluation.script import arguments, pose_error, timed
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from magmatch.features.config import FeatureConfig
-from magmatch.features.grids import evaluate_at, grid_spacing, inference_grid, offsets_within
+from magmatch.features.grids import evaluate_at, grid_spacing, inference_grid
+from magmatch.field.cholesky.cells import ball_offsets
 
 
 def circle(n=300):
@@ -69,7 +70,7 @@ def test_support_is_what_lies_within_the_radius(make_map, kind):
 
 
 def test_four_spacings_hold_257_points():
-    assert len(offsets_within(4.0)) == 257
+    assert len(ball_offsets(4.0)) == 257
 
 
 def test_values_are_those_at_the_points_whichever_way_they_are_asked(make_map):

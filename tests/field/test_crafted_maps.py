@@ -167,7 +167,7 @@ CRAFTED = {
     "number unknown": (edit_json("zarr.json", "attributes", "hyperparameters", "colour", 1), "expected numbers"),
     "number a word": (edit_json("zarr.json", "attributes", "hyperparameters", "spacing", "x"), "expected numbers"),
     "noise zero": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", 0), "expected positive"),
-    "noise NaN": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", np.nan), "finite noise_sd"),
+    "noise NaN": (edit_json("zarr.json", "attributes", "hyperparameters", "noise_sd", np.nan), "expected positive"),
     "divergence weight negative": (
         edit_json("zarr.json", "attributes", "hyperparameters", "stiffness", -1),
         "divergence weight that is not negative",

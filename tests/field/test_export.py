@@ -6,9 +6,8 @@ import pytest
 
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
-from magmatch.field.axis_grid import map_on_grid
+from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.build import build_map
-from magmatch.field.export import write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
 

@@ -24,10 +24,9 @@ from magmatch.data.survey import Survey
 from magmatch.data.tables.table import write_table
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.write import SURVEY_WRITERS
-from magmatch.field.axis_grid import map_on_grid
+from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.export import write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch.preparation.preparation_report import PreparationReport, StepReport

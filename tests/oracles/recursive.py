@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from magmatch.field.inducing.inducing_model import gram_factor
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
-from magmatch.field.inducing.whitening import gram_factor
 from magmatch.field.values import FieldValues
 from magmatch.typing import Matrix, Points, Vectors
 

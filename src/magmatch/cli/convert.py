@@ -74,8 +74,7 @@ def _write_survey(source: Path, out: Path, suffix: str, layouts: Layouts, others
 
 
 def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut: str | None) -> None:
-    from magmatch.field.axis_grid import map_on_grid
-    from magmatch.field.export import write_netcdf, write_ply_cloud, write_vtk
+    from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 
     field_map = read_map(source)
     grid = map_on_grid(field_map, spacing, None if cut is None else parse_slice(cut))

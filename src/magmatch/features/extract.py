@@ -12,7 +12,7 @@ from magmatch.features.descriptors import N_DIMENSIONS, component_range, histogr
 from magmatch.features.features import Features
 from magmatch.features.grids import evaluate_at, inference_grid
 from magmatch.features.keypoints import curvature_response, find_keypoints
-from magmatch.features.local_frames import is_defined, local_frames
+from magmatch.features.local_frames import local_frames
 from magmatch.field.map import FieldMap
 
 log = logging.getLogger(__name__)
@@ -49,7 +49,7 @@ def extract_features(
 
     neighbours, distance = points.support(rows, config.support_radius)
     frames, strength = local_frames(values.field, rows, neighbours, distance, config.frame_sd)
-    kept = is_defined(strength, config.min_frame_strength)
+    kept = strength > config.min_frame_strength
     rows, neighbours, frames = rows[kept], neighbours[kept], frames[kept]
     log.info("%d of %d keypoints have a local frame", len(rows), len(kept))
     if not len(rows):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magmatch.features.config import FeatureConfig
+from magmatch.field.cholesky.cells import ball_offsets
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
@@ -32,7 +33,7 @@ class InferencePoints:
 
     def support(self, rows: Indices, radius: float) -> tuple[np.ndarray, Scalars]:
         """Points around some rows: (k, s) rows at s offsets (-1: unknown), and their lengths in spacings."""
-        offsets = offsets_within(radius)
+        offsets = ball_offsets(radius)
         offsets = offsets[np.any(offsets != 0, axis=1)]
         ijk = np.stack(np.unravel_index(self.cells[rows], self.grid.shape), axis=1)
         neighbours = np.full((len(rows), len(offsets)), -1, dtype=np.int64)
@@ -45,14 +46,6 @@ class InferencePoints:
             is_there = self.cells[found] == wanted
             neighbours[inside[is_there], column] = found[is_there]
         return neighbours, np.linalg.norm(offsets, axis=1)
-
-
-def offsets_within(radius: float) -> np.ndarray:
-    """Integer offsets of a cubic grid within a radius, in spacings: (s, 3)."""
-    reach = np.arange(-int(radius), int(radius) + 1)
-    offsets = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
-    within: np.ndarray = offsets[(offsets**2).sum(axis=1) <= radius**2 * (1 + 1e-12)]
-    return within
 
 
 def grid_spacing(field_map: FieldMap, config: FeatureConfig) -> float:
@@ -110,7 +103,7 @@ def _cells_near(samples: Points, grid: RegularGrid, radius: float) -> Indices:
     visited, is_inside = grid.nearest(samples)
     visited = np.unique(visited[is_inside])
     ijk = np.stack(np.unravel_index(visited, grid.shape), axis=1)
-    offsets, shape = offsets_within(radius), np.asarray(grid.shape)
+    offsets, shape = ball_offsets(radius), np.asarray(grid.shape)
     near = []
     step = _CELLS_AT_ONCE // len(offsets) + 1
     for start in range(0, len(ijk), step):

@@ -4,7 +4,7 @@
 import numpy as np
 
 from magmatch.geometry import unit_vectors
-from magmatch.typing import Mask, Scalars, Tensors, Vectors
+from magmatch.typing import Scalars, Tensors, Vectors
 
 # Support vectors held in memory at once.
 CHUNK = 1_000_000
@@ -45,9 +45,3 @@ def local_frames(
     strength: Scalars = np.linalg.norm(total, axis=1) / np.maximum(lengths, tiny)
     strength[np.linalg.norm(own, axis=1) < tiny] = 0.0
     return np.stack([x, np.cross(z, x), z], axis=2), strength
-
-
-def is_defined(strength: Scalars, minimum: float) -> Mask:
-    """Whether a frame's x-axis is more than noise."""
-    defined: Mask = strength > minimum
-    return defined

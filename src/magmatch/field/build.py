@@ -9,8 +9,8 @@ from magmatch.arguments import expect_kind, found
 from magmatch.data.checks import require_part, require_survey
 from magmatch.data.survey import Survey, subsets
 from magmatch.errors import SurveyError
-from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
+from magmatch.field.domain import Box
 from magmatch.field.fit import fit_unbounded, within
 from magmatch.field.linear_model import Posterior, Runner
 from magmatch.field.map import FieldMap

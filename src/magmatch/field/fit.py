@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
-from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
-from magmatch.field.domain import BoundedPosterior
+from magmatch.field.domain import BoundedPosterior, Box
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, Prior, Runner, StoredTile
 from magmatch.field.priors import prior_over

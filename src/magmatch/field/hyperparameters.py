@@ -46,9 +46,9 @@ class Hyperparameters:
         """The same map of the same samples, with another statement of their noise."""
         return replace(self, noise_sd=noise_sd, prior_scale=self.prior_scale * noise_sd / self.noise_sd)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, float]:
         """Plain numbers by their names in files."""
-        return {STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
+        return {STORED_NAMES.get(name, name): float(value) for name, value in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, about: Any) -> Self:

@@ -24,12 +24,11 @@ from magmatch.errors import import_extra
 from magmatch.field.axis_grid import map_on_grid
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
-from magmatch.field.gridded_field import GriddedField
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
 from magmatch.field.storage.store import MapRecord
 from magmatch.field.tiles.region_model import tiles_to_store
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
 from magmatch.picture import with_picture

@@ -9,7 +9,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors, rotation_matrix
-from magmatch.typing import Points, Scalars, Tensors, ThirdOrder, Vectors
+from magmatch.grid import RegularGrid
+from magmatch.typing import Mask, Points, Scalars, Tensors, ThirdOrder, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,16 +36,17 @@ class FieldValues:
         R = rotation_matrix(T_new_old)
         return R if order == 0 else block_diag(R, np.kron(R, R))
 
-    @staticmethod
-    def concatenate(parts: "list[FieldValues]") -> "FieldValues":
-        """Join values at several sets of points, in order."""
-        gradients = [p.gradient for p in parts if p.gradient is not None]
-        seconds = [p.second for p in parts if p.second is not None]
-        return FieldValues(
-            np.concatenate([p.field for p in parts]),
-            np.concatenate(gradients) if len(gradients) == len(parts) else None,
-            np.concatenate(seconds) if len(seconds) == len(parts) else None,
-        )
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GriddedField:
+    """A map evaluated on a regular grid; arrays are in the grid's C order, components in the map frame."""
+
+    grid: RegularGrid
+    values: FieldValues  # field and derivatives at ``grid.points()``
+    # (n,), T^2: mean posterior variance of the three components, returning to the prior away from data; NaN where it
+    # was not asked for
+    variance: Scalars
+    is_known: Mask  # (n,): where the map has data nearby
 
 
 class FieldFunction(Protocol):
@@ -52,7 +54,6 @@ class FieldFunction(Protocol):
 
     def evaluate(self, points: Points, order: int = 0) -> FieldValues:
         """Field and, for order 1, its gradient."""
-        ...
 
 
 def gradient_of(values: FieldValues) -> Tensors:

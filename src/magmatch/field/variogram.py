@@ -22,8 +22,7 @@ def typical_length(points: Points, field: Vectors) -> float:
     anchors = np.unique(np.linspace(0, n - 1, min(n, 400)).astype(np.int64))
     # Neighbours of rank 1, 2, 4, ...: pairs at all distances from the samples' spacing to the whole region.
     ranks = np.unique(np.minimum((2.0 ** np.arange(0, np.log2(n), 0.5)).astype(np.int64), n - 1))
-    subset = points if n <= 20_000 else points[:: -(-n // 20_000)]
-    values = field if n <= 20_000 else field[:: -(-n // 20_000)]
+    subset, values = (rows[:: -(-n // 20_000)] for rows in (points, field))
     ranks = ranks[ranks < len(subset)]
     found = side_by_side(lambda some: _neighbours(points[anchors[some]], subset, ranks), slices(len(anchors)))
     distance, other = (np.concatenate(part) for part in zip(*found, strict=True))

@@ -67,8 +67,10 @@ def calibrate(
     rows = rows[:: -(-len(rows) // config.n_samples)]
     part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
     tell("looking for the offset between the clocks")
-    start = _rough(part, largest, sizes_of(config, switches))
-    estimator = _Estimator(part, values, sizes_of(config, switches), coarse_settings(part.positions))
+    sizes = sizes_of(config, switches)
+    offset, rough = search_time_offset(part, largest, sizes)
+    start = replace(model_of(rough.estimate, {}), time_offset=offset)
+    estimator = _Estimator(part, values, sizes, coarse_settings(part.positions))
     tell("calibrating against a map of the place")
     # A coarse map takes most of the way, so that the settings of a fine one are chosen once.
     start, _ = estimator.refined(start, set(switches))
@@ -131,12 +133,6 @@ def sizes_of(config: PreparationConfig, switches: Mapping[str, Switch]) -> dict[
     c = config.calibration
     sizes = {"hard_iron": c.hard_iron_sd, "soft_iron": c.soft_iron_sd, "misalignment": c.misalignment_sd}
     return {name: size for name, size in sizes.items() if name in switches}
-
-
-def _rough(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
-    """Begin from a coarse map."""
-    offset, solution = search_time_offset(part, largest, sizes)
-    return replace(model_of(solution.estimate, {}), time_offset=offset)
 
 
 def _least_shown(

@@ -61,10 +61,6 @@ class DisturbancesConfig(Settings):
     spike_threshold: float = Field(default=10.0, gt=0)
 
 
-# off: not looked for. auto: the log is cut where its sensor's own calibration jumped.
-CutSwitch = Literal["off", "auto"]
-
-
 class ResamplingConfig(Settings):
     """One sample per distance walked."""
 
@@ -76,8 +72,8 @@ class ResamplingConfig(Settings):
 class PreparationConfig(Settings):
     """Settings of `magmatch.preparation.prepare.prepare`."""
 
-    # Jumps of the sensor's own calibration, as phones have them.
-    recalibration: CutSwitch = "auto"
+    # Jumps of the sensor's own calibration, as phones have them. off: not looked for. auto: the log is cut there.
+    recalibration: Literal["off", "auto"] = "auto"
     time_offset: TimeOffsetConfig = TimeOffsetConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     currents: CurrentsConfig = CurrentsConfig()

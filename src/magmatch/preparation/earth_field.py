@@ -3,13 +3,13 @@
 
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Any
 
 import numpy as np
 
 from magmatch.data.diagnoses import PLAUSIBLE_BEND, inclination_deg
 from magmatch.data.units import field_text
 from magmatch.errors import ConfigurationError, import_extra
+from magmatch.preparation.preparation_report import StepReport
 from magmatch.typing import Vectors
 
 # Indoors, steel changes the mean field of a room by some tens of percent and bends it by some tens of degrees.
@@ -41,30 +41,10 @@ class Place:
             raise ConfigurationError(msg)
 
 
-@dataclass(frozen=True, slots=True)
-class EarthFieldCheck:
-    """The survey's field beside the model's."""
-
-    magnitude: float  # T: of the mean vector
-    expected_magnitude: float  # T
-    inclination_deg: float  # angle below the horizontal; taken from the survey's z axis as the vertical
-    expected_inclination_deg: float
-    words: str  # what is odd about it, or that nothing is
-    is_plausible: bool
-
-    def figures(self) -> dict[str, Any]:
-        """Plain numbers for the report."""
-        return {
-            "magnitude": self.magnitude,
-            "expected_magnitude": self.expected_magnitude,
-            "inclination_deg": self.inclination_deg,
-            "expected_inclination_deg": self.expected_inclination_deg,
-            "is_plausible": self.is_plausible,
-        }
-
-
-def check_earth_field(field: Vectors, place: Place) -> EarthFieldCheck:
-    """Compare a survey's mean field with the International Geomagnetic Reference Field."""
+def earth_step(field: Vectors, place: Place | None) -> StepReport:
+    """Compare a survey's mean field, its z axis up, with the International Geomagnetic Reference Field of a place."""
+    if place is None:
+        return StepReport("earth field", "off", "no place and date given")
     model, mean = earth_field(place), field.mean(axis=0)
     expected = float(np.linalg.norm(model))
     magnitude = float(np.linalg.norm(mean))
@@ -83,7 +63,11 @@ def check_earth_field(field: Vectors, place: Place) -> EarthFieldCheck:
         f"{field_text(expected)} at {expected_dip:.0f} deg"
     )
     words += ": " + ("; ".join(oddities) if oddities else "plausible")
-    return EarthFieldCheck(magnitude, expected, dip, expected_dip, words, not oddities)
+    figures = {
+        "magnitude": magnitude, "expected_magnitude": expected, "inclination_deg": dip,
+        "expected_inclination_deg": expected_dip, "is_plausible": not oddities,
+    }  # fmt: skip
+    return StepReport("earth field", "flagged" if oddities else "unchanged", words, figures=figures)
 
 
 def earth_field(place: Place) -> np.ndarray:

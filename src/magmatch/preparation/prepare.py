@@ -19,12 +19,12 @@ from magmatch.preparation.calibration import calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
-from magmatch.preparation.earth_field import Place
+from magmatch.preparation.earth_field import Place, earth_step
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.recalibrations import NO_CUTS, find_recalibrations, recalibration_step
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.survey_steps import earth_step, find_disturbances, resampling_step
+from magmatch.preparation.survey_steps import find_disturbances, resampling_step
 from magmatch.progress import Progress, followed
 from magmatch.typing import Indices, Mask, Scalars
 
@@ -110,7 +110,7 @@ def prepare(
         msg = f"{survey.name}: nothing is left after removing disturbances; flag them instead of removing them"
         raise SurveyError(msg)
     left, resampled = resampling_step(left, config)
-    steps += [resampled, earth_step(left, place)]
+    steps += [resampled, earth_step(left.field, place)]
     report = PreparationReport(
         survey.name, (len(survey), len(left)), tuple(steps), config.model_dump(mode="json"),
         model if sensor is None else model.after(sensor), ({"name": survey.name, "sha256": hash_survey(survey)},),

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Steps that look at the corrected survey: disturbances, resampling, the Earth's field; each with its report."""
+"""Steps that look at the corrected survey, disturbances and resampling, each with its report."""
+
+from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
 
@@ -16,13 +19,10 @@ from magmatch.preparation.disturbances import (
     find_spikes,
     runs,
 )
-from magmatch.preparation.earth_field import Place, check_earth_field
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.resampling import resample_by_distance
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask, Vectors
-
-OFF = "off"
 
 
 @single_threaded
@@ -31,24 +31,30 @@ def find_disturbances(
 ) -> tuple[Mask, list[StepReport]]:
     """Which samples to keep, and a report of each kind of disturbance."""
     modes, in_order = config.disturbances, survey.times is not None
-    hyperparameters = _hyperparameters(survey, calibration, config)
+    h = cache(partial(_hyperparameters, survey, calibration, config))
     kept, steps = np.ones(len(survey), dtype=bool), []
     gaps = time_gaps(survey)
     gap_words = f"; {len(gaps)} gaps in time, the longest {gaps.max():.3g} s" if len(gaps) else ""
-    found: list[tuple[str, Flagging, Mask | None, str]] = [
-        ("drop-outs", modes.drop_outs, find_repeats(readings), "readings equal the previous one" + gap_words),
-        ("saturation", modes.saturation, find_saturation(readings), "readings at the end of the sensor's range"),
-        ("spikes", modes.spikes, None, "samples fit neither their neighbours nor the map"),
-        ("moving metal", modes.moving_metal, None, "samples contradict other passes of the same places"),
-    ]
-    for name, mode, given, words in found:
-        mask = given
-        if mode != OFF and given is None:
-            mask = _held_against_map(name, survey, hyperparameters, config, in_order=in_order)
-        step = _disturbance_step(name, mode, mask, words, survey)
-        if mode == "remove" and mask is not None:
+
+    def spikes() -> Mask:
+        return find_spikes(survey.positions, survey.field, h(), modes.spike_threshold, in_order=in_order)
+
+    found: list[tuple[str, Flagging, Callable[[], Mask], str]] = [
+        ("drop-outs", modes.drop_outs, lambda: find_repeats(readings), "readings equal the previous one" + gap_words),
+        ("saturation", modes.saturation, lambda: find_saturation(readings),
+         "readings at the end of the sensor's range"),
+        ("spikes", modes.spikes, spikes, "samples fit neither their neighbours nor the map"),
+        ("moving metal", modes.moving_metal, lambda: find_contradictions(survey.positions, survey.field, h()),
+         "samples contradict other passes of the same places"),
+    ]  # fmt: skip
+    for name, mode, find, words in found:
+        if mode == "off":
+            steps.append(StepReport(name, "off", ""))
+            continue
+        mask = find()
+        steps.append(_disturbance_step(name, mode, mask, words, survey))
+        if mode == "remove":
             kept &= ~mask
-        steps.append(step)
     return kept, steps
 
 
@@ -62,40 +68,15 @@ def resampling_step(survey: Survey, config: PreparationConfig) -> tuple[Survey, 
     return resampled, StepReport("resampling", "applied", words, len(survey), len(resampled), "samples")
 
 
-def earth_step(survey: Survey, place: Place | None) -> StepReport:
-    """Compare with the Earth's field where place and date are known."""
-    if place is None:
-        return StepReport("earth field", "off", "no place and date given")
-    check = check_earth_field(survey.field, place)
-    outcome: Outcome = "unchanged" if check.is_plausible else "flagged"
-    return StepReport("earth field", outcome, check.words, figures=check.figures())
-
-
-def _hyperparameters(
-    survey: Survey, calibration: Calibration | None, config: PreparationConfig
-) -> Hyperparameters | None:
-    """Settings of the map that samples are held against; None where no step needs one."""
-    if config.disturbances.spikes == OFF and config.disturbances.moving_metal == OFF:
-        return None
+def _hyperparameters(survey: Survey, calibration: Calibration | None, config: PreparationConfig) -> Hyperparameters:
+    """Settings of the map that samples are held against."""
     if calibration is not None and not calibration.is_refused:
         return calibration.hyperparameters
     stride = -(-len(survey) // config.n_samples)
     return choose_spline_hyperparameters(survey.positions[::stride], survey.field[::stride])
 
 
-def _held_against_map(
-    name: str, survey: Survey, hyperparameters: Hyperparameters | None, config: PreparationConfig, *, in_order: bool
-) -> Mask:
-    assert hyperparameters is not None
-    if name == "moving metal":
-        return find_contradictions(survey.positions, survey.field, hyperparameters)
-    threshold = config.disturbances.spike_threshold
-    return find_spikes(survey.positions, survey.field, hyperparameters, threshold, in_order=in_order)
-
-
-def _disturbance_step(name: str, mode: Flagging, mask: Mask | None, words: str, survey: Survey) -> StepReport:
-    if mode == OFF or mask is None:
-        return StepReport(name, "off", "")
+def _disturbance_step(name: str, mode: Flagging, mask: Mask, words: str, survey: Survey) -> StepReport:
     count = int(mask.sum())
     if count == 0 and ";" not in words:
         return StepReport(name, "unchanged", "none found", 0, 0, "samples")

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -99,18 +100,6 @@ def _room_turned(axis: str, angle_deg: float) -> Builder:
     return build
 
 
-def _office_random(config: SimulationConfig, streams: Streams) -> Scene:
-    return _room(config, streams, "any")
-
-
-def _office_overlap(config: SimulationConfig, streams: Streams) -> Scene:
-    return _room(config, streams, "any", overlap=0.5)
-
-
-def _office_inside(config: SimulationConfig, streams: Streams) -> Scene:
-    return _room(config, streams, "any", n_inside=5)
-
-
 def _nowhere(config: SimulationConfig, streams: Streams) -> Scene:
     """Two rooms of one kind that are different places: there is nothing to find."""
     scene = _room(config, streams, "any")
@@ -157,29 +146,22 @@ def _planar(config: SimulationConfig, streams: Streams) -> Scene:
     )
 
 
-def _carried(config: SimulationConfig, streams: Streams, size: Vector3, tilt_sd: float) -> Scene:
-    """Build a room walked through with a sensor that looks ahead and tilts as it is carried."""
+def _carried(config: SimulationConfig, streams: Streams, *, is_level: bool) -> Scene:
+    """Build a room filled by hand, with all headings and tilts of 25 degrees, or by a robot at one height, level."""
+    size, tilt_sd = config.room_size, ATTITUDE_SD
+    if is_level:
+        size, tilt_sd = (size[0], size[1], 0.0), 0.0
     room = _room(config.model_copy(update={"target_frame": "scenario"}), streams, RigidTransform.identity())
 
     def walk(rng: np.random.Generator) -> SensorPath:
         n = config.n_samples
-        positions = wander((size[0], size[1], size[2]), n, SAMPLE_INTERVAL, rng)
+        positions = wander(size, n, SAMPLE_INTERVAL, rng)
         tilt = np.column_stack([smooth_noise(n, 12, tilt_sd, rng) for _ in range(3)])
         ahead = np.unwrap(heading_along(positions))
         orientations = _upright(ahead) * Rotation.from_rotvec(tilt)
         return SensorPath(positions, SAMPLE_INTERVAL * np.arange(n), orientations)
 
     return _scene(config, streams, list(room.base_sources), walk(streams.base), walk(streams.target), "any")
-
-
-def _office_hand_held(config: SimulationConfig, streams: Streams) -> Scene:
-    """A room filled by hand, with all headings and tilts of 25 degrees."""
-    return _carried(config, streams, np.array(config.room_size), ATTITUDE_SD)
-
-
-def _office_robot(config: SimulationConfig, streams: Streams) -> Scene:
-    """A robot about a room: one height, turning about the vertical only."""
-    return _carried(config, streams, np.array([*config.room_size[:2], 0.0]), 0.0)
 
 
 def _table(config: SimulationConfig, streams: Streams) -> Scene:
@@ -303,11 +285,11 @@ SCENARIOS: dict[str, Builder] = {
     "office": _room_turned("z", 30.0),
     "office-z30": _room_turned("z", 30.0),
     "office-x30": _room_turned("x", -30.0),
-    "office-random": _office_random,
-    "office-overlap": _office_overlap,
-    "office-inside": _office_inside,
-    "office-hand-held": _office_hand_held,
-    "office-robot": _office_robot,
+    "office-random": partial(_room, frame="any"),
+    "office-overlap": partial(_room, frame="any", overlap=0.5),
+    "office-inside": partial(_room, frame="any", n_inside=5),
+    "office-hand-held": partial(_carried, is_level=False),
+    "office-robot": partial(_carried, is_level=True),
     "planar": _planar,
     "table": _table,
     "table-robot": _table_robot,

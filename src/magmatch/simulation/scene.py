@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A scenario before anything is measured, and the random streams it is drawn from."""
+"""A scenario before anything is measured, the random streams it is drawn from, and the pair of surveys it becomes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import SensorPath
 from magmatch.typing import Points, Vector3, Vectors
@@ -36,6 +38,21 @@ class Scene:
         """Return the true, noise-free field at the time of the base survey."""
         p_world = transform_points(p_base, self.T_base_world.inv())
         return rotate_vectors(field_of(self.base_sources, p_world) + self.earth_field, self.T_base_world)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SimulatedPair:
+    """Two surveys with known relation."""
+
+    scenario: str  # name of the scenario
+    seed: int  # seed it was made from
+    base: Survey  # each in its own frame
+    target: Survey
+    T_base_target: RigidTransform  # exact ground truth (also where nothing can be found)
+    # Whether a correct program accepts a registration here: False where the places differ or the field has no
+    # structure
+    accept: bool
+    config: SimulationConfig = field(default_factory=SimulationConfig)  # settings it was made with
 
 
 class Streams:

@@ -14,9 +14,8 @@ from magmatch.data.survey import Survey
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import SensorPath
-from magmatch.simulation.scenario import SimulatedPair
 from magmatch.simulation.scenarios import build_scene
-from magmatch.simulation.scene import Streams
+from magmatch.simulation.scene import SimulatedPair, Streams
 from magmatch.typing import Points, Vector3, Vectors
 
 

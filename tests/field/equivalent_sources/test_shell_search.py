@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from magmatch.field.equivalent_sources.shell import lay_shell
-from magmatch.field.equivalent_sources.shell_search import ShellFit, fit_shell, search_distance
+from magmatch.field.equivalent_sources.shell_search import fit_shell
 from magmatch.field.folds import Folds, divide
+from magmatch.field.inducing.marginal_likelihood import ScaleFit, walk_uphill
 
 laws = settings(deadline=None, derandomize=True, max_examples=30)
 NOISE = 0.4e-6
@@ -45,7 +46,7 @@ def test_the_score_is_the_dense_evidence_at_the_best_level_of_signal_and_noise()
         fit, A = fit_shell(shell, x, b, folds), columns(shell, x)
         ratio = (fit.noise_sd / fit.signal_sd) ** 2
         best, noise_sd = dense(A, ratio)
-        assert fit.distance == shell.distance
+        assert fit.scale == shell.distance
         assert fit.noise_sd == pytest.approx(noise_sd, rel=1e-6)
         assert all(dense(A, factor * ratio)[0] < best for factor in (0.3, 3.0))
         scores.append((fit.score, best))
@@ -84,12 +85,12 @@ def test_the_distance_of_the_best_score_is_found_within_bounds_in_few_fits(best,
 
     def fit_at(distance):
         tried.append(distance)
-        return ShellFit(distance, 1.0, 1.0, -((np.log(distance) - best) ** 2))
+        return ScaleFit(distance, 1.0, 1.0, -((np.log(distance) - best) ** 2))
 
-    found = search_distance(fit_at, *np.exp([start, low, high]))
+    found = walk_uphill(fit_at, np.exp(start), (np.exp(low), np.exp(high)), np.sqrt(2), 8, 1.3)
     nearest = np.clip(best, low, high)
     assert min(tried) >= np.exp(low) * (1 - 1e-12)
     assert max(tried) <= np.exp(high) * (1 + 1e-12)
     assert len(set(tried)) == len(tried) <= 14
     # Steps of the fourth root of two in the end, as far as eight of them go.
-    assert abs(np.log(found.distance) - nearest) <= np.log(2) / 8 + 1e-9 or len(tried) >= 9
+    assert abs(np.log(found.scale) - nearest) <= np.log(2) / 8 + 1e-9 or len(tried) >= 9

@@ -11,7 +11,6 @@ from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice import choose_prior as choice
-from magmatch.field.prior_choice import verdict
 from magmatch.field.prior_choice.cross_validation import Candidate, compare, compare_on_the_rest
 from magmatch.field.prior_choice.numbers import choose_all_numbers
 from magmatch.field.priors import DENSE_PRIORS, PRIORS
@@ -45,7 +44,7 @@ def room(*, inside, n=600, noise_sd=1e-6):
 
 def test_without_a_source_in_the_region_the_harmonic_prior_is_better_and_remembered(tmp_path, monkeypatch):
     # Few samples are no proof, so the proof asked for is waived here.
-    monkeypatch.setattr(verdict, "LEAST_T", 0.0)
+    monkeypatch.setattr(choice, "LEAST_T", 0.0)
     built = build_map(Survey(*room(inside=False, n=300, noise_sd=0.3e-6)), FieldConfig(prior="auto"))
     assert built.config.prior == "harmonic"
     errors = built.config.comparison
@@ -81,10 +80,10 @@ def test_only_a_clear_margin_leaves_the_spline():
     better = Candidate("harmonic", H, spline.log_errors - 0.2 + 0.1 * rng.normal(size=40))
     by_chance = Candidate("curl_free", H, spline.log_errors - 0.3 + 1.0 * rng.normal(size=40))
     hardly = Candidate("divergence_free", H, spline.log_errors - 0.001)
-    assert verdict.best([spline, hardly, by_chance]).name == "spline"
-    assert verdict.best([spline, better, hardly]).name == "harmonic"
+    assert choice.best([spline, hardly, by_chance]).name == "spline"
+    assert choice.best([spline, better, hardly]).name == "harmonic"
     few = [Candidate(name, H, spline.log_errors[:3] - k) for k, name in enumerate(("spline", "harmonic"))]
-    assert verdict.best(few).name == "spline"
+    assert choice.best(few).name == "spline"
 
 
 def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
@@ -92,10 +91,10 @@ def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
     spline = Candidate("spline", H, np.zeros(40))
     # The mean of 40 such differences is known to 0.16.
     for gain in (-0.1, 0.1, 0.2):
-        ahead = verdict.lead(Candidate("harmonic", H, scatter - gain), spline)
+        ahead = choice.lead(Candidate("harmonic", H, scatter - gain), spline)
         np.testing.assert_allclose(ahead, gain / 0.16, rtol=0.02)
     few = Candidate("harmonic", H, spline.log_errors[:5] + 9)
-    assert verdict.lead(few, Candidate("spline", H, np.zeros(5))) == np.inf
+    assert choice.lead(few, Candidate("spline", H, np.zeros(5))) == np.inf
 
 
 def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monkeypatch):
@@ -124,11 +123,11 @@ def test_further_parts_are_asked_only_where_they_may_change_what_is_taken():
     spline = Candidate("spline", H, np.zeros(40))
     clear = Candidate("harmonic", H, 0.01 * scatter - 0.3)
     behind, ahead = (Candidate("curl_free", H, 3.0 * scatter - gain) for gain in (0.2, 0.4))
-    assert not verdict.is_undecided([spline])
-    assert not verdict.is_undecided([spline, clear])
-    assert not verdict.is_undecided([spline, behind, clear])
-    assert verdict.is_undecided([spline, behind])
-    assert verdict.is_undecided([spline, ahead, clear])
+    assert not choice.is_undecided([spline])
+    assert not choice.is_undecided([spline, clear])
+    assert not choice.is_undecided([spline, behind, clear])
+    assert choice.is_undecided([spline, behind])
+    assert choice.is_undecided([spline, ahead, clear])
 
 
 def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
@@ -141,8 +140,8 @@ def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
     monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
     # More proof than some parts can give, less than all of them do.
     gain = spline.log_errors - harmonic.log_errors
-    monkeypatch.setattr(verdict, "LEAST_T", 1.05 * gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
-    assert verdict.best([spline, harmonic]) is spline
+    monkeypatch.setattr(choice, "LEAST_T", 1.05 * gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
+    assert choice.best([spline, harmonic]) is spline
     chosen, _ = choice.choose_prior(survey, config, RigidTransform.identity())
     assert chosen.prior == "harmonic"
 

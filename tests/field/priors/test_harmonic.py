@@ -7,9 +7,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.field.box import Box
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.field.domain import Box
 from magmatch.field.equivalent_sources.charges import charge_design, charge_field
 from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters

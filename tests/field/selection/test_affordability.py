@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.affordability import affordable_spacing, is_affordable
+from magmatch.field.selection.spline_layout import affordable_spacing, is_affordable
 from magmatch.field.tiles.region_model import fit_operations
 
 
 def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeypatch):
-    monkeypatch.setattr("magmatch.field.selection.affordability.MOST_OPERATIONS", (5e8, 1e5))
+    monkeypatch.setattr("magmatch.field.selection.spline_layout.MOST_OPERATIONS", (5e8, 1e5))
     x = np.random.default_rng(0).uniform(0, 30, (500, 3)) * [1, 1, 0.01]
     spacing = affordable_spacing(x, Hyperparameters(0.35, 1e-6, 1e-7, 0.1))
     assert spacing > 0.1
@@ -23,7 +23,7 @@ def test_a_survey_affords_what_its_number_of_samples_allows_and_no_wider_spacing
     share = fit_operations(x, h) / (4e9 + 2e5 * 400)
     assert is_affordable(x, h, 1.01 * share)
     assert not is_affordable(x, h, 0.99 * share)
-    monkeypatch.setattr("magmatch.field.selection.affordability.MOST_OPERATIONS", (1e7, 1e5))
+    monkeypatch.setattr("magmatch.field.selection.spline_layout.MOST_OPERATIONS", (1e7, 1e5))
     spacing = affordable_spacing(x, h)
     costs = [fit_operations(x, replace(h, lengthscale=2 * s, spacing=s)) for s in (spacing, spacing / 1.25)]
     assert costs[0] <= 1e7 + 400e5 < costs[1]

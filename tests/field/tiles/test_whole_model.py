@@ -4,8 +4,7 @@
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.tiles.region_model import lay_splines, tiles_to_store
-from magmatch.field.tiles.whole_model import WholeModel
+from magmatch.field.tiles.region_model import WholeModel, lay_splines, tiles_to_store
 
 H = Hyperparameters(lengthscale=0.5, signal_sd=5e-6, noise_sd=3e-7, spacing=0.3)
 

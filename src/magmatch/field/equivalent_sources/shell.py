@@ -38,7 +38,7 @@ _SPACING_RATIOS = (0.35, 1.2)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SourceShell:
-    """Charges around a region; fills `inducing.basis.Basis` with unit prior variance in the region."""
+    """Charges around a region; fills `inducing.inducing_model.Basis` with unit prior variance in the region."""
 
     sources: Points  # (m, 3), m
     region: cKDTree  # points of the region

@@ -1,71 +1,29 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Distance of equivalent sources from the samples, signal and noise: by evidence, or on a path by held-out stretches.
+"""Signal, noise and score of a layer of equivalent sources: by evidence, or on a path by held-out stretches.
 
 Along a path neighbouring samples share their errors, which the evidence mistakes for field: there, held-out stretches
 decide.
 """
-
-import logging
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from magmatch.field.equivalent_sources.shell import SourceShell
 from magmatch.field.folds import Folds
-from magmatch.field.inducing.marginal_likelihood import tridiagonal, tridiagonal_score
+from magmatch.field.inducing.marginal_likelihood import ScaleFit, tridiagonal, tridiagonal_score
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
-
-log = logging.getLogger(__name__)
 
 # Noise over signal, both as variances.
 _NOISE_RATIOS = np.geomspace(1e-7, 10.0, 33)
 _FEW_NOISE_RATIOS = np.geomspace(1e-5, 0.3, 7)
 # Constant field over signal, as standard deviations: next to free.
 _CONSTANT = 100.0
-_MOST_STEPS = 8
 # Held-out stretches that nothing else comes near miss by as much as the field varies: a low power of the residuals
 # keeps them from drowning the others.
 _PATH_POWER = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class ShellFit:
-    """A distance (m) with the best signal and noise (T) for it.
-
-    The score is the log evidence up to a constant, or minus the log of the held-out error.
-    """
-
-    distance: float
-    signal_sd: float
-    noise_sd: float
-    score: float
-
-
-def search_distance(fit_at: Callable[[float], ShellFit], start: float, low: float, high: float) -> ShellFit:
-    """Walk uphill in the distance, by steps of sqrt(2), then of its root."""
-    fits: dict[float, ShellFit] = {}
-
-    def fit(distance: float) -> ShellFit:
-        distance = float(np.clip(distance, low, high))
-        if distance not in fits:
-            fits[distance] = fit_at(distance)
-            log.debug("%s", fits[distance])
-        return fits[distance]
-
-    center, step = fit(start).distance, float(np.sqrt(2))
-    for _ in range(_MOST_STEPS):
-        best = max((fit(center), fit(center / step), fit(center * step)), key=lambda f: f.score)
-        if best.distance == center:
-            if step < 1.3:
-                break
-            step **= 0.5
-        center = best.distance
-    return max(fits.values(), key=lambda f: f.score)
-
-
-def fit_shell(shell: SourceShell, points: Points, field: Vectors, folds: Folds) -> ShellFit:
+def fit_shell(shell: SourceShell, points: Points, field: Vectors, folds: Folds) -> ScaleFit:
     """Signal and noise that suit one layer of sources best."""
     unit = float(np.abs(field - field.mean(axis=0)).max())
     y = ((field - field.mean(axis=0)) / unit).T.ravel()
@@ -78,7 +36,7 @@ def fit_shell(shell: SourceShell, points: Points, field: Vectors, folds: Folds) 
     w = _solve(gram, r, ratio)
     variance = max(float(y @ y - r @ w) / len(y), np.finfo(float).tiny)
     noise_sd = unit * float(np.sqrt(variance))
-    return ShellFit(shell.distance, noise_sd / float(np.sqrt(ratio)), noise_sd, score)
+    return ScaleFit(shell.distance, noise_sd / float(np.sqrt(ratio)), noise_sd, score)
 
 
 def _by_evidence(gram: Matrix, r: Scalars, y: Scalars) -> tuple[float, float]:

@@ -3,7 +3,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -31,7 +30,7 @@ FitWithout = Callable[[Mask], Posterior]
 
 
 def calibrated(
-    prior: Prior, points: Points, field: Vectors, h: Hyperparameters, model: LinearModel[Any] | None = None
+    prior: Prior, points: Points, field: Vectors, h: Hyperparameters, model: LinearModel | None = None
 ) -> Hyperparameters:
     """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
 

@@ -9,25 +9,86 @@ posterior.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.basis import Basis
-from magmatch.field.inducing.gaussian_grid import GaussianGrid
-from magmatch.field.inducing.information import DenseInformation
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
-from magmatch.field.inducing.whitening import gram_factor
 from magmatch.field.linear_model import Axes, Index, Runner, StoredTile
 from magmatch.field.values import FieldValues, check_covariance_order
-from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
 
 # Rows times weights of one block of the design matrix, in numbers: 64 MiB.
 _BLOCK_NUMBERS = 2**23
 # Stands for a constant field that is held at zero, T.
 _NO_CONSTANT_SD = 1e-30
+
+
+class Basis(Protocol):
+    """Vector fields that weights (T) stand for, with unit prior variance: Gaussians on a grid, or charges."""
+
+    @property
+    def n_weights(self) -> int:
+        """How many."""
+
+    def is_whole(self, points: Points) -> Mask:
+        """Where the basis alone is the prior; elsewhere the prior has a part that the basis cannot represent."""
+
+    def design(self, points: Points, order: int = 0) -> Matrix:
+        """Field and derivatives per unit of each weight: (rows n, m), rows component-major."""
+
+    def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
+        """Field and derivatives at points."""
+
+    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
+        """Field and derivatives on the grid spanned by three axes, in C order."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DenseInformation:
+    """What samples say about whitened weights, in units of the noise: sums over samples, so they subtract."""
+
+    gram: Matrix  # (m, m): ``sum A^T A / s^2``, lower triangle
+    eta: Scalars  # (m,): ``sum A^T b / s^2``
+
+    def __sub__(self, other: "DenseInformation") -> "DenseInformation":
+        """Leave samples out."""
+        return DenseInformation(self.gram - other.gram, self.eta - other.eta)
+
+
+def gram_factor(gram: Matrix, jitter: float) -> Matrix:
+    """Lower Cholesky factor of the inducing points' covariance: it turns weights into ones with prior N(0, I)."""
+    largest = float(gram.diagonal().max(initial=0.0))
+    gram[np.diag_indices_from(gram)] += jitter * largest
+    try:
+        return np.asfortranarray(cholesky(gram, lower=True, check_finite=False))
+    except LinAlgError as error:
+        smallest = float(np.linalg.eigvalsh(gram / largest)[0])
+        msg = (
+            f"the covariance of {len(gram)} inducing values is not positive definite ({error}; smallest eigenvalue "
+            f"{smallest:.1e} of the variance): inducing points coincide or are too dense for jitter {jitter:.1e}"
+        )
+        raise ValueError(msg) from error
+
+
+def dense_prior(gram: Matrix, h: Hyperparameters, constant_sd: float, jitter: float) -> Matrix:
+    """Factor of an `InducingModel` whose weights have this Gram matrix as their prior's precision."""
+    n = len(gram)
+    factor = np.zeros((n + 3, n + 3), order="F")
+    factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
+    factor[:n, :n] *= h.noise_sd / (h.prior_scale * h.signal_sd)
+    factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
+    return factor
+
+
+def independent_prior(n_weights: int, h: Hyperparameters, constant_sd: float) -> Scalars:
+    """Factor of an `InducingModel` whose weights are independent."""
+    factor = np.full(n_weights + 3, h.noise_sd / (h.prior_scale * h.signal_sd))
+    factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
+    return factor
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -46,60 +107,15 @@ class InducingModel:
     # Sources among the samples: what lies nearer to one of these than to any sample does not count as known
     sources: cKDTree | None = None
 
-    @classmethod
-    def over(
-        cls,
-        points: Points,
-        hyperparameters: Hyperparameters,
-        basis: GaussianGrid,
-        kernel: Kernel,
-        *,
-        constant_sd: float,
-        jitter: float,
-        known_reach: float,
-    ) -> "InducingModel":
-        """Factorise the prior of the weights."""
-        n = basis.n_weights
-        gram = basis.gram()
-        factor = np.zeros((n + 3, n + 3), order="F")
-        factor[:n, :n] = gram_factor((gram + gram.T) / 2, jitter)
-        h = hyperparameters
-        factor[:n, :n] *= h.noise_sd / (h.prior_scale * h.signal_sd)
-        factor[range(n, n + 3), range(n, n + 3)] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
-        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach)
-
-    @classmethod
-    def of_independent_weights(
-        cls,
-        points: Points,
-        hyperparameters: Hyperparameters,
-        basis: Basis,
-        kernel: Kernel,
-        *,
-        constant_sd: float,
-        known_reach: float,
-        sources: cKDTree | None = None,
-    ) -> "InducingModel":
-        """Take a basis whose weights are independent; arguments as in `over`."""
-        h = hyperparameters
-        factor = np.full(basis.n_weights + 3, h.noise_sd / (h.prior_scale * h.signal_sd))
-        factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
-        return cls(h, basis, kernel, constant_sd, factor, cKDTree(points), known_reach, sources)
-
-    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> DenseInformation:
-        """Information in samples; ``weights`` scale each sample's inverse noise variance."""
-        n = len(points)
-        root = np.ones(n) if weights is None else np.sqrt(np.asarray(weights, dtype=np.float64))
-        b = np.asarray(field, dtype=np.float64) / self.hyperparameters.noise_sd
-        information = DenseInformation.none(len(self.factor))
-        gram, eta = information.gram, information.eta
-        for rows in _blocks(n, 3 * len(self.factor)):
+    def observe(self, points: Points, field: Vectors) -> DenseInformation:
+        """Information in samples."""
+        m, b = len(self.factor), np.asarray(field, dtype=np.float64) / self.hyperparameters.noise_sd
+        gram, eta = np.zeros((m, m), order="F"), np.zeros(m)
+        for rows in _blocks(len(points), 3 * m):
             A = self.features(points[rows], 0)
-            A *= np.tile(root[rows], 3)
             gram = blas.dsyrk(1.0, A, beta=1.0, c=gram, lower=1, overwrite_c=1)
-            eta += A @ (root[rows, None] * b[rows]).T.ravel()
-        square = float(root**2 @ (b**2).sum(axis=1))
-        return DenseInformation(gram, eta, square, float(b.size))
+            eta += A @ b[rows].T.ravel()
+        return DenseInformation(gram, eta)
 
     def infer(self, information: DenseInformation) -> "InducingPosterior":
         """Posterior of the weights given information."""

@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
-from magmatch.field.inducing.inducing_model import InducingModel
+from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.kernels import Kernel, Term
-from magmatch.field.inducing.marginal_likelihood import LikelihoodFit, choose_samples, fit_at, fit_lengthscale
+from magmatch.field.inducing.marginal_likelihood import ScaleFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
 from magmatch.field.variogram import typical_length
 from magmatch.settings import Settings
@@ -66,15 +67,17 @@ class InducingPrior:
             # Nothing varies, or nothing can be told from noise: any numbers do, these give flat answers.
             sd = max(float(field.std(axis=0).max()), SMALLEST_SD)
             lengthscale = max(extent / 2, 1.0)
-            return self._resolved(points, LikelihoodFit(lengthscale, sd, sd, 0.0))
+            return self._resolved(points, ScaleFit(lengthscale, sd, sd, 0.0))
         n = self.config.n_likelihood_samples
-        fit = fit_lengthscale(self._unit_kernel, points, field, _bounds(extent), n)
-        grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, None)
+        # Beyond half the extent a field cannot be told from a gradient or two.
+        bounds = extent / 100, extent / 2
+        fit = fit_lengthscale(self._unit_kernel, points, field, bounds, n)
+        grid = self._grid(points, self.config.spacing_ratio * fit.scale, None)
         affordable = grid.spacing / self.config.spacing_ratio
-        if affordable > fit.lengthscale * (1 + 1e-9):
+        if affordable > fit.scale * (1 + 1e-9):
             log.warning(
                 "lengthscale %.3g m instead of %.3g m: %d inducing points cannot cover the survey more finely",
-                affordable, fit.lengthscale, self.config.max_inducing_points,
+                affordable, fit.scale, self.config.max_inducing_points,
             )  # fmt: skip
             rows = choose_samples(points, field, n)
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
@@ -98,15 +101,12 @@ class InducingPrior:
                 "inducing points %.3g m apart for a lengthscale of %.3g m: the field between them is lost",
                 grid.spacing, h.lengthscale,
             )  # fmt: skip
-        return InducingModel.over(
-            points,
-            replace(h, spacing=grid.spacing),
-            GaussianGrid(grid, h.lengthscale, self.terms),
-            self._unit_kernel(h.lengthscale),
-            constant_sd=config.constant_sd,
-            jitter=config.jitter,
-            known_reach=config.known_ratio * h.lengthscale,
-        )
+        basis, constant_sd = GaussianGrid(grid, h.lengthscale, self.terms), config.constant_sd
+        return InducingModel(
+            replace(h, spacing=grid.spacing), basis, self._unit_kernel(h.lengthscale), constant_sd,
+            dense_prior(basis.gram(), h, constant_sd, config.jitter), cKDTree(points),
+            config.known_ratio * h.lengthscale,
+        )  # fmt: skip
 
     def _grid(self, points: Points, spacing: float, lengthscale: float | None) -> InducingGrid:
         """Inducing points for a lengthscale, or for one in proportion to the spacing."""
@@ -117,15 +117,10 @@ class InducingPrior:
 
         return lay_affordable_grid(points, spacing, reach_at, config.max_inducing_points)
 
-    def _resolved(self, points: Points, fit: LikelihoodFit) -> Hyperparameters:
+    def _resolved(self, points: Points, fit: ScaleFit) -> Hyperparameters:
         """Numbers of a fit, with the spacing that the cap on nodes allows."""
-        grid = self._grid(points, self.config.spacing_ratio * fit.lengthscale, fit.lengthscale)
-        return Hyperparameters(fit.lengthscale, fit.signal_sd, fit.noise_sd, grid.spacing)
+        grid = self._grid(points, self.config.spacing_ratio * fit.scale, fit.scale)
+        return Hyperparameters(fit.scale, fit.signal_sd, fit.noise_sd, grid.spacing)
 
     def _unit_kernel(self, lengthscale: float) -> Kernel:
         return self.kernel(lengthscale, 1.0)
-
-
-def _bounds(extent: float) -> tuple[float, float]:
-    """Lengthscales to search, m: beyond half the extent a field cannot be told from a gradient or two."""
-    return extent / 100, extent / 2

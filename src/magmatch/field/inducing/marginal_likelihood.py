@@ -22,16 +22,49 @@ _OUTLIER_RATIO = 8.0
 _N_NEIGHBOURS = 8
 _N_COARSE_SAMPLES = 120
 _N_COARSE_LENGTHSCALES = 14
+# Uphill from the best of these, on all samples.
+_MOST_STEPS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class LikelihoodFit:
-    """The most probable signal and noise (T, of one component) at one lengthscale (m), and their log likelihood."""
+class ScaleFit:
+    """The best signal and noise (T, of one component) at one lengthscale or distance (m), and their score.
 
-    lengthscale: float
+    The score is the log likelihood up to a constant, or minus the log of a held-out error.
+    """
+
+    scale: float
     signal_sd: float
     noise_sd: float
-    log_likelihood: float
+    score: float
+
+
+def walk_uphill(
+    fit_at: Callable[[float], ScaleFit],
+    start: float,
+    bounds: tuple[float, float],
+    step: float,
+    most_steps: int,
+    least_step: float = 1.0,
+) -> ScaleFit:
+    """Best of the scales tried: to either side by factors, whose logarithm is halved where neither side is better."""
+    fits: dict[float, ScaleFit] = {}
+
+    def fit(scale: float) -> ScaleFit:
+        scale = float(np.clip(scale, *bounds))
+        if scale not in fits:
+            fits[scale] = fit_at(scale)
+        return fits[scale]
+
+    center = fit(start).scale
+    for _ in range(most_steps):
+        best = max((fit(center), fit(center / step), fit(center * step)), key=lambda f: f.score)
+        if best.scale == center:
+            if step < least_step:
+                break
+            step **= 0.5
+        center = best.scale
+    return max(fits.values(), key=lambda f: f.score)
 
 
 def fit_lengthscale(
@@ -40,32 +73,19 @@ def fit_lengthscale(
     field: Vectors,
     bounds: tuple[float, float],
     n_samples: int = 300,
-) -> LikelihoodFit:
+) -> ScaleFit:
     """Most probable lengthscale, signal and noise; deterministic."""
     rows = choose_samples(points, field, n_samples)
     few = rows[:: max(1, len(rows) // _N_COARSE_SAMPLES)]
     lengthscales = np.geomspace(*bounds, _N_COARSE_LENGTHSCALES)
     coarse = [fit_at(kernel_at(length), points[few], field[few]) for length in lengthscales]
-    center = max(coarse, key=lambda fit: fit.log_likelihood).lengthscale
-    step = float(lengthscales[1] / lengthscales[0])
-    fits: dict[float, LikelihoodFit] = {}
-
-    def fit(length: float) -> LikelihoodFit:
-        length = float(np.clip(length, *bounds))
-        if length not in fits:
-            fits[length] = fit_at(kernel_at(length), points[rows], field[rows])
-        return fits[length]
-
-    # Walk uphill on the full subset, then halve the step twice.
-    for _ in range(3):
-        best = max((fit(center), fit(center / step), fit(center * step)), key=lambda f: f.log_likelihood)
-        if best.lengthscale == center:
-            step **= 0.5
-        center = best.lengthscale
-    return max(fits.values(), key=lambda f: f.log_likelihood)
+    start, step = max(coarse, key=lambda fit: fit.score).scale, float(lengthscales[1] / lengthscales[0])
+    return walk_uphill(
+        lambda length: fit_at(kernel_at(length), points[rows], field[rows]), start, bounds, step, _MOST_STEPS
+    )
 
 
-def fit_at(kernel: Kernel, points: Points, field: Vectors) -> LikelihoodFit:
+def fit_at(kernel: Kernel, points: Points, field: Vectors) -> ScaleFit:
     """Most probable signal and noise for one kernel of unit signal_sd."""
     unit = float(np.abs(field - field.mean(axis=0)).max())
     y = _contrasts(field / unit if unit > 0 else field).T.ravel()
@@ -78,9 +98,7 @@ def fit_at(kernel: Kernel, points: Points, field: Vectors) -> LikelihoodFit:
     best = int(np.argmax(scores))
     signal_sd = unit * float(np.sqrt(variances[best]))
     log_likelihood = scores[best] - len(z) * float(np.log(unit)) if unit > 0 else np.inf
-    return LikelihoodFit(
-        kernel.lengthscale, signal_sd, signal_sd * float(np.sqrt(NOISE_RATIOS[best])), log_likelihood
-    )
+    return ScaleFit(kernel.lengthscale, signal_sd, signal_sd * float(np.sqrt(NOISE_RATIOS[best])), log_likelihood)
 
 
 def choose_samples(points: Points, field: Vectors, n_samples: int) -> Indices:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.arguments import expect_kind, points_of, whole_number_of
+from magmatch.arguments import expect_kind, numbers_of, points_of, whole_number_of
+from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.config import MIN_SAMPLES, EstimatorConfig, FieldConfig
@@ -20,9 +21,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.live_cells import KEPT_PER_CELL
 from magmatch.field.live.live_record import LiveRecord
-from magmatch.field.live.live_tiles import LiveTiles
-from magmatch.field.live.prediction import Prediction
-from magmatch.field.live.samples import check_samples, sample_rows
+from magmatch.field.live.live_tiles import LiveTiles, Prediction
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.tiles.tiles import Tiling
@@ -33,6 +32,8 @@ log = logging.getLogger(__name__)
 
 # Samples that wait before cells take them in together: a call that fills this up takes about a millisecond longer.
 N_WAITING = 256
+# Largest distance from the first sample, m, and largest component, T.
+LIMITS = np.r_[np.full(3, MAX_EXTENT), np.full(3, MAX_FIELD)]
 
 
 class FieldEstimator:
@@ -107,12 +108,12 @@ class FieldEstimator:
         ValueError
             The arrays' shapes do not match.
         """
-        rows = sample_rows(position, field, orientation)
+        rows = _sample_rows(position, field, orientation)
         if self._start is None:
-            check_samples(rows, rows[0, :3] if len(rows) else np.zeros(3))
+            _check_samples(rows, rows[0, :3] if len(rows) else np.zeros(3))
             self._start = rows[0, :3].copy() if len(rows) else None
         else:
-            check_samples(rows, self._start)
+            _check_samples(rows, self._start)
         while len(rows):
             taken = rows[: N_WAITING - self._n_waiting]
             self._waiting[self._n_waiting : self._n_waiting + len(taken)] = taken
@@ -147,7 +148,7 @@ class FieldEstimator:
         """
         p = points_of(points)
         whole_number_of(order, "order", 0, 2)
-        return Prediction(*self._ready().predict(p, order, max_age, with_variance=with_variance))
+        return self._ready().predict(p, order, max_age, with_variance=with_variance)
 
     def choose_hyperparameters(self) -> Hyperparameters:
         """Choose the hyperparameters again, from the stored samples (all those of cells visited briefly).
@@ -220,7 +221,7 @@ class FieldEstimator:
         record = LiveRecord.read(path)
         estimator = cls(None, record.config, clock)
         estimator._start, estimator._n_chosen = record.start, record.n_chosen
-        estimator._first = None if record.first is None else [record.first]
+        estimator._first = [record.arrays["first"]] if "first" in record.arrays else None
         if record.hyperparameters is not None:
             estimator._tiles = record.restore_into(estimator._laid(record.hyperparameters))
         return estimator
@@ -278,3 +279,41 @@ def _choose(samples: np.ndarray) -> Hyperparameters:
     h = PRIORS["spline"].choose_hyperparameters(samples[:, :3].copy(), samples[:, 3:].copy())
     log.info("hyperparameters from %d samples: %s", len(samples), h)
     return h
+
+
+def _sample_rows(position: Points, field: Vectors, orientation: np.ndarray | None) -> np.ndarray:
+    """Position and field in the map frame, one row a sample: (n, 6)."""
+    p, b = numbers_of(position, "position", "(n, 3), in m"), numbers_of(field, "field", "(n, 3), in T")
+    if p.shape != b.shape or p.shape[-1:] != (3,) or p.ndim > 2:
+        msg = f"expected position and field both (3,) or both (n, 3), got {p.shape} and {b.shape}"
+        raise ValueError(msg)
+    if orientation is not None:
+        q = numbers_of(orientation, "orientation", "(n, 4)")
+        if q.shape != (*p.shape[:-1], 4):
+            msg = f"expected orientation {(*p.shape[:-1], 4)}, quaternions xyzw, got {q.shape}"
+            raise ValueError(msg)
+        norm = np.linalg.norm(q, axis=-1)
+        if not np.all(np.abs(norm - 1.0) < 1e-3):
+            msg = f"expected orientation as unit quaternions xyzw, got one of length {np.ravel(norm)[0]:.3g}"
+            raise SurveyError(msg)
+        b = Rotation.from_quat(q).apply(b)
+    rows = np.empty((p.size // 3, 6))
+    rows[:, :3], rows[:, 3:] = p, b
+    return rows
+
+
+def _check_samples(rows: np.ndarray, start: np.ndarray) -> None:
+    """Refuse what no magnetometer on a walk from ``start`` (m) reports."""
+    offsets = np.abs(rows - np.r_[start, 0.0, 0.0, 0.0])
+    is_good = (offsets <= LIMITS).all(axis=1)
+    if is_good.all():
+        return
+    bad = int(np.argmin(is_good))
+    found = f"sample {bad}: position {rows[bad, :3]} m, field {rows[bad, 3:]} T"
+    if not np.isfinite(rows[bad]).all():
+        msg = f"{found}: expected finite numbers, got NaN or infinity; leave it out"
+    elif np.abs(rows[bad, 3:]).max() > MAX_FIELD:
+        msg = f"{found}: expected a field below {MAX_FIELD} T; is it in tesla?"
+    else:
+        msg = f"{found}: expected a position within {MAX_EXTENT / 1e3:.0f} km of the first; is it in metres?"
+    raise SurveyError(msg)

@@ -41,11 +41,6 @@ class LiveRecord:
         """Position of the first sample."""
         return self.arrays["start"][0] if "start" in self.arrays else None
 
-    @property
-    def first(self) -> np.ndarray | None:
-        """Samples from before the hyperparameters were settled."""
-        return self.arrays.get("first")
-
     @classmethod
     def of(
         cls, config: EstimatorConfig, n_chosen: int, start: np.ndarray | None, first: np.ndarray | None,
@@ -80,12 +75,12 @@ class LiveRecord:
         h = self.hyperparameters
         attributes = {
             "config": self.config.model_dump(mode="json"),
-            "hyperparameters": None if h is None else {name: float(value) for name, value in h.as_dict().items()},
+            "hyperparameters": None if h is None else h.as_dict(),
             "n_chosen": self.n_chosen,
             "n_samples": self.n_samples,
         }
         # What is empty is told by the shape alone.
-        write_archive(path, SCHEMA, attributes, {n: np.asarray(a, dtype=np.float64) for n, a in self.arrays.items()})
+        write_archive(path, SCHEMA, attributes, self.arrays)
 
     @classmethod
     def read(cls, path: str | Path) -> "LiveRecord":

@@ -22,11 +22,30 @@ from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import blended_covariance, blended_values, tile_shares
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
-from magmatch.typing import Mask, Points, Vector3
+from magmatch.typing import Mask, Points, Vector3, Vectors
 
 # Memory of fitted tiles that are kept (5 to 40 MB each), and how many are kept whatever they take: as many as have a
 # say at one point.
 FITTED_BYTES, LEAST_FITTED = 512 * 2**20, 8
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """What is known about the field at n points, map frame."""
+
+    values: FieldValues  # posterior mean of field and derivatives
+    covariance: np.ndarray  # (n, 3, 3), T^2: of the noise-free field; where blocks blend, an upper bound
+    is_known: Mask  # (n,): where there are samples near
+
+    @property
+    def field(self) -> Vectors:
+        """Mean of the field, T."""
+        return self.values.field
+
+    @property
+    def variance(self) -> Vectors:
+        """Variance of each component, T^2: (n, 3)."""
+        return np.asarray(np.diagonal(self.covariance, axis1=1, axis2=2))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,15 +102,13 @@ class LiveTiles:
         self.hyperparameters = hyperparameters
         self._fits.clear()
 
-    def predict(
-        self, points: Points, order: int, max_age: float, *, with_variance: bool
-    ) -> tuple[FieldValues, np.ndarray, Mask]:
-        """Field and derivatives, covariance of the field (NaN unless asked for), and whether there are data near."""
+    def predict(self, points: Points, order: int, max_age: float, *, with_variance: bool) -> Prediction:
+        """Field and derivatives at points, with the covariance of the field where it is asked for (else NaN)."""
         tiles, keys = self._tile_keys()
         shares = list(tile_shares(self.tiling, tiles, keys, points, order))
         fits = {number: self._fitted(tiles[number], max_age) for number, _, _ in shares}
         mean, spread = self._far_away()
-        values = blended_values(points, order, mean, shares, fits.__getitem__)
+        values = blended_values(points, order, mean, shares, lambda k, p: fits[k].evaluate(p, order))
         covariance = np.full((len(points), 3, 3), np.nan)
         if with_variance:
             outside = outside_covariance(self.hyperparameters, spread)[:3, :3]
@@ -99,7 +116,7 @@ class LiveTiles:
         known = np.zeros(len(points), dtype=np.bool_)
         for number, rows, _ in shares:
             known[rows] |= fits[number].knows(points[rows])
-        return values, covariance, known
+        return Prediction(values, covariance, known)
 
     def fit(self, index: Index) -> SplinePosterior:
         """Fit a tile to all that has been measured in it and around it."""

@@ -12,14 +12,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
-from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
+from magmatch.field.domain import Box
 from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.prior_choice.cross_validation import N_COMPARED, Candidate, compare, compare_on_the_rest
 from magmatch.field.prior_choice.numbers import choose_all_numbers, given_numbers
-from magmatch.field.prior_choice.verdict import best, is_undecided, lead
 from magmatch.field.priors import DENSE_PRIORS, prior_over
 from magmatch.field.subset import choose_part
 from magmatch.field.variogram import typical_length
@@ -31,6 +30,11 @@ PREFERRED = "spline"
 # are thinned from more, in a few places far apart, since it is by its stretches that priors are told apart. In a
 # volume a part tells too little: there priors differ by how they fill it.
 _N_QUALIFYING, _N_AROUND, _N_PLACES = 800, 4800, 8
+# Another prior must miss by this share less (noise included, which no prior predicts, and which often is most of it),
+# and by this many standard errors of the parts' mean.
+LEAST_GAIN, LEAST_T = 0.005, 2.0
+# Fewer parts are no sample of anything.
+FEWEST_PARTS = 6
 
 
 def choose_prior(
@@ -75,3 +79,30 @@ def _is_possible(name: str, samples: Survey, folds: Folds) -> bool:
         return True
     log.info("prior %s is not compared: too few samples to leave any out, or too wide a survey", name)
     return False
+
+
+def best(candidates: list[Candidate]) -> Candidate:
+    """The preferred prior, unless others are clearly better: then the best of those."""
+    preferred = candidates[0]
+    better = [other for other in candidates[1:] if _is_clearly_better(other, preferred)]
+    return min(better, key=lambda candidate: candidate.error, default=preferred)
+
+
+def is_undecided(candidates: list[Candidate]) -> bool:
+    """Whether one is ahead of all that would be taken, but not clearly ahead of the preferred one."""
+    taken = best(candidates)
+    ahead = (other for other in candidates if len(other.log_errors) > 0 and other.error < taken.error)
+    return any(not _is_clearly_better(other, candidates[0]) for other in ahead)
+
+
+def lead(other: Candidate, preferred: Candidate) -> float:
+    """By how many standard errors of the parts' mean a prior is ahead; infinite where too few parts tell nothing."""
+    gain = preferred.log_errors - other.log_errors
+    if len(gain) < FEWEST_PARTS:
+        return np.inf
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), np.finfo(float).tiny))
+
+
+def _is_clearly_better(other: Candidate, preferred: Candidate) -> bool:
+    gain = preferred.log_errors - other.log_errors
+    return len(gain) >= FEWEST_PARTS and gain.mean() > LEAST_GAIN and lead(other, preferred) > LEAST_T

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.field.box import Box
+from magmatch.field.domain import Box
 from magmatch.field.folds import Folds
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import LinearModel
@@ -34,7 +34,7 @@ class Candidate:
     name: str
     hyperparameters: Hyperparameters
     log_errors: Scalars
-    fitted: tuple[LinearModel[Any], Any] | None = None
+    fitted: tuple[LinearModel, Any] | None = None
 
     @property
     def error(self) -> float:
@@ -81,9 +81,7 @@ def _thinned(samples: Survey, folds: Folds, left_out: tuple[Mask, ...]) -> tuple
     return samples.subset(some), [fold[some] for fold in left_out], folds.part[some]
 
 
-def _log_errors(
-    samples: Survey, left_out: list[Mask], part: Indices, model: LinearModel[Any], everything: Any
-) -> Scalars:
+def _log_errors(samples: Survey, left_out: list[Mask], part: Indices, model: LinearModel, everything: Any) -> Scalars:
     """Logarithm of the error of each left-out part that holds enough samples."""
     points, field, out = samples.positions, samples.field, []
     for fold in left_out:

@@ -9,8 +9,8 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.errors import MagmatchError
-from magmatch.field.box import Box
 from magmatch.field.config import FieldConfig
+from magmatch.field.domain import Box
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.linear_model import Prior

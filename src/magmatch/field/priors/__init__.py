@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Families of field models, one file each; this table is what configuration names refer to."""
 
-from magmatch.field.box import Box
+from magmatch.field.domain import Box
 from magmatch.field.linear_model import DensePrior, Prior
 from magmatch.field.priors.curl_free import CurlFreePrior
 from magmatch.field.priors.divergence_free import DivergenceFreePrior

@@ -5,12 +5,8 @@ from magmatch.field.inducing.inducing_prior import InducingConfig, InducingPrior
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 
 
-class DivergenceFreeConfig(InducingConfig):
-    """Settings of the published field model."""
-
-
 class DivergenceFreePrior(InducingPrior):
     """Divergence-free exactly; three weights an inducing point."""
 
-    def __init__(self, config: DivergenceFreeConfig | None = None) -> None:
-        super().__init__("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, config or DivergenceFreeConfig())
+    def __init__(self, config: InducingConfig | None = None) -> None:
+        super().__init__("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, config or InducingConfig())

@@ -6,17 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
-from magmatch.field.box import Box
+from magmatch.field.domain import Box
 from magmatch.field.equivalent_sources.inner_sources import InnerSources, find_inner_sources
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
-from magmatch.field.equivalent_sources.shell_search import ShellFit, fit_shell, search_distance
+from magmatch.field.equivalent_sources.shell_search import fit_shell
 from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
-from magmatch.field.inducing.inducing_model import InducingModel
+from magmatch.field.inducing.inducing_model import InducingModel, independent_prior
 from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
 from magmatch.field.inducing.kernels import CurlFreeKernel
+from magmatch.field.inducing.marginal_likelihood import ScaleFit, walk_uphill
 from magmatch.field.linear_model import check_samples
 from magmatch.field.variogram import typical_length
 from magmatch.settings import Settings
@@ -28,6 +30,8 @@ log = logging.getLogger(__name__)
 _SAME_DISTANCE = 1.01
 # Inner sources are found by the noise and signal that a first layer left, then by what is left with them.
 _ROUNDS_OF_SOURCES = 2
+# The search of the distance: its first factor, how many steps, and the factor below which it ends.
+_STEP, _MOST_STEPS, _FINEST_STEP = float(np.sqrt(2)), 8, 1.3
 
 
 class HarmonicConfig(Settings):
@@ -68,7 +72,7 @@ class HarmonicPrior:
             return Hyperparameters(distance, sd, sd, ratio * distance)
         some = self._some(points)
         fit = self._search(points, field, some, length)
-        h = Hyperparameters(fit.distance, fit.signal_sd, fit.noise_sd, ratio * fit.distance)
+        h = Hyperparameters(fit.scale, fit.signal_sd, fit.noise_sd, ratio * fit.scale)
         return h if self.box is not None else self._with_sources(points, field, h)
 
     def is_affordable(self, points: Points, field: Vectors) -> bool:
@@ -93,9 +97,11 @@ class HarmonicPrior:
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
                 shell.distance, h.lengthscale, self.config.max_sources,
             )  # fmt: skip
-        return InducingModel.of_independent_weights(
-            points, h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd=self.config.constant_sd,
-            known_reach=self.config.known_ratio * shell.distance, sources=shell.inner,
+        constant_sd = self.config.constant_sd
+        return InducingModel(
+            h, shell, CurlFreeKernel(shell.distance, 1.0), constant_sd,
+            independent_prior(shell.n_weights, h, constant_sd), cKDTree(points),
+            self.config.known_ratio * shell.distance, shell.inner,
         )  # fmt: skip
 
     def _shell(self, points: Points, distance: float, spacing: float, most: int) -> SourceShell:
@@ -129,15 +135,15 @@ class HarmonicPrior:
         """Samples that numbers are chosen on."""
         return slice(None, None, -(-len(points) // self.config.n_search_samples))
 
-    def _search(self, points: Points, field: Vectors, some: slice, length: float) -> ShellFit:
+    def _search(self, points: Points, field: Vectors, some: slice, length: float) -> ScaleFit:
         """Best distance; where one takes too many charges, the nearest that can be afforded stands for it."""
         ratio, most = self.config.spacing_ratio, self.config.max_search_sources
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         folds = divide(points[some], length)
-        nearest: list[ShellFit] = []
+        nearest: list[ScaleFit] = []
 
-        def fit_at(distance: float) -> ShellFit:
-            if nearest and distance < _SAME_DISTANCE * nearest[0].distance:
+        def fit_at(distance: float) -> ScaleFit:
+            if nearest and distance < _SAME_DISTANCE * nearest[0].scale:
                 return nearest[0]
             shell = self._shell(points, distance, ratio * distance, most)
             fit = fit_shell(shell, points[some], field[some], folds)
@@ -145,4 +151,4 @@ class HarmonicPrior:
                 nearest.append(fit)
             return fit
 
-        return search_distance(fit_at, length / 2, length / 10, extent / 2)
+        return walk_uphill(fit_at, length / 2, (length / 10, extent / 2), _STEP, _MOST_STEPS, _FINEST_STEP)

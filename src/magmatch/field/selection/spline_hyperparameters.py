@@ -8,11 +8,10 @@ from functools import partial
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.affordability import affordable_spacing
 from magmatch.field.selection.evidence_climb import climb, rounded, settle
 from magmatch.field.selection.path_cross_validation import cross_validate_path, expecting
 from magmatch.field.selection.searched_part import search_part, search_smaller_part
-from magmatch.field.selection.spline_layout import REACH_OF_A_PATH, SplineLayout
+from magmatch.field.selection.spline_layout import REACH_OF_A_PATH, SplineLayout, affordable_spacing
 from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 

@@ -42,21 +42,15 @@ HIGHEST_INFORMATION_RATIO = 3e3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SplineInformation:
-    """What samples say about the weights, in units of the noise: sums over samples, so they add and subtract."""
+    """What samples say about the weights, in units of the noise: sums over samples, so they subtract."""
 
     gram: StencilMatrix  # ``sum W Phi^T Phi``
     eta: np.ndarray  # (m + 3,), T: ``sum W Phi^T b``
     square: float  # T^2: ``sum W |b|^2``
     n_values: float  # number of measured components
 
-    def __add__(self, other: "SplineInformation") -> "SplineInformation":
-        """Information of both data sets."""
-        return SplineInformation(
-            self.gram + other.gram, self.eta + other.eta, self.square + other.square, self.n_values + other.n_values
-        )
-
     def __sub__(self, other: "SplineInformation") -> "SplineInformation":
-        """Take off information that was counted twice."""
+        """Leave samples out."""
         return SplineInformation(
             self.gram - other.gram, self.eta - other.eta, self.square - other.square, self.n_values - other.n_values
         )

@@ -87,7 +87,7 @@ def _zarr_entries(attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray
             # All zeros are data too, and get their checksum.
             config={"write_empty_chunks": True},
         )
-        stored[...] = array
+        stored[...] = np.asarray(array, dtype=np.float64)
     return {name: value.to_bytes() for name, value in store.items()}
 
 

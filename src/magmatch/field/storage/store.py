@@ -6,7 +6,7 @@ fits nothing. Whatever needs more than the mean (covariance, draws) factorises t
 samples, and so checks its weights. Models of other priors are fitted again on loading and checked against theirs.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,7 +19,7 @@ from magmatch.errors import DataFormatError, MagmatchError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters, is_number
-from magmatch.field.linear_model import Index, Posterior, StoredTile
+from magmatch.field.linear_model import Index, Posterior, StoredTile, is_refit
 from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
 from magmatch.geometry import transform_from_matrix
 from magmatch.typing import Scalars
@@ -30,10 +30,6 @@ MAX_NODES = 2e8
 # Nodes beyond the box on each side that any prior may add.
 MARGIN_NODES = 12
 UNIT_QUATERNION_TOLERANCE = 1e-9
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd.
-REFIT_TOLERANCE = 1e-6
-# Samples at which the refitted field is compared with the saved one.
-N_CHECKED = 2000
 OTHER_FIELD = (
     "fitting its samples again gives another field (made by another version of magmatch?); the samples are intact: "
     "build the map again from this file's survey"
@@ -61,8 +57,8 @@ class MapRecord:
         return self.surveys[0].merged(*self.surveys[1:])
 
     def __post_init__(self) -> None:
-        for name, value in self._numbers():
-            if not np.isfinite(value).all():
+        for name, array in self.arrays().items():
+            if not np.isfinite(array).all():
                 msg = f"expected finite {name}, got NaN or infinity"
                 raise ValueError(msg)
         h = self.hyperparameters
@@ -76,36 +72,9 @@ class MapRecord:
             )
             raise ValueError(msg)
 
-    def _numbers(self) -> Iterator[tuple[str, Any]]:
-        """All numbers that must be finite."""
-        for survey in self.surveys:
-            yield from (("positions", survey.positions), ("field", survey.field), ("pose_sd", survey.pose_sd))
-            if survey.times is not None:
-                yield "times", survey.times
-        yield "model_positions", self.fitted_samples.positions
-        yield "model_field", self.fitted_samples.field
-        yield "weights", self.weights
-        yield from ((tile_name(index), tile.weights) for index, tile in self.tiles.items())
-        yield "T_map_model", self.T_map_model.as_matrix()
-        yield "T_domain_model", self.T_domain_model.as_matrix()
-        yield from self.hyperparameters.as_dict().items()
-
-    def restore(self, path: str | Path) -> Posterior:
-        """Posterior of the samples, once it is seen to be the one that was saved."""
-        run = _refuse_to_fit if self.tiles else map
-        try:
-            posterior = fit_posterior(
-                self.fitted_samples, self.hyperparameters, self.config, self.T_domain_model, self.tiles, run
-            )
-        except (ValueError, KeyError, np.linalg.LinAlgError, MagmatchError) as error:
-            raise DataFormatError(path, f"its samples cannot be fitted again: {error}") from error
-        if not self.tiles and not _is_same_field(posterior, self.weights, self.fitted_samples):
-            raise DataFormatError(path, f"entry 'weights': {OTHER_FIELD}")
-        return posterior
-
-    def write(self, path: str | Path) -> None:
-        """Save the record; see `read`."""
-        arrays = {} if self.tiles else {"weights": self.weights}
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of the file by their names."""
+        arrays: dict[str, np.ndarray] = {} if self.tiles else {"weights": self.weights}
         arrays |= {tile_name(index): tile.weights for index, tile in self.tiles.items()}
         first = 0
         for k, survey in enumerate(self.surveys):
@@ -117,6 +86,23 @@ class MapRecord:
                 arrays[f"times.{k}"] = survey.times
             if survey.orientations is not None:
                 arrays[f"orientations.{k}"] = survey.orientations.as_quat()
+        return arrays
+
+    def restore(self, path: str | Path) -> Posterior:
+        """Posterior of the samples, once it is seen to be the one that was saved."""
+        run = _refuse_to_fit if self.tiles else map
+        try:
+            posterior = fit_posterior(
+                self.fitted_samples, self.hyperparameters, self.config, self.T_domain_model, self.tiles, run
+            )
+        except (ValueError, KeyError, np.linalg.LinAlgError, MagmatchError) as error:
+            raise DataFormatError(path, f"its samples cannot be fitted again: {error}") from error
+        if not self.tiles and not is_refit(posterior, self.weights, self.fitted_samples.positions):
+            raise DataFormatError(path, f"entry 'weights': {OTHER_FIELD}")
+        return posterior
+
+    def write(self, path: str | Path) -> None:
+        """Save the record; see `read`."""
         attributes = {
             "surveys": [{"frame": s.frame, "name": s.name, "pose_sd": float(s.pose_sd)} for s in self.surveys],
             "tiles": {tile_name(index): tile.fingerprint for index, tile in self.tiles.items()},
@@ -124,9 +110,9 @@ class MapRecord:
             "T_map_model": self.T_map_model.as_matrix().tolist(),
             "T_domain_model": self.T_domain_model.as_matrix().tolist(),
             "config": self.config.model_dump(mode="json"),
-            "hyperparameters": {name: float(value) for name, value in self.hyperparameters.as_dict().items()},
+            "hyperparameters": self.hyperparameters.as_dict(),
         }
-        write_archive(path, SCHEMA, attributes, {n: np.asarray(a, dtype=np.float64) for n, a in arrays.items()})
+        write_archive(path, SCHEMA, attributes, self.arrays())
 
     @classmethod
     def read(cls, path: str | Path) -> "MapRecord":
@@ -146,17 +132,6 @@ class MapRecord:
                 T_domain_model=_transform(attributes, "T_domain_model"),
                 tiles=_tiles(attributes["tiles"], arrays),
             )
-
-
-def _is_same_field(posterior: Posterior, weights: Scalars, samples: Survey) -> bool:
-    """Whether two means agree where there are data, but for rounding."""
-    if weights.shape != posterior.weights.shape:
-        return False
-    if np.array_equal(weights, posterior.weights):
-        return True
-    points = samples.positions[:: -(-len(samples) // N_CHECKED)]
-    change = posterior.evaluate(points).field - posterior.evaluate(points, weights=weights).field
-    return bool(np.abs(change).max() <= REFIT_TOLERANCE * posterior.hyperparameters.noise_sd)
 
 
 def tile_name(index: Index) -> str:
@@ -209,7 +184,7 @@ def _survey(k: int, about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
         # Unit already; to normalise once more would change their last bits.
         orientations = Rotation(quaternions, normalize=False)
     frame, name, pose_sd = (_at(about, key) for key in ("frame", "name", "pose_sd"))
-    if not (isinstance(frame, str) and isinstance(name, str) and is_number(pose_sd) and pose_sd >= 0):
+    if not (isinstance(frame, str) and isinstance(name, str) and is_number(pose_sd) and 0 <= pose_sd < np.inf):
         msg = "entry 'zarr.json', surveys: expected frame and name in words and pose_sd in metres"
         raise ValueError(msg)
     return Survey(

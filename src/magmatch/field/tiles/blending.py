@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Blending of overlapping tiles by smooth shares that sum to one."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -56,12 +56,13 @@ def tile_shares(tiling: Tiling, tiles: list[Index], keys: TileKeys, points: Poin
 
 
 def blended_values(
-    points: Points, order: int, constant: Vector3, shares: list[Share], tile: Callable[[int], SplinePosterior]
-) -> FieldValues:
-    """Field and derivatives of the blend."""
+    points: Points, order: int, constant: Vector3, shares: Iterable[Share],
+    evaluate: Callable[[int, Points], FieldValues],
+) -> FieldValues:  # fmt: skip
+    """Field and derivatives of the blend; ``evaluate`` gives those of a tile by its number."""
     total = Blend(len(points), order, constant)
     for number, rows, share in shares:
-        total.add(rows, share, tile(number).evaluate(points[rows], order))
+        total.add(rows, share, evaluate(number, points[rows]))
     return total.values()
 
 

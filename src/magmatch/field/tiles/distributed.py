@@ -9,6 +9,7 @@ time, so memory does not grow with the map.
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from functools import cached_property
 from itertools import islice
 from queue import Empty, Queue
 from types import TracebackType
@@ -41,7 +42,6 @@ class DaskRunner:
     def __init__(self, jobs: int = 2, scheduler: str | None = None) -> None:
         self.jobs, self.scheduler = jobs, scheduler
         self._open = ExitStack()
-        self._client: Any = None
         try:
             import distributed  # noqa: F401
         except ImportError as error:
@@ -58,7 +58,7 @@ class DaskRunner:
 
     def __call__(self, fit: Callable[[TileTask], Scalars], tasks: Iterable[TileTask]) -> Iterator[Scalars]:
         """Apply a function to every task, results in the order of the tasks."""
-        client, source = self._connect(), enumerate(tasks)
+        client, source = self.client, enumerate(tasks)
         running: dict[Any, tuple[int, TileTask]] = {}
         done: dict[int, Scalars] = {}
         finished: Queue[Any] = Queue()
@@ -83,15 +83,9 @@ class DaskRunner:
             for future in running:
                 future.cancel()
 
-    @property
+    @cached_property
     def client(self) -> Any:
-        """Dask client, connected once the first task has come."""
-        return self._connect()
-
-    def _connect(self) -> Any:
-        """Start workers, or find those of the scheduler, when the first task comes."""
-        if self._client is not None:
-            return self._client
+        """Dask client; workers are started, or those of the scheduler found, when the first task comes."""
         import dask
         from distributed import Client
 
@@ -104,11 +98,10 @@ class DaskRunner:
         place = self.scheduler or self._open.enter_context(self._local_cluster())
         make_client: Any = Client
         try:
-            self._client = self._open.enter_context(make_client(place, timeout=CONNECT_SECONDS, set_as_default=False))
+            return self._open.enter_context(make_client(place, timeout=CONNECT_SECONDS, set_as_default=False))
         except OSError as error:
             msg = f"no Dask scheduler answers at {self.scheduler} within {CONNECT_SECONDS} s"
             raise ConfigurationError(msg) from error
-        return self._client
 
     def _local_cluster(self) -> Any:
         """Worker processes on this machine, each with one thread."""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One tile, from its samples to its weights: the task of which large maps consist, the same wherever it runs."""
+"""Tiles, each from its samples to its weights: the tasks of which large maps consist, the same wherever they run."""
 
 import hashlib
+from bisect import bisect_left
 from dataclasses import astuple, dataclass
 from functools import partial
 
@@ -13,18 +14,16 @@ from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import CholeskyFactor
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index
+from magmatch.field.linear_model import Index, is_refit
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.threads import single_threaded
-from magmatch.typing import Points, Scalars, Vectors
+from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Changes with whatever lets the same samples and numbers give other weights: stored fits are then done again.
 LAYOUT = "magmatch.tile/2"
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd.
-REFIT_TOLERANCE = 1e-6
-# Samples at which a refitted field is compared with the stored one.
-N_CHECKED = 2000
+# Position and field of samples in the model's frame.
+Samples = tuple[Points, Vectors]
 
 
 class FitError(MagmatchError, ValueError):
@@ -37,20 +36,6 @@ class FitError(MagmatchError, ValueError):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Samples:
-    """Samples in the model's frame as information: each counts ``weights`` times, and all ``sign`` (+-1) times."""
-
-    points: Points
-    field: Vectors
-    weights: Scalars
-    sign: int = 1
-
-    def information(self, model: SplineModel) -> SplineInformation:
-        """What they say about a model's weights, before the sign."""
-        return model.observe(self.points, self.field, self.weights)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class TileTask:
     """Everything that a tile's fit depends on."""
 
@@ -58,15 +43,17 @@ class TileTask:
     tiling: Tiling | None  # None: one tile holds the whole region
     index: Index  # which tile
     around: Points  # (n, 3), m: samples that shape the tile's cells
-    parts: list[Samples]  # samples that inform it; those outside its box are left out
+    parts: list[Samples]  # samples that inform it, as far as they lie in its box, less those of all further parts
 
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""
         sizes = None if self.tiling is None else astuple(self.tiling)
-        numbers = [(name, float(value)) for name, value in sorted(self.hyperparameters.as_dict().items())]
-        about = (LAYOUT, numbers, sizes, self.index)
+        about = (LAYOUT, sorted(self.hyperparameters.as_dict().items()), sizes, self.index)
         digest = hashlib.sha256(repr(about).encode())
-        arrays = [self.around, *(a for p in self.parts for a in (p.points, p.field, p.weights, np.array(p.sign)))]
+        arrays = [self.around]
+        for k, (points, field) in enumerate(self.parts):
+            # How often each sample counts, and with which sign.
+            arrays += [points, field, np.ones(len(points)), np.array(-1 if k else 1)]
         for array in arrays:
             digest.update(f"{array.shape}".encode())
             digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
@@ -84,10 +71,9 @@ class TileTask:
 
     def observe(self, model: SplineModel) -> SplineInformation:
         """What the tile's samples say."""
-        # The first part is never one that is taken off.
-        total, *more = (self._inside(part).information(model) for part in self.parts)
-        for information, part in zip(more, self.parts[1:], strict=True):
-            total = total + information if part.sign > 0 else total - information
+        total, *left_out = (model.observe(*self._inside(*part)) for part in self.parts)
+        for information in left_out:
+            total = total - information
         return total
 
     def infer(self) -> SplinePosterior:
@@ -112,22 +98,43 @@ class TileTask:
         model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
         fit = model.infer if precision == np.float64 else model.infer_in_single_precision
         fitted = fit(self.observe(model))
-        if not np.array_equal(fitted.weights, weights):
-            points = self.around[:: -(-len(self.around) // N_CHECKED)]
-            change = fitted.evaluate(points).field - fitted.evaluate(points, weights=weights).field
-            if not np.abs(change).max() <= REFIT_TOLERANCE * self.hyperparameters.noise_sd:
-                raise FitError(self.index, "fitting its samples again gives another field than was stored")
+        if not is_refit(fitted, weights, self.around):
+            raise FitError(self.index, "fitting its samples again gives another field than was stored")
         return fitted.factors.light
 
-    def _inside(self, part: Samples) -> Samples:
+    def _inside(self, points: Points, field: Vectors) -> Samples:
         """Samples in the tile's box; those beyond only shape its cells."""
         if self.tiling is None:
-            return part
-        rows = self.tiling.is_inside(part.points, self.index)
-        return Samples(part.points[rows], part.field[rows], part.weights[rows], part.sign)
+            return points, field
+        rows = self.tiling.is_inside(points, self.index)
+        return points[rows], field[rows]
 
 
 @single_threaded
 def fit_weights(task: TileTask) -> Scalars:
     """Posterior mean of a tile's weights: the same bits wherever it runs."""
     return task.infer().weights
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TileTasks:
+    """A survey cut into the tasks of its tiles, on demand: all at once would be several copies of the survey."""
+
+    hyperparameters: Hyperparameters
+    tiling: Tiling | None  # None: one tile holds the whole region
+    tiles: list[Index]  # ascending
+    around: Points  # points (m) that the cells are laid around, and which of them each tile sees
+    around_rows: list[Indices]
+    parts: tuple[Samples, ...]  # samples that inform the tiles less those of further parts, and which each tile sees
+    rows: list[list[Indices]]
+
+    def task(self, number: int) -> TileTask:
+        """Task of one tile."""
+        parts = [(p[rows[number]], b[rows[number]]) for (p, b), rows in zip(self.parts, self.rows, strict=True)]
+        around = self.around[self.around_rows[number]]
+        return TileTask(self.hyperparameters, self.tiling, self.tiles[number], around, parts)
+
+    def fingerprint(self, index: Index) -> str:
+        """What tells the inputs of a tile from all others; empty where there is no such tile."""
+        place = bisect_left(self.tiles, index)
+        return self.task(place).fingerprint() if index in self.tiles[place : place + 1] else ""

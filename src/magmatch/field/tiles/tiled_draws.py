@@ -23,13 +23,12 @@ from magmatch.field.spline.spline_basis import FIRST
 from magmatch.field.spline.spline_kernels import add_right_hand_sides
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision
-from magmatch.field.tiles.tile_fit import TileTask
-from magmatch.field.tiles.tile_tasks import TileTasks
+from magmatch.field.tiles.tile_fit import TileTask, TileTasks
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Matrix, Scalars
 
 # What noise belongs to.
-SAMPLE, CELL, CONSTANT, TILE = 1, 2, 3, 4
+SAMPLE, CELL, CONSTANT = 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,43 +57,35 @@ class TiledDraws:
     def of_tile(self, number: int) -> Matrix:
         """Weights of a tile in every draw: (n_draws, m + 3)."""
         if number not in self._found:
-            task, names = self.tasks.task(number), self.tasks.sample_numbers(number)
-            self._found[number] = draw_tile(task, names, self.factored(number), self.n_draws, self.seed)
+            task, seen = self.tasks.task(number), self.tasks.rows[0][number]
+            self._found[number] = draw_tile(task, seen, self.factored(number), self.n_draws, self.seed)
         return self._found[number]
 
 
 @single_threaded
-def draw_tile(
-    task: TileTask, sample_numbers: list[Indices], posterior: SplinePosterior, n_draws: int, seed: int
-) -> Matrix:
-    """Posterior samples of a tile's weights, from noise that other tiles share."""
+def draw_tile(task: TileTask, seen: Indices, posterior: SplinePosterior, n_draws: int, seed: int) -> Matrix:
+    """Posterior samples of a tile's weights, from noise that other tiles share; ``seen``: numbers of its samples."""
     h, seeds = task.hyperparameters, range(seed, seed + n_draws)
-    if any(part.sign < 0 for part in task.parts):
-        # What was taken off leaves no noise to share: such tiles draw on their own.
-        white = np.stack([normals(s, _names(TILE, np.array([task.index])), len(posterior.weights))[0] for s in seeds])
-        deviation = posterior.factors.light.solve_half(white.T)
-    else:
-        deviation = posterior.factors.light.solve(_noise(task, sample_numbers, posterior.cells, seeds))
+    deviation = posterior.factors.light.solve(_noise(task, seen, posterior.cells, seeds))
     return np.ascontiguousarray(posterior.weights + h.inflation * h.noise_sd * deviation.T)
 
 
-def _noise(task: TileTask, sample_numbers: list[Indices], cells: CellGrid, seeds: range) -> np.ndarray:
+def _noise(task: TileTask, seen: Indices, cells: CellGrid, seeds: range) -> np.ndarray:
     """Draws from N(0, P), P the posterior precision in units of the noise: (m + 3, n_draws)."""
     h, m = task.hyperparameters, cells.n_nodes
+    ((points, _),) = task.parts  # samples left out would leave no noise to share
     z = np.zeros((m + 3, len(seeds)))
     root, spread = _root(h), np.sqrt(cell_weights(cells.distance))[:, None]
     names, constant = _names(CELL, cells.cells + cells.first), _names(CONSTANT, np.zeros((1, 1), dtype=np.int64))
     for k, seed in enumerate(seeds):
         scatter_add((normals(seed, names, 64) @ root) * spread, cells.cell_nodes, z[:, k])
         z[m:, k] += h.noise_sd / CONSTANT_SD * normals(seed, constant, 3)[0]
-    for part, number in zip(task.parts, sample_numbers, strict=True):
-        inside = slice(None) if task.tiling is None else task.tiling.is_inside(part.points, task.index)
-        names, (cell, t) = _names(SAMPLE, number[inside, None]), cells.locate(part.points[inside])
-        # sqrt(W) Phi^T e with white e has covariance Phi^T W Phi, as the samples' information does.
-        white = np.stack([normals(seed, names, 3) for seed in seeds], axis=2)
-        white *= np.sqrt(part.weights[inside])[:, None, None]
-        add_right_hand_sides(cell, t, white, cells.cell_nodes, FIRST, z[:m])
-        z[m:] += white.sum(axis=0)
+    inside = slice(None) if task.tiling is None else task.tiling.is_inside(points, task.index)
+    names, (cell, t) = _names(SAMPLE, seen[inside, None]), cells.locate(points[inside])
+    # Phi^T e with white e has covariance Phi^T Phi, as the samples' information does.
+    white = np.stack([normals(seed, names, 3) for seed in seeds], axis=2)
+    add_right_hand_sides(cell, t, white, cells.cell_nodes, FIRST, z[:m])
+    z[m:] += white.sum(axis=0)
     return z
 
 

@@ -7,7 +7,7 @@ samples if a covariance is needed.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
@@ -15,8 +15,7 @@ import numpy as np
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Runner, StoredTile
 from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_fit import Samples, fit_weights
-from magmatch.field.tiles.tile_tasks import TileTasks
+from magmatch.field.tiles.tile_fit import Samples, TileTasks, fit_weights
 from magmatch.field.tiles.tiled_posterior import FACTORED_BYTES, TiledPosterior
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.progress import tell
@@ -29,17 +28,14 @@ N_WEIGHED_TILES = 9
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TiledInformation:
-    """What samples say about all tiles: the samples themselves, with the sign with which they count."""
+    """What samples say about all tiles: the samples themselves, less those of all further parts."""
 
     parts: tuple[Samples, ...]
 
-    def __add__(self, other: "TiledInformation") -> "TiledInformation":
-        """Information of both data sets."""
-        return TiledInformation(self.parts + other.parts)
-
     def __sub__(self, other: "TiledInformation") -> "TiledInformation":
-        """Take off information that was counted twice."""
-        return TiledInformation(self.parts + tuple(replace(p, sign=-p.sign) for p in other.parts))
+        """Leave samples out, of which none is left out itself."""
+        (left_out,) = other.parts
+        return TiledInformation((*self.parts, left_out))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,10 +56,9 @@ class TiledModel:
         tiles = tiling.occupied(points)
         return cls(h, tiling, tiles, points, tiling.assign(points, tiles))
 
-    def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> TiledInformation:
+    def observe(self, points: Points, field: Vectors) -> TiledInformation:
         """Information in samples; those outside of all tiles say nothing."""
-        weight = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
-        return TiledInformation((Samples(points, np.asarray(field, dtype=np.float64), weight),))
+        return TiledInformation(((points, np.asarray(field, dtype=np.float64)),))
 
     @property
     def n_operations(self) -> float:
@@ -110,8 +105,8 @@ class TiledModel:
     def tasks(self, information: TiledInformation) -> TileTasks:
         """What the fit of each tile depends on."""
         rows = [
-            self.rows if part.points is self.points else self.tiling.assign(part.points, self.tiles)
-            for part in information.parts
+            self.rows if points is self.points else self.tiling.assign(points, self.tiles)
+            for points, _ in information.parts
         ]
         return TileTasks(
             self.hyperparameters, self.tiling, self.tiles, self.points, self.rows, information.parts, rows

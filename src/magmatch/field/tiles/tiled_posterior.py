@@ -22,9 +22,17 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes, Index
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
-from magmatch.field.tiles.blending import SMALLEST_SHARE, Blend, Share, blended_covariance, products, tile_shares
+from magmatch.field.tiles.blending import (
+    SMALLEST_SHARE,
+    Blend,
+    Share,
+    blended_covariance,
+    blended_values,
+    products,
+    tile_shares,
+)
 from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_tasks import TileTasks
+from magmatch.field.tiles.tile_fit import TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues, check_covariance_order
@@ -79,34 +87,29 @@ class TiledPosterior:
         """Constant field where no tile answers, T."""
         return np.asarray(np.mean([w[-3:] for w in self.tile_weights], axis=0))
 
-    def evaluate(self, points: Points, order: int = 0, weights: Scalars | TiledDraw | None = None) -> FieldValues:
-        """Field and derivatives at points; the posterior mean unless weights or a draw are given."""
+    def evaluate(self, points: Points, order: int = 0, weights: TiledDraw | None = None) -> FieldValues:
+        """Field and derivatives at points; the posterior mean unless a draw is given."""
+
+        def evaluate(number: int, p: Points) -> FieldValues:
+            drawn = None if weights is None else weights.of_tile(number)
+            return self.tile(number).evaluate(p, order, drawn)
+
         p = np.asarray(points, dtype=np.float64)
-        weights_of = self._weights_of(weights)
-        total = Blend(len(p), order, self.constant)
-        for number, rows, shares in self._shares(p, max(order, 0)):
-            tile = self.tile(number)
-            total.add(rows, shares, tile.evaluate(p[rows], order, weights_of(number)))
-        return total.values()
+        return blended_values(p, order, self.constant, self._shares(p, max(order, 0)), evaluate)
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, tile by tile, one axis after the other."""
+        """Field and derivatives on the grid spanned by three ascending axes, tile by tile, axis after axis."""
         shape = (len(axes[0]), len(axes[1]), len(axes[2]))
         total, flat = Blend(int(np.prod(shape)), order, self.constant), np.arange(np.prod(shape)).reshape(shape)
-        ascending = all(np.all(np.diff(x) >= 0) for x in axes)
         for number, index in enumerate(self.tiles):
-            parts = [
-                self.tiling.support(x, i) if ascending else slice(None) for x, i in zip(axes, index, strict=True)
-            ]
-            local = (axes[0][parts[0]], axes[1][parts[1]], axes[2][parts[2]])
-            rows = flat[parts[0], parts[1], parts[2]].ravel()
+            part = tuple(self.tiling.support(x, i) for x, i in zip(axes, index, strict=True))
+            rows = flat[part].ravel()
             if len(rows) == 0:
                 continue
+            local = (axes[0][part[0]], axes[1][part[1]], axes[2][part[2]])
             along = [self.tiling.axis_weights(x, i) for x, i in zip(local, index, strict=True)]
-            n = [len(x) for x in local]
-            spread = [np.repeat(np.arange(n[0]), n[1] * n[2]), np.tile(np.repeat(np.arange(n[1]), n[2]), n[0]),
-                      np.tile(np.arange(n[2]), n[0] * n[1])]  # fmt: skip
-            shares = products([[w[k] for w in one] for one, k in zip(along, spread, strict=True)], order)
+            places = np.indices(flat[part].shape).reshape(3, -1)
+            shares = products([[w[k] for w in one] for one, k in zip(along, places, strict=True)], order)
             total.add(rows, shares, self.tile(number).evaluate_on_grid(local, order))
         return total.values()
 
@@ -176,15 +179,6 @@ class TiledPosterior:
     def _shares(self, points: Points, order: int) -> Iterator[Share]:
         """Each tile with a say at some points."""
         return tile_shares(self.tiling, self.tiles, self._tile_keys(), points, order)
-
-    def _weights_of(self, weights: Scalars | TiledDraw | None) -> Callable[[int], Scalars | None]:
-        """Weights by the tile's number."""
-        if weights is None:
-            return lambda _: None
-        if isinstance(weights, TiledDraw):
-            return weights.of_tile
-        starts = np.cumsum([0, *(len(w) for w in self.tile_weights)])
-        return lambda number: np.asarray(weights[starts[number] : starts[number + 1]])
 
     def _tile_keys(self) -> TileKeys:
         if not self._keys:

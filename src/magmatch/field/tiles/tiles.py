@@ -88,17 +88,17 @@ class Tiling:
         for low, high in pairwise([*start, len(row)]):
             yield int(owner[low]), row[low:high]
 
-    def axis_weights(self, x: Scalars, number: int, order: int = 2) -> list[Scalars]:
+    def axis_weights(self, x: Scalars, number: int) -> list[Scalars]:
         """A tile's share along one axis, and its first and second derivatives (1/m, 1/m^2): C2, summing to 1."""
-        v = lattice_coordinate(np.asarray(x), self.spacing) + self.core // 2 - number * self.core
-        rise = smooth_step((v + self.blend) / (2 * self.blend), order)
-        fall = smooth_step((v - self.core + self.blend) / (2 * self.blend), order)
+        v = self._coordinate(x) - number * self.core
+        rise = smooth_step((v + self.blend) / (2 * self.blend))
+        fall = smooth_step((v - self.core + self.blend) / (2 * self.blend))
         scale = 1.0 / (2 * self.blend * self.spacing)
         return [(r - f) * scale**k for k, (r, f) in enumerate(zip(rise, fall, strict=True))]
 
     def support(self, x: Scalars, number: int) -> slice:
         """Part of an ascending axis on which a tile has a say."""
-        v = lattice_coordinate(np.asarray(x), self.spacing) + self.core // 2 - number * self.core
+        v = self._coordinate(x) - number * self.core
         return slice(int(np.searchsorted(v, -self.blend)), int(np.searchsorted(v, self.core + self.blend)))
 
     def _coordinate(self, points: Points) -> np.ndarray:
@@ -163,8 +163,8 @@ def _distinct(rows: np.ndarray) -> np.ndarray:
     return np.asarray(rows[is_new])
 
 
-def smooth_step(t: np.ndarray, order: int) -> list[np.ndarray]:
+def smooth_step(t: np.ndarray) -> list[np.ndarray]:
     """Rise from 0 (t <= 0) to 1 (t >= 1) with two continuous derivatives: value, first, second derivative."""
     s = np.clip(t, 0.0, 1.0)
     r = 1.0 - s
-    return [s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * r**2, 60 * s * r * (1 - 2 * s)][: order + 1]
+    return [s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * r**2, 60 * s * r * (1 - 2 * s)]
