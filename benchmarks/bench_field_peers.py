@@ -18,7 +18,7 @@ from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreeConfig, DivergenceFreePrior
 from magmatch.threads import single_threaded
-from magmatch_evaluation.script import UT, rmse_ut, timed
+from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 from oracles.dense import DenseGP
 
 HAS_GPYTORCH = find_spec("gpytorch") is not None
@@ -115,6 +115,7 @@ def contenders(points, field, queries, length, signal):
 @single_threaded
 def main():
     """Print fit and mean at 5,000 points with fixed numbers, one thread each."""
+    arguments(__doc__)
     packages = ("numpy", "scipy", "numba", *(("torch", "gpytorch") if HAS_GPYTORCH else ()))
     print(f"Python {platform.python_version()}, " + ", ".join(f"{name} {version(name)}" for name in packages))
     if HAS_GPYTORCH:

@@ -23,7 +23,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from many_rooms import ROOM, rooms
+from many_rooms import room, rooms
 from short_walks import MAX_DEG, MAX_M, stretches
 
 import magmatch as mm
@@ -31,7 +31,6 @@ from magmatch.data.recordings import load_recordings
 from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
-from magmatch.simulation.scenario import SimulatedPair
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
 from magmatch_evaluation.script import arguments, pose_error, timed
 
@@ -123,12 +122,6 @@ def building_survey(number: int) -> mm.Survey:
     rng = np.random.default_rng([1, number])
     survey = Building.of(number).surveyed(rng)
     return survey.transformed(random_transform(rng))
-
-
-def room(name: str) -> SimulatedPair:
-    """The two surveys of a room: name is ``overlap-SEED``."""
-    percent, seed = map(int, name.split("-"))
-    return mm.simulate("office-random", seed, ROOM.model_copy(update={"overlap": percent / 100}))
 
 
 def simulated_target(number: int, length: float, rng: np.random.Generator) -> tuple[mm.Survey, mm.Survey]:
