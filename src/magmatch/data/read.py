@@ -6,14 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
 from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.formats.euroc import read_euroc_field
-from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.mat import read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import Sensor
@@ -112,9 +113,7 @@ def read_poses(path: str | Path, format: SurveyFormat | None = None) -> Trajecto
         return recording.trajectory if recording.has_orientations else None
     if layout.trajectory is None:
         return None
-    poses = load_trajectory(layout.trajectory, layout)
-    recording = Recording(Path(path), poses.times[:0], poses.positions[:0], poses)
-    return recording.carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic)).trajectory
+    return with_poses(path, np.zeros(0), np.zeros((0, 3)), layout).trajectory
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
