@@ -175,7 +175,7 @@ async def run(service, walks: list[list[bytes]], n: int, n_bad: int, seconds: fl
     return (
         f"{n:7d}  {sent:7d}  {len(waits):8d}  {refused:7d}  {q[0]:16.1f} {q[1]:6.1f} {q[2]:6.1f} {q[3]:7.1f}  "
         f"{spent['service']:20.0f}  {spent['trackers']:8.0f}  {1e6 * own / max(len(waits), 1):9.0f}  {stated:5.0%}  "
-        f"{memory_of(service):.0f}"
+        f"{sum(map(resident, [service.process.pid, *children_of(service.process.pid)])):.0f}"
     )
 
 
@@ -227,11 +227,6 @@ def of_process(pid: int) -> float:
 
 def children_of(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def memory_of(service) -> float:
-    """Resident MB of the service and its children."""
-    return sum(map(resident, [service.process.pid, *children_of(service.process.pid)]))
 
 
 def resident(pid: int) -> float:

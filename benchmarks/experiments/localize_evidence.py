@@ -213,14 +213,7 @@ def reliability(rows):
 
 def main() -> None:
     asked = arguments(
-        __doc__,
-        data=Path,
-        out=Path,
-        table="starts",
-        n=400,
-        minutes=np.inf,
-        jobs=os.cpu_count(),
-        save=saver,
+        __doc__, data=Path, out=Path, table="starts", n=400, minutes=np.inf, jobs=os.cpu_count(), save=saver
     )
     wanted = names(asked.table, asked.n)
     run = partial(work, data=asked.data, out=asked.out)

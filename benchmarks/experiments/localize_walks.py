@@ -281,15 +281,9 @@ def cost(place, data):
 
 def main() -> None:
     asked = arguments(
-        __doc__,
-        data=Path,
-        out=Path,
-        sets="cea1,infcenter,museum",
-        n=20,
-        smooth=False,
-        jobs=os.cpu_count(),
+        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", n=20, smooth=False, jobs=os.cpu_count(),
         save=saver,
-    )
+    )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
     wanted = list(names(asked.sets.split(","), asked.n))
     for place in dict.fromkeys(name.split(": ")[0] for name in wanted):

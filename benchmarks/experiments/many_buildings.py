@@ -134,12 +134,6 @@ def simulated_target(number: int, length: float, rng: np.random.Generator) -> tu
     return walk.transformed(random_transform(again))
 
 
-def second_survey(name: str) -> mm.Survey:
-    """Of a room, in the frame of its map."""
-    pair = room(name)
-    return pair.target.transformed(pair.T_base_target)
-
-
 def among(atlas: mm.Atlas, n: int, name: str, *, is_absent: bool) -> mm.Atlas:
     """A place among others, n in all, and the same others for all places but those."""
     others = [entry for entry in atlas.entries if entry.name != name]
@@ -202,7 +196,9 @@ def main() -> None:
         numbers = rng.choice(asked.buildings - 1, min(asked.simulated, asked.buildings - 1), replace=False)
         targets["simulated"] = ((f"building-{k:03d}.map", simulated_target(int(k), length, rng)) for k in numbers)
         chosen = rng.choice(len(second), min(asked.second, len(second)), replace=False) if second else []
-        targets["rooms"] = ((second[k], second_survey(second[k].removesuffix(".base.map"))) for k in chosen)
+        pairs = ((second[k], room(second[k].removesuffix(".base.map"))) for k in chosen)
+        # In the frame of the room's map.
+        targets["rooms"] = ((name, pair.target.transformed(pair.T_base_target)) for name, pair in pairs)
         for kind, some in targets.items():
             found = [judge(atlas, asked.among, s, name, rng, is_absent=asked.absent) for name, s in some]
             for n, outcomes in zip(asked.among, zip(*found, strict=True), strict=False):

@@ -146,9 +146,9 @@ def _read_phone(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = 
     return _joined(read_phone_recording(path, layout, sensor), layout)
 
 
-def _recording_of_euroc(path: str | Path, layout: SurveyFormat) -> Recording:
+def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
-    return recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor"))
+    return _joined(recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor")), layout)
 
 
 Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
@@ -156,7 +156,7 @@ Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
 # reader here and a signature in `sniff`.
 READERS: Mapping[FileKind, Reader] = {
     "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
-    "euroc": lambda path, layout: _joined(_recording_of_euroc(path, layout), layout),
+    "euroc": _read_euroc,
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
     "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout), layout),
     "phone": _read_phone,

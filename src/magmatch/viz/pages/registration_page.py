@@ -65,9 +65,9 @@ def write_report(
     else:
         sections += certainty(result, None)
     sections += other_poses(result, base, target)
-    sections.append(
-        Section("In numbers", [columns([transform_table(result)], [figures_table(result)]), *_time(result)])
-    )
+    in_numbers, figure = [columns([transform_table(result)], [figures_table(result)])], time_figure(result)
+    in_numbers += [] if figure is None else [details("Time per stage", figure_row([figure]))]
+    sections.append(Section("In numbers", in_numbers))
     sections.append(reproduced(result, command))
     write_page(path, _title(result), sections)
 
@@ -131,8 +131,3 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
     if compared.rms is not None and has_order(survey_of(target)):
         blocks.append(figure_row([along_figure(compared)]))
     return [Section(title, blocks)]
-
-
-def _time(result: RegistrationResult) -> list[str]:
-    figure = time_figure(result)
-    return [] if figure is None else [details("Time per stage", figure_row([figure]))]
