@@ -10,7 +10,7 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS
+from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
@@ -21,7 +21,7 @@ logger = logging.getLogger(__name__)
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
-    known = layout.wanted_columns()
+    known = wanted_columns(layout.column_names())
     table = read_table(path, known, recover=layout.recover, advise=_advice, texts=(FRAME_COLUMN,))
     return survey_of_table(table.renamed(known), layout)
 

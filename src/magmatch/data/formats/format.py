@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from magmatch.data.survey_columns import COLUMNS
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
 from magmatch.settings import Settings
@@ -56,11 +55,6 @@ class SurveyFormat(Settings):
         return self.model_copy(
             update={key: value for key, value in found.items() if key not in self.model_fields_set}
         )
-
-    def wanted_columns(self) -> dict[str, str]:
-        """Our names of all columns of a survey by the file's: as `columns` states them, else alike."""
-        names = self.column_names()
-        return names | {name: name for name in COLUMNS if name not in names.values()}
 
     def column_names(self) -> dict[str, str]:
         """Our names of columns by the file's (lower case), as far as `columns` states them."""
