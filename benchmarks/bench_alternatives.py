@@ -5,10 +5,8 @@ Run ``python benchmarks/bench_alternatives.py``; needs the extra ``test``. Secon
 after compilation. docs/decisions.md says what follows.
 """
 
-import argparse
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,15 +15,12 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import numpy as np
 
+from magmatch_evaluation.script import arguments, timed
+
 
 def seconds(run: Callable[[], Any], repeats: int = 3) -> float:
     """Least processor time of some runs."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        run()
-        times.append(time.process_time() - start)
-    return min(times)
+    return min(timed(run).processor for _ in range(repeats))
 
 
 def kdtree(n: int) -> None:
@@ -139,16 +134,12 @@ def cholesky(side: float) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--points", type=int, default=100_000)
-    parser.add_argument("--rows", type=int, default=300_000)
-    parser.add_argument("--side", type=float, default=2.0)
-    arguments = parser.parse_args()
+    asked = arguments(__doc__, points=100_000, rows=300_000, side=2.0)
     with tempfile.TemporaryDirectory() as folder:
-        kdtree(arguments.points)
-        tables(arguments.rows, Path(folder))
+        kdtree(asked.points)
+        tables(asked.rows, Path(folder))
         archives(Path(folder))
-        cholesky(arguments.side)
+        cholesky(asked.side)
 
 
 if __name__ == "__main__":

@@ -40,19 +40,19 @@ def sources_around(rng, size):
     return np.array(position), rng.normal(size=(60, 3)) * rng.lognormal(0, 0.7, size=(60, 1)) * 2.5 * UT
 
 
-def room(seed, n=2500, noise=0.3, size=(3.0, 3.0, 0.6)):
+def room(seed, n=2500):
     """Samples anywhere in a box."""
-    rng = np.random.default_rng(seed)
+    rng, size = np.random.default_rng(seed), (3.0, 3.0, 0.6)
     sources = sources_around(rng, size)
     x, q = rng.uniform(0, size, (n, 3)), rng.uniform(0, size, (4000, 3))
-    b = dipole_field(x, *sources) + noise * UT * rng.normal(size=x.shape)
+    b = dipole_field(x, *sources) + 0.3 * UT * rng.normal(size=x.shape)
     return x, b, {"between": (q, dipole_field(q, *sources))}
 
 
-def lanes(seed, n=3000, size=(4.0, 4.0, 1.2)):
+def lanes(seed, n):
     """A sensor carried to and fro in lanes 40 cm apart, at three heights 40 cm apart."""
     rng = np.random.default_rng(seed)
-    sources = sources_around(rng, size)
+    sources = sources_around(rng, (4.0, 4.0, 1.2))
     along, lines = np.linspace(0.2, 3.8, n // 30), []
     for z in (0.3, 0.7, 1.1):
         for i, y in enumerate(np.linspace(0.2, 3.8, 10)):

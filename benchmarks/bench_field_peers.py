@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Our field models against what one would use instead: time at equal numbers, and error on held-out recordings.
+"""Our field models against an exact Gaussian process, ours and GPyTorch's: time and error at equal numbers.
 
-Usage: PYTHONPATH=tests python benchmarks/bench_field_peers.py [--from DIR] [--skip-times] [--rows cea ...]
-Run with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. GPyTorch joins where it is installed. RMSE is of 3-vectors; every
-method chooses its numbers from the training samples alone. 'near' are queries less than 2 m from a training sample,
-'far' those of them more than 0.3 m from any.
+Usage: PYTHONPATH=tests python benchmarks/bench_field_peers.py
+Run with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. GPyTorch joins where it is installed. RMSE is of 3-vectors. For
+peers on held-out recordings: ``magmatch evaluate mapping``.
 """
 
 import platform
 from dataclasses import replace
 from importlib.metadata import version
+from importlib.util import find_spec
 
 import numpy as np
-from bench_priors import left_out
-from field_peers import HAS_GPYTORCH, PEERS, exact_divergence_free
-from scipy.spatial import cKDTree
 
-from magmatch import FieldConfig, build_map
-from magmatch.data.recordings import load_recordings
-from magmatch.errors import MagmatchError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.inducing_prior import InducingConfig
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
@@ -28,14 +22,14 @@ from magmatch.threads import single_threaded
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 from oracles.dense import DenseGP
 
+HAS_GPYTORCH = find_spec("gpytorch") is not None
 BOX = np.array([3.0, 3.0, 1.0])
 SD, NOISE_SD = 20 * UT, 0.4 * UT  # of a component of the simulated field; 2 % of it as noise
-FAR = (0.3, 2.0)
+N_QUERIES, BATCH = 5000, 500
 COARSER = 1.5
-OURS = {"divergence_free (published)": "divergence_free", "spline (default)": "spline", "auto": "auto"}
 
 
-def simulated(n, n_queries=5000):
+def simulated(n):
     """Samples in a box with dipoles below, and the truth at queries: no source inside, any prior may be right."""
     rng = np.random.default_rng(0)
     sources, moments = rng.uniform([0, 0, -0.8], [3, 3, -0.4], (12, 3)), rng.normal(size=(12, 3))
@@ -48,13 +42,52 @@ def simulated(n, n_queries=5000):
     points = rng.uniform(0, 1, (n, 3)) * BOX
     clean = field(points)
     unit = SD / clean.std()
-    queries = rng.uniform(0.05, 0.95, (n_queries, 3)) * BOX
+    queries = rng.uniform(0.05, 0.95, (N_QUERIES, 3)) * BOX
     return points, clean * unit + NOISE_SD * rng.normal(size=(n, 3)), queries, field(queries) * unit
 
 
 def infer(prior, h, points, field, queries):
     model = prior.build(points, field, h)
     return model.infer(model.observe(points, field)).evaluate(queries).field
+
+
+def gpytorch_exact(points, field, queries, lengthscale, signal_sd, noise_sd):
+    """GPyTorch's exact GP with the published kernel and given numbers: fit and mean by Cholesky."""
+    import gpytorch
+    import torch
+
+    class DivergenceFree(gpytorch.kernels.Kernel):
+        has_lengthscale = False
+
+        def num_outputs_per_input(self, x1, x2):  # noqa: ARG002
+            return 3
+
+        def forward(self, x1, x2, diag=False, **_):
+            if diag:
+                return torch.full((3 * len(x1),), signal_sd**2, dtype=x1.dtype)
+            d = (x1[:, None] - x2[None]) / lengthscale
+            square = (d * d).sum(-1)
+            blocks = d[..., :, None] * d[..., None, :] + (2 - square)[..., None, None] * torch.eye(3, dtype=d.dtype)
+            blocks *= (0.5 * signal_sd**2 * torch.exp(-0.5 * square))[..., None, None]
+            return blocks.permute(0, 2, 1, 3).reshape(3 * len(x1), 3 * len(x2))
+
+    class Model(gpytorch.models.ExactGP):
+        def __init__(self, x, y, likelihood):
+            super().__init__(x, y, likelihood)
+            self.mean_module = gpytorch.means.MultitaskMean(gpytorch.means.ZeroMean(), num_tasks=3)
+            self.covar_module = DivergenceFree()
+
+        def forward(self, x):
+            return gpytorch.distributions.MultitaskMultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+    likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(
+        3, has_task_noise=False, noise_constraint=gpytorch.constraints.GreaterThan(1e-8)
+    ).double()
+    likelihood.noise = noise_sd**2
+    model = Model(torch.from_numpy(points), torch.from_numpy(field), likelihood).double().eval()
+    exactly = gpytorch.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
+    with torch.no_grad(), exactly, gpytorch.settings.skip_posterior_variances(True):
+        return torch.cat([model(chunk).mean for chunk in torch.from_numpy(queries).split(BATCH)]).numpy()
 
 
 def contenders(points, field, queries, length, signal):
@@ -72,7 +105,7 @@ def contenders(points, field, queries, length, signal):
     if HAS_GPYTORCH:
         unit = field.std()
         numbers = (length, signal / unit, NOISE_SD / unit)
-        runs["GPyTorch exact"] = lambda: unit * exact_divergence_free(points, field / unit, queries, *numbers)
+        runs["GPyTorch exact"] = lambda: unit * gpytorch_exact(points, field / unit, queries, *numbers)
     runs["divergence_free, sparse"] = lambda: infer(published, h, points, field, queries)
     runs["spline (default)"] = lambda: infer(spline, chosen, points, field, queries)
     coarse = replace(chosen, spacing=COARSER * chosen.spacing)
@@ -81,8 +114,17 @@ def contenders(points, field, queries, length, signal):
 
 
 @single_threaded
-def compare_times():
+def main():
     """Print fit and mean at 5,000 points with fixed numbers, one thread each."""
+    arguments(__doc__)
+    packages = ("numpy", "scipy", "numba", *(("torch", "gpytorch") if HAS_GPYTORCH else ()))
+    print(f"Python {platform.python_version()}, " + ", ".join(f"{name} {version(name)}" for name in packages))
+    if HAS_GPYTORCH:
+        import torch
+
+        torch.set_num_threads(1)
+    else:
+        print("GPyTorch is not installed: its rows are missing.")
     print("| samples | kernel's lengthscale | method | processor s | clock s | RMSE, uT | times GPyTorch's speed |")
     print("|---|---|---|---|---|---|---|")
     for n in (1000, 2000):
@@ -103,74 +145,6 @@ def compare_times():
                 print(
                     f"| {n} | {shown} | {name} | {processor:.3f} | {clock:.3f} | {error:.3f} | {ratio} |", flush=True
                 )
-
-
-def recordings(data):
-    """Name, training survey, query points and field there."""
-    cea, aalto = load_recordings("cea", data), load_recordings("aalto", data)
-    for name, first, second in (("cea 1-2", "training", "test"), ("cea 2-1", "test", "training")):
-        yield name, cea[first], cea[second].positions, cea[second].field
-    jidling = load_recordings("jidling", data)["volume"]
-    surveys = {"jidling": jidling.subset(np.arange(0, len(jidling), -(-len(jidling) // 6000)))}
-    surveys |= {f"kok {name}": survey for name, survey in load_recordings("kok", data).items()}
-    for name, survey in surveys.items():
-        case = left_out(name, survey, 10)
-        points, field, _ = case.tests["left out"]
-        yield name, case.survey, points, field
-    pair = aalto["invensense-1"].merged(aalto["invensense-2"])
-    yield "aalto 1+2-4", pair, aalto["invensense-4"].positions, aalto["invensense-4"].field
-
-
-def predict(name, survey, queries):
-    """Field at queries, and its standard deviation with noise where the method is ours."""
-    if name in PEERS:
-        return PEERS[name](survey.positions, survey.field, queries), None, ""
-    field_map = build_map(survey, FieldConfig(prior=OURS[name]))
-    covariance = field_map.covariance(queries)
-    variance = np.diagonal(covariance, axis1=1, axis2=2) + field_map.hyperparameters.noise_sd**2
-    taken = f" ({field_map.config.prior})" if name == "auto" else ""
-    return field_map.evaluate(queries).field, np.sqrt(variance), taken
-
-
-@single_threaded
-def compare_errors(data, rows, skipped):
-    """Print errors on held-out recordings."""
-    print(
-        "| case | method | RMSE, uT | near, uT | far, uT | 95 % covers | processor s |\n|---|---|---|---|---|---|---|"
-    )
-    for case, survey, queries, truth in recordings(data):
-        if rows and not case.startswith(tuple(rows)):
-            continue
-        away = cKDTree(survey.positions).query(queries)[0]
-        far = (away > FAR[0]) & (away < FAR[1])
-        near = away < FAR[1]
-        print(f"| **{case}** | {len(survey)} samples | {len(queries)} queries | {near.sum()} | {far.sum()} | | |")
-        for name in (name for name in (*PEERS, *OURS) if name not in skipped):
-            try:
-                (mean, sd, note), _, seconds = timed(predict, name, survey, queries)
-            except (MagmatchError, ValueError, np.linalg.LinAlgError) as error:
-                print(f"| {case} | {name} | - | - | - | - | {error} |", flush=True)
-                continue
-            cover = "-" if sd is None else f"{np.mean(np.abs(mean - truth) < 1.96 * sd):.1%}"
-            kinds = (np.isfinite(away), near, far)
-            errors = [f"{rmse_ut(mean[rows], truth[rows]):.2f}" if rows.sum() >= 20 else "-" for rows in kinds]
-            print(f"| {case} | {name}{note} | {' | '.join(errors)} | {cover} | {seconds:.1f} |", flush=True)
-
-
-def main():
-    asked = arguments(__doc__, recordings=None, rows=[], skip=[], skip_times=False)
-    packages = ("numpy", "scipy", "numba", *(("torch", "gpytorch") if HAS_GPYTORCH else ()))
-    print(f"Python {platform.python_version()}, " + ", ".join(f"{name} {version(name)}" for name in packages))
-    if HAS_GPYTORCH:
-        import torch
-
-        torch.set_num_threads(1)
-    else:
-        print("GPyTorch is not installed: its rows are missing.")
-    if not asked.skip_times:
-        compare_times()
-    if asked.recordings:
-        compare_errors(asked.recordings, asked.rows, asked.skip)
 
 
 if __name__ == "__main__":

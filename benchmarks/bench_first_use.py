@@ -7,7 +7,6 @@ The first is one with an empty compilation cache (a temporary NUMBA_CACHE_DIR). 
 CPU seconds of theirs and their helpers', which depend less on what else the machine does; medians of n rounds.
 """
 
-import argparse
 import json
 import os
 import resource
@@ -18,6 +17,8 @@ import time
 from importlib.resources import as_file, files
 from pathlib import Path
 from statistics import median
+
+from magmatch_evaluation.script import arguments
 
 
 def register(base: Path, target: Path, folder: Path) -> tuple[float, float, float]:
@@ -31,9 +32,8 @@ def register(base: Path, target: Path, folder: Path) -> tuple[float, float, floa
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=3, help="empty caches; three later registrations follow each")
-    n = parser.parse_args().rounds
+    # Empty caches; three later registrations follow each.
+    n = arguments(__doc__, rounds=3).rounds
     first, later = [], []
     with as_file(files("magmatch.data") / "samples" / "office") as office:
         for _ in range(n):

@@ -14,7 +14,6 @@ Run: PYTHONPATH=tests:benchmarks:benchmarks/experiments python benchmarks/bench_
     [--others N] [--length M] [--speed X]
 """
 
-import json
 import threading
 import time
 from pathlib import Path
@@ -24,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 from bench_serve import children_of, cpu_of, resident
 from short_walks import stretches
-from websockets.sync.client import connect
 
 from drifting import about_z
 from magmatch.data.recordings import load_recordings
@@ -35,7 +33,7 @@ from magmatch.localization.localizer import Localizer
 from magmatch.serve.messages import pose_document, read_pose, read_samples, write_sample
 from magmatch.simulation.paths import heading_along
 from magmatch_evaluation.script import arguments
-from serving import serving
+from serving import client, serving
 
 PLACE, FAR, SETTLE = "cea.map", 1.0, 30.0
 RATE, STEP = 20.0, 0.05
@@ -58,26 +56,24 @@ def drifting(walk: Survey, step: float, rng: np.random.Generator) -> tuple[list[
 class Walker(threading.Thread):
     """A client that sends a sample when its time has come, and the next once it is answered."""
 
-    def __init__(self, live: str, samples: list[bytes], rate: float) -> None:
+    def __init__(self, service, samples: list[bytes], rate: float) -> None:
         super().__init__(daemon=True)
-        self.live, self.samples, self.rate, self.is_over = live, samples, rate, False
+        self.service, self.samples, self.rate, self.is_over = service, samples, rate, False
         self.said: list[dict] = []
         self.sent: list[float] = []
         self.waits: list[float] = []
 
     def run(self) -> None:
         """Send all."""
-        with connect(self.live, proxy=None, compression=None) as wire:
-            wire.send(json.dumps({"type": "hello"}))
-            wire.recv(timeout=60)
+        with client(self.service) as one:
             begin = time.perf_counter()
             for n, sample in enumerate(self.samples):
                 if self.is_over:
                     return
                 time.sleep(max(begin + n / self.rate - time.perf_counter(), 0.0))
                 self.sent.append(time.perf_counter())
-                wire.send(sample)
-                self.said.append(read_pose(wire.recv(timeout=60)))
+                one.socket.send(sample)
+                self.said.append(read_pose(one.socket.recv(timeout=60)))
                 self.waits.append(time.perf_counter() - self.sent[-1])
 
 
@@ -99,7 +95,7 @@ def live(asked, targets: list, beside: list) -> None:
     begin = time.perf_counter()
     with TemporaryDirectory() as name, serving(asked.words[0], "--states", Path(name) / "states") as service:
         print(f"ready after {time.perf_counter() - begin:.1f} s; {memory(service)}")
-        others = [Walker(service.live, samples, 50.0) for samples in beside]
+        others = [Walker(service, samples, 50.0) for samples in beside]
         for one in others:
             one.start()
         time.sleep(SETTLE if others else 0.0)
@@ -125,7 +121,7 @@ def alone(known: KnownPlaces, samples: list[bytes], truth: np.ndarray) -> "Outco
 
 def follow(service, samples: list[bytes], truth: np.ndarray, others: list[Walker], rate: float) -> "Outcome":
     """Send one walk, and say how it went."""
-    one, before, begin = Walker(service.live, samples, rate), cpu_of(service), time.perf_counter()
+    one, before, begin = Walker(service, samples, rate), cpu_of(service), time.perf_counter()
     one.start()
     one.join()
     spent = sum(after - before.get(key, 0.0) for key, after in cpu_of(service).items())

@@ -6,10 +6,9 @@ its own. A wait is from the write of a sample to the read of its answer. Three r
 sample), all of them, and all beside ten that misbehave (rubbish, never reading, connecting in a loop). Each round
 ends by itself; the clients' processor time is said apart, as it is taken from the same cores.
 
-Run: PYTHONPATH=tests python benchmarks/bench_serve.py [--quick] [--clients N] [--seconds S]
+Run: PYTHONPATH=tests python benchmarks/bench_serve.py [--clients N] [--seconds S] [--trackers N]
 """
 
-import argparse
 import asyncio
 import json
 import os
@@ -27,6 +26,7 @@ from scipy.spatial.transform import Slerp
 import magmatch as mm
 from drifting import Place, drifting_walk
 from magmatch.serve.messages import POSE, SAMPLE, STATUSES
+from magmatch_evaluation.script import arguments
 from serving import serving
 
 RATE, SLOWED, N_WALKS, N_BAD = 50.0, 5, 10, 10
@@ -35,13 +35,8 @@ LEAVE_WITHIN = 10.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="rounds of 10 s")
-    parser.add_argument("--clients", type=int, default=100)
-    parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--trackers", type=int, default=2)
-    asked = parser.parse_args()
-    seconds = 10.0 if asked.quick else asked.seconds
+    asked = arguments(__doc__, clients=100, seconds=600.0, trackers=2)
+    seconds = asked.seconds
     with TemporaryDirectory() as name:
         folder = Path(name)
         make_map(folder / "hall.map")
@@ -180,7 +175,7 @@ async def run(service, walks: list[list[bytes]], n: int, n_bad: int, seconds: fl
     return (
         f"{n:7d}  {sent:7d}  {len(waits):8d}  {refused:7d}  {q[0]:16.1f} {q[1]:6.1f} {q[2]:6.1f} {q[3]:7.1f}  "
         f"{spent['service']:20.0f}  {spent['trackers']:8.0f}  {1e6 * own / max(len(waits), 1):9.0f}  {stated:5.0%}  "
-        f"{memory_of(service):.0f}"
+        f"{sum(map(resident, [service.process.pid, *children_of(service.process.pid)])):.0f}"
     )
 
 
@@ -232,11 +227,6 @@ def of_process(pid: int) -> float:
 
 def children_of(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def memory_of(service) -> float:
-    """Resident MB of the service and its children."""
-    return sum(map(resident, [service.process.pid, *children_of(service.process.pid)]))
 
 
 def resident(pid: int) -> float:

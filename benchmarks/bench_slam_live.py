@@ -9,7 +9,6 @@ gives.
 Run: PYTHONPATH=tests python benchmarks/bench_slam_live.py [--laps N] [--seeds N]
 """
 
-import argparse
 from time import process_time
 
 import numpy as np
@@ -17,13 +16,11 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
+from magmatch_evaluation.script import arguments
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--laps", type=float, default=4.0)
-    parser.add_argument("--seeds", type=int, default=3)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, laps=4.0, seeds=3)
     mm.slam(drifting_walk(Place(0), 0)[0])  # loops are compiled
     print("seed  path m  walk s  times real time  last tenth  window s (median, most)  closures  error m: odometry  "
           "as said  at the end  finished")  # fmt: skip

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Large maps: time, memory and accuracy from 10 to 10,000 m^2; OPENBLAS_NUM_THREADS=1 gives the one-thread figures.
 
-Usage: python benchmarks/bench_tiles.py [office|million|doubling|samples|agreement ...] [--jobs N]
+Usage: python benchmarks/bench_tiles.py [office|million|doubling|agreement ...] [--jobs N]
 
 Each case runs in a process of its own, so that its peak memory is its own. Surveys are walked in lanes over a floor,
 a sensor at 1 m height, dipoles 0.4 to 1.2 m under the floor and in the walls; noise is 0.3 uT. Menzen et al. 2023
@@ -30,9 +30,9 @@ from magmatch_evaluation.script import UT, alone, arguments, peak_mib, rmse_ut, 
 CELL = 4.0
 
 
-def dipoles(extent, rng, density=0.5):
+def dipoles(extent, rng):
     """Sources under a floor: positions and moments (T m^3)."""
-    n = int(density * np.prod(np.add(extent, 4)))
+    n = int(0.5 * np.prod(np.add(extent, 4)))
     position = np.c_[rng.uniform(-2, np.add(extent, 2), (n, 2)), -rng.uniform(0.4, 1.2, n)]
     return position, rng.normal(size=(n, 3)) * rng.lognormal(0, 0.7, (n, 1)) * 4 * UT
 
@@ -157,14 +157,9 @@ def doubling(jobs, area):
     return measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), jobs, "doubling")[1]
 
 
-def samples(jobs, n):
-    """One number of samples at 100 a square metre."""
-    return measure((100.0, 100.0 * n / 1e6), int(n), 1.0, FieldConfig(**FIXED), jobs, "samples")[1]
-
-
 def main():
     """Run every case, and every size of one, in a process of its own, and print how much more each size costs."""
-    cases = {"office": office, "million": million, "doubling": doubling, "samples": samples, "agreement": agreement}
+    cases = {"office": office, "million": million, "doubling": doubling, "agreement": agreement}
     # Largest area of the doubling in m^2.
     asked = arguments(__doc__, tuple(cases), jobs=1, size=float, most=1e4, is_alone=False)
     logging.basicConfig(level=logging.WARNING)
@@ -172,8 +167,7 @@ def main():
         size = [] if asked.size is None else [asked.size]
         print(json.dumps(cases[asked.words[0]](asked.jobs, *size)))
         return
-    sizes = {"doubling": [10 * 2.0**k for k in range(11) if 10 * 2.0**k <= 1.1 * asked.most],
-             "samples": [1e4, 3e4, 1e5, 3e5, 1e6]}  # fmt: skip
+    sizes = {"doubling": [10 * 2.0**k for k in range(11) if 10 * 2.0**k <= 1.1 * asked.most]}
     for case in asked.words:
         before = None
         for size in sizes.get(case, [None]):

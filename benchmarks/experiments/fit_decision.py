@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from many_rooms import load, map_of, site_of
 from scipy.optimize import minimize
 from scipy.spatial.transform import RigidTransform
 from scipy.special import logsumexp
@@ -73,19 +74,6 @@ NOWHERE, REPEATED = ("uniform", "nowhere"), "repeated"
 CONFIG = PRESETS["default"]
 BINS = (0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)
 Row = dict[str, Any]
-
-
-@lru_cache(maxsize=40)
-def load(path: Path) -> mm.FieldMap:
-    """A map, kept for the next pair it is in."""
-    return mm.FieldMap.load(path)
-
-
-def map_of(survey: Survey, path: Path) -> mm.FieldMap:
-    """Map of a survey, made once."""
-    if not path.exists():
-        mm.build_map(survey).save(path)
-    return load(path)
 
 
 def room(kind: str, seed: int) -> SimulatedPair:
@@ -202,14 +190,8 @@ def crossed(folder: Path, n: int, seed: int, lines: str = "") -> list[str]:
     while len(found) < n:
         few = rng.choice(maps, min(30, len(maps)), replace=False)
         pairs = [rng.choice(few, 2, replace=False) for _ in range(100)]
-        found += [f"cross {a} {b}" for a, b in pairs if site(a) != site(b)]
+        found += [f"cross {a} {b}" for a, b in pairs if site_of(a) != site_of(b)]
     return found[:n]
-
-
-def site(name: str) -> str:
-    """Maps of one site may overlap."""
-    words = name.split(".", maxsplit=1)[0].split("-")
-    return "-".join(words[:2]) if words[0] in ("cea", "rec") else words[-1]
 
 
 def is_of_one_place(name: str) -> bool:

@@ -7,7 +7,6 @@ that had to be started again. The same seed sends the same.
 Run: PYTHONPATH=tests python benchmarks/experiments/fuzz_serve.py MAP [--n N] [--seed S]
 """
 
-import argparse
 import gzip
 import json
 import random
@@ -18,6 +17,7 @@ from tempfile import TemporaryDirectory
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from magmatch_evaluation.script import arguments
 from serving import Service, serving
 
 LEAKS = ("Traceback", "/tmp/", "/root", "/home", ".py", "site-packages", 'File "')
@@ -30,16 +30,12 @@ SETTINGS = "max_requests: 10000000\nmax_connects: 10000000\nmax_mistakes: 1000\n
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("map", type=Path)
-    parser.add_argument("--n", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, (), n=10_000, seed=0)
     rng, said = random.Random(asked.seed), Counter()
     with TemporaryDirectory() as folder:
         settings = Path(folder) / "settings.yaml"
         settings.write_text(SETTINGS)
-        with serving(asked.map, "--config", settings, "--states", Path(folder) / "states") as service:
+        with serving(asked.words[0], "--config", settings, "--states", Path(folder) / "states") as service:
             fuzz_frames(service, rng, asked.n * 6 // 10, said)
             fuzz_hellos(service, rng, asked.n // 10, said)
             fuzz_requests(service, rng, asked.n - asked.n * 7 // 10, said)

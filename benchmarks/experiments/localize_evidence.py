@@ -1,6 +1,6 @@
 """Whether what a localiser states is true: many starts in CEA, other places, walks off the map, stated probabilities.
 
-    python benchmarks/experiments/localize_evidence.py --data DIR --out DIR [--table starts] [--n 400] [--quick]
+    python benchmarks/experiments/localize_evidence.py --data DIR --out DIR [--table starts] [--n 400]
         [--minutes M] [--save NAME]
 
 DIR, its maps and its walks are those of `localize_walks.py`. Rows are kept in OUT and not made again.
@@ -18,12 +18,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from localize_walks import cea, odometry_of, place_of, real_walk
+from localize_walks import cea, indexed, odometry_of, place_of, real_walk, stretch
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
-from magmatch.registration.index.map_index import make_index, open_index
+from magmatch.geometry import path_walked
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept
 from magmatch_evaluation.statistics import wilson_interval
@@ -45,14 +45,12 @@ def recording(name, data):
 
 def another_place(name, data, out):
     """An indexed map of Kok's or Aalto's, kept."""
-    path = out / f"{name.replace('/', '-').replace(' ', '-')}.map"
-    if not path.exists():
-        surveys = [recording(one, data) for one in name.split()]
-        if name.startswith("kok"):
-            surveys = [surveys[0].subset(np.arange(int(0.55 * len(surveys[0]))))]
-        mm.build_map(surveys).save(path)
-    index = open_index(path, mm.RegistrationConfig())
-    return make_index(path, mm.RegistrationConfig()) if index is None else index.load(mm.FieldMap.load(path))
+
+    def surveys():
+        found = [recording(one, data) for one in name.split()]
+        return [found[0].subset(np.arange(int(0.55 * len(found[0]))))] if name.startswith("kok") else found
+
+    return indexed(out / f"{name.replace('/', '-').replace(' ', '-')}.map", surveys)
 
 
 def map_of(name, data, out):
@@ -60,13 +58,9 @@ def map_of(name, data, out):
 
 
 def start_in_cea(seed, data):
-    """A floor, a log of 30 m of its walk two, and its true places."""
+    """A log of 30 m of walk two on one of CEA's floors, and its true places."""
     rng = np.random.default_rng([21, seed])
-    floor = ("cea1", "cea2")[seed % 2]
-    rows = cea(data)["test"][floor]
-    walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))]
-    first = rng.uniform(0, walked[-1] - 30.0)
-    some = rows[(walked >= first) & (walked <= first + 30.0)]
+    some = stretch(cea(data)["test"][("cea1", "cea2")[seed % 2]], 30.0, rng)
     direction = rng.standard_normal(3)
     bias = rng.uniform(0, 30e-6) * direction / np.linalg.norm(direction)
     log = odometry_of(some[:, :3], some[:, 3:], rng, LEVELS[seed // 2 % 4], bias)
@@ -101,7 +95,7 @@ def work(name, data, out):
         RigidTransform.from_components(log.positions, log.orientations),
         log.orientations.inv().apply(log.field),
     )
-    walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(log.positions, axis=0), axis=1))]
+    walked = path_walked(log.positions)
     d, first, said, errors, nees, asked = truth.shape[1] - 1, None, [], [], [], -np.inf
     true = np.stack([np.interp(log.times, truth[:, 0], c) for c in truth.T[1:]], axis=1)
     n_stated = 0
@@ -219,19 +213,9 @@ def reliability(rows):
 
 def main() -> None:
     asked = arguments(
-        __doc__,
-        data=Path,
-        out=Path,
-        table="starts",
-        n=400,
-        quick=False,
-        minutes=np.inf,
-        jobs=os.cpu_count(),
-        save=saver,
+        __doc__, data=Path, out=Path, table="starts", n=400, minutes=np.inf, jobs=os.cpu_count(), save=saver
     )
-    asked.out.mkdir(parents=True, exist_ok=True)
-    n = 8 if asked.quick else asked.n
-    wanted = names(asked.table, n)
+    wanted = names(asked.table, asked.n)
     run = partial(work, data=asked.data, out=asked.out)
     rows = kept(asked.out / "evidence.jsonl", wanted, run, jobs=asked.jobs, minutes=asked.minutes)
     print(f"{len(rows)} of {len(wanted)} rows")

@@ -18,7 +18,6 @@ import csv
 import os
 import subprocess
 import sys
-import time
 from functools import cache, partial
 from pathlib import Path
 
@@ -28,7 +27,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.geometry import path_walked
 from magmatch.localization.localize import localize
+from magmatch.localization.smooth import smooth as localize_smoothly
 from magmatch.registration.index.map_index import make_index, open_index
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
@@ -87,28 +88,55 @@ def cea(data):
 
 @cache
 def place_of(name, data, out):
-    """An indexed map, kept."""
-    path = out / f"{name.replace(' ', '-')}.map"
+    """An indexed map, kept: of a part of CEA's walk one, or of walks at true positions."""
+
+    def surveys():
+        if not name.startswith("cea"):
+            return [survey_at_truth(walk, data, out) for walk in name.split()]
+        rows = cea(data)["training"][name]
+        return mm.Survey(rows[:, :3], rows[:, 3:], name=name)
+
+    return indexed(out / f"{name.replace(' ', '-')}.map", surveys)
+
+
+def indexed(path, surveys):
+    """The map at a path with its index, each made where it is not there yet."""
     if not path.exists():
-        if name.startswith("cea"):
-            rows = cea(data)["training"][name]
-            mm.build_map(mm.Survey(rows[:, :3], rows[:, 3:], name=name)).save(path)
-        else:
-            mm.build_map([survey_at_truth(walk, data, out) for walk in name.split()]).save(path)
+        mm.build_map(surveys()).save(path)
     index = open_index(path, mm.RegistrationConfig())
     return make_index(path, mm.RegistrationConfig()) if index is None else index.load(mm.FieldMap.load(path))
 
 
 def file_of(walk, data):
+    """A walk with its odometry: ``walk3`` of infcenter, or ``route1_2`` of the museum."""
     return data / ("dodolilo/infcenter" if walk.startswith("walk") else "ipin2023/pdr") / f"{walk}.csv"
 
 
+def truth_of(walk, data):
+    return file_of(walk, data).with_name(f"{walk}_truth.csv")
+
+
 def survey_at_truth(walk, data, out):
-    path = file_of(walk, data)
+    """A walk at its true positions, made once."""
     made = out / f"{walk}_true.csv"
-    words = [sys.executable, data / "make_surveys.py", path, path.with_name(f"{walk}_truth.csv"), made]
-    subprocess.run([str(word) for word in words], check=True)
+    if not made.exists():
+        words = [sys.executable, data / "make_surveys.py", file_of(walk, data), truth_of(walk, data), made]
+        subprocess.run([str(word) for word in words], check=True)
     return mm.read_survey(made, SurveyFormat(field_frame="sensor"))
+
+
+def real_walk(walk, data):
+    """A walk with its odometry, and time, x, y of the true points."""
+    log = mm.read_survey(file_of(walk, data), SurveyFormat(field_frame="sensor"))
+    with truth_of(walk, data).open() as lines:
+        return log, np.array([[float(row[key]) for key in ("t", "x", "y")] for row in csv.DictReader(lines)])
+
+
+def stretch(rows, length, rng):
+    """A stretch of a walk (rows of place and field) that begins anywhere."""
+    walked = path_walked(rows[:, :3])
+    first = rng.uniform(0, walked[-1] - length)
+    return rows[(walked >= first) & (walked <= first + length)]
 
 
 def walk_of(floor, case, seed, data):
@@ -118,10 +146,7 @@ def walk_of(floor, case, seed, data):
     rows = cea(data)["test"][there]
 
     def part(length):
-        walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))]
-        first = rng.uniform(0, walked[-1] - length)
-        some = rows[(walked >= first) & (walked <= first + length)]
-        return some[:, :3], some[:, 3:]
+        return np.hsplit(stretch(rows, length, rng), 2)
 
     direction = rng.standard_normal(3)
     direction /= np.linalg.norm(direction)
@@ -143,16 +168,9 @@ def walk_of(floor, case, seed, data):
     p, b = part(LENGTHS.get(case, 60.0))
     bias = 30e-6 * direction * rng.uniform() if case == "bias" else 0.0
     if case.startswith("jump"):
-        walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]
+        walked = path_walked(p)
         bias = np.where(walked[:, None] > 25.0, float(case[4:]) * 1e-6 * direction, 0.0)
     return odometry_of(p, b, rng, level, bias), p
-
-
-def real_walk(walk, data):
-    log = mm.read_survey(file_of(walk, data), SurveyFormat(field_frame="sensor"))
-    with file_of(walk, data).with_name(f"{walk}_truth.csv").open() as lines:
-        truth = np.array([[float(row[key]) for key in ("t", "x", "y")] for row in csv.DictReader(lines)])
-    return log, truth
 
 
 def work(name, data, out, smooth):
@@ -164,15 +182,9 @@ def work(name, data, out, smooth):
         truth = np.c_[log.times, p]
     else:
         log, truth = real_walk(case, data)
-    start = time.perf_counter()
-    if smooth:
-        from magmatch.localization.smooth import smooth as localize_smoothly
-
-        track = localize_smoothly(place, log, mm.LocalizerConfig())
-    else:
-        track = localize(place, log, mm.LocalizerConfig())
-    seconds = time.perf_counter() - start - track.seconds["map"]
-    walked = np.r_[0, np.cumsum(np.linalg.norm(np.diff(log.positions, axis=0), axis=1))]
+    track, seconds, _ = timed(localize_smoothly if smooth else localize, place, log, mm.LocalizerConfig())
+    seconds -= track.seconds["map"]
+    walked = path_walked(log.positions)
     stated = np.flatnonzero(track.is_stated)
     row = {"name": name, "walked": float(walked[-1]), "seconds": seconds, "share": len(stated) / len(log)}
     if not len(stated) or case == "elsewhere":
@@ -269,15 +281,9 @@ def cost(place, data):
 
 def main() -> None:
     asked = arguments(
-        __doc__,
-        data=Path,
-        out=Path,
-        sets="cea1,infcenter,museum",
-        n=20,
-        smooth=False,
-        jobs=os.cpu_count(),
+        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", n=20, smooth=False, jobs=os.cpu_count(),
         save=saver,
-    )
+    )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
     wanted = list(names(asked.sets.split(","), asked.n))
     for place in dict.fromkeys(name.split(": ")[0] for name in wanted):

@@ -23,7 +23,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from many_rooms import ROOM, rooms
+from many_rooms import room, rooms
 from short_walks import MAX_DEG, MAX_M, stretches
 
 import magmatch as mm
@@ -31,7 +31,6 @@ from magmatch.data.recordings import load_recordings
 from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
-from magmatch.simulation.scene import SimulatedPair
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
 from magmatch_evaluation.script import arguments, pose_error, timed
 
@@ -125,12 +124,6 @@ def building_survey(number: int) -> mm.Survey:
     return survey.transformed(random_transform(rng))
 
 
-def room(name: str) -> SimulatedPair:
-    """The two surveys of a room: name is ``overlap-SEED``."""
-    percent, seed = map(int, name.split("-"))
-    return mm.simulate("office-random", seed, ROOM.model_copy(update={"overlap": percent / 100}))
-
-
 def simulated_target(number: int, length: float, rng: np.random.Generator) -> tuple[mm.Survey, mm.Survey]:
     """A walk along the middle of a corridor, in the frame of the building's map."""
     building = Building.of(number)
@@ -139,12 +132,6 @@ def simulated_target(number: int, length: float, rng: np.random.Generator) -> tu
     again = np.random.default_rng([1, number])
     building.surveyed(again)
     return walk.transformed(random_transform(again))
-
-
-def second_survey(name: str) -> mm.Survey:
-    """Of a room, in the frame of its map."""
-    pair = room(name)
-    return pair.target.transformed(pair.T_base_target)
 
 
 def among(atlas: mm.Atlas, n: int, name: str, *, is_absent: bool) -> mm.Atlas:
@@ -209,7 +196,9 @@ def main() -> None:
         numbers = rng.choice(asked.buildings - 1, min(asked.simulated, asked.buildings - 1), replace=False)
         targets["simulated"] = ((f"building-{k:03d}.map", simulated_target(int(k), length, rng)) for k in numbers)
         chosen = rng.choice(len(second), min(asked.second, len(second)), replace=False) if second else []
-        targets["rooms"] = ((second[k], second_survey(second[k].removesuffix(".base.map"))) for k in chosen)
+        pairs = ((second[k], room(second[k].removesuffix(".base.map"))) for k in chosen)
+        # In the frame of the room's map.
+        targets["rooms"] = ((name, pair.target.transformed(pair.T_base_target)) for name, pair in pairs)
         for kind, some in targets.items():
             found = [judge(atlas, asked.among, s, name, rng, is_absent=asked.absent) for name, s in some]
             for n, outcomes in zip(asked.among, zip(*found, strict=True), strict=False):

@@ -22,6 +22,7 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.scenario import SimulatedPair
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, pose_error, timed
 from magmatch_evaluation.statistics import wilson_interval
@@ -58,10 +59,15 @@ def map_of(survey: mm.Survey, path: Path) -> mm.FieldMap:
     return load(path)
 
 
-def same_place(name: str, folder: Path) -> dict[str, object]:
-    """Register the two surveys of one room: name is ``overlap-SEED``."""
+def room(name: str) -> SimulatedPair:
+    """The two surveys of a room: name is ``overlap-SEED``."""
     percent, seed = map(int, name.split("-"))
-    pair = mm.simulate("office-random", seed, ROOM.model_copy(update={"overlap": percent / 100}))
+    return mm.simulate("office-random", seed, ROOM.model_copy(update={"overlap": percent / 100}))
+
+
+def same_place(name: str, folder: Path) -> dict[str, object]:
+    """Register the two surveys of one room."""
+    pair = room(name)
     maps = [map_of(getattr(pair, side), folder / f"{name}.{side}.map") for side in ("base", "target")]
     result, _, seconds = timed(mm.register, *maps)
     distance, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
@@ -96,14 +102,14 @@ def crossed(folders: list[Path], n: int, seed: int) -> Iterator[str]:
         block = list(permutations(rng.choice(len(maps), min(BLOCK, len(maps)), replace=False), 2))
         for k in rng.permutation(len(block))[:PAIRS_OF_A_BLOCK]:
             base, target = (maps[side] for side in block[k])
-            if site_of(base) != site_of(target) and n:
+            if site_of(base.name) != site_of(target.name) and n:
                 n -= 1
                 yield f"{base} / {target}"
 
 
-def site_of(path: Path) -> str:
+def site_of(name: str) -> str:
     """Maps of one site may overlap: rooms of one seed, floors of one building, one motion-capture hall."""
-    words = path.name.split(".")[0].split("-")
+    words = name.split(".", maxsplit=1)[0].split("-")
     return {"aalto": "hall", "jidling": "hall"}.get(words[0], "-".join(words[:2]) if words[0] == "cea" else words[-1])
 
 
@@ -143,7 +149,6 @@ def main() -> None:
         __doc__, out=Path, first=8000, rooms=40, pairs=2000, maps=[], jobs=os.cpu_count(), minutes=np.inf,
         save=saver, save_pairs=saver,
     )  # fmt: skip
-    asked.out.mkdir(parents=True, exist_ok=True)
     make, how = partial(work, asked.out), {"jobs": asked.jobs, "minutes": asked.minutes}
     found = kept(asked.out / "rooms.jsonl", rooms(asked.first, asked.rooms), make, **how)
     show(ROOM_COLUMNS, table_of_rooms(found), asked.save, found.values())

@@ -18,8 +18,6 @@ first ended. ``--quick`` takes every eighth pair, ``--pairs`` lists all.
 """
 
 import logging
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache, partial
 from itertools import combinations, product
@@ -28,10 +26,11 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from localize_walks import real_walk, survey_at_truth
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
-from magmatch.data.formats.format import SurveyFormat
 from magmatch.registration.config import RegistrationConfig
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, pose_error, timed
@@ -53,24 +52,12 @@ KINDS = {
 WALKS = [f"inf_{k}" for k in range(1, 10)] + [f"ipin_{r}_{k}" for r, k in product(range(1, 6), range(1, 5))]
 
 
-def files(data: Path, walk: str) -> tuple[Path, Path]:
-    """A walk with its odometry, and its truth."""
-    place, name = walk.split("_", 1)
-    folder, stem = {"inf": ("dodolilo/infcenter", "walk"), "ipin": ("ipin2023/pdr", "route")}[place]
-    return data / folder / f"{stem}{name}.csv", data / folder / f"{stem}{name}_truth.csv"
-
-
 @cache
 def survey(data: Path, out: Path, walk: str) -> mm.Survey:
     """A walk at its true positions; with ``odo-`` before its name, with its own odometry."""
-    sensor = SurveyFormat(field_frame="sensor")
-    if walk.startswith("odo-"):
-        return mm.read_survey(files(data, walk.removeprefix("odo-"))[0], sensor)
-    made = out / f"{walk}.csv"
-    if not made.exists():
-        words = [sys.executable, data / "make_surveys.py", *files(data, walk), made]
-        subprocess.run(list(map(str, words)), check=True)
-    return mm.read_survey(made, sensor)
+    place, name = walk.removeprefix("odo-").split("_", 1)
+    walk_there = {"inf": "walk", "ipin": "route"}[place] + name
+    return real_walk(walk_there, data)[0] if walk.startswith("odo-") else survey_at_truth(walk_there, data, out)
 
 
 def others(walk: str) -> list[str]:
@@ -95,8 +82,6 @@ def map_of(data: Path, out: Path, *walks: str) -> mm.FieldMap:
 
 def shared_path(base: mm.Survey, target: mm.Survey) -> float:
     """How much of the target's path (m) the base passes too."""
-    from scipy.spatial import cKDTree
-
     near = cKDTree(base.positions[:, :2]).query(target.positions[:, :2])[0] < NEAR
     steps = np.linalg.norm(np.diff(target.positions[:, :2], axis=0), axis=1)
     return float(steps[near[1:]].sum())

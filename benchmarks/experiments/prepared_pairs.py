@@ -2,32 +2,44 @@
 
 python benchmarks/experiments/prepared_pairs.py [--seeds 10] [--scenario office-hand-held]
     [--hard-iron-ut 30] [--soft-iron 0.05] [--clock-offset-ms 40] [--spikes 0] [--both] [--spin]
+python benchmarks/experiments/prepared_pairs.py kok/eight jidling/volume [--from FOLDER]
 
 The target is corrupted (with --both the base as well, by errors of its own). Errors are of the best pose, also where
 it was refused; those of the claim are 30 uT, 5 % and 40 ms. With --spin the target's sensor was turned about by hand
 beforehand (500 readings), which a robot that turns about the vertical only cannot do without.
+
+Recordings that are named, and hold orientations, are prepared instead, and their halves registered as recorded and as
+prepared. The truth between halves is the identity, up to the recording's own drift. A sensor is calibrated on the
+whole recording, both halves having the same one; the registration sees either half alone.
 """
 
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
+from magmatch.data.recordings import load_recordings
 from magmatch.preparation.ellipsoid import fit_ellipsoid
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.prepare import prepare
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.simulation.corruption import Corruption, corrupt, draw_corruption
 from magmatch_evaluation.script import arguments, pose_error, timed
+from magmatch_evaluation.survey_pairs import in_halves
 
 
 def main() -> None:
     asked = arguments(
-        __doc__, seeds=10, first=0, scenario="office-hand-held", hard_iron_ut=30.0, soft_iron=0.05,
-        clock_offset_ms=40.0, spikes=0, both=False, spin=False,
+        __doc__, (), recordings=None, seeds=10, first=0, scenario="office-hand-held", hard_iron_ut=30.0,
+        soft_iron=0.05, clock_offset_ms=40.0, spikes=0, both=False, spin=False,
     )  # fmt: skip
+    for name in asked.words:
+        show_halves(name, asked.recordings)
+    if asked.words:
+        return
     print("seed  clean: mm, deg | corrupted: mm, deg | prepared: mm, deg | clock ms, hard uT, soft %: off by | s")
     rows = []
     for seed in range(asked.first, asked.first + asked.seeds):
@@ -38,6 +50,19 @@ def main() -> None:
     accepted = (np.array(rows)[:, [2, 5, 8]] > 0).sum(axis=0)
     print(f"accepted: clean {accepted[0]}, corrupted {accepted[1]}, prepared {accepted[2]} of {len(rows)}")
     print(f"prepared / clean, of the medians: {median[6] / median[0]:.2f} (mm), {median[7] / median[1]:.2f} (deg)")
+
+
+def show_halves(name: str, recordings: Path | None) -> None:
+    """Prepare a recording, and register its second half against the first, from a random frame."""
+    dataset, recording = name.split("/")
+    survey = load_recordings(dataset, recordings)[recording]
+    prepared, report = prepare(survey)
+    print(f"== {name}: {len(survey)} samples\n{report.table()}")
+    for label, s in (("as recorded", survey), ("as prepared", prepared)):
+        pair = in_halves(s, np.random.default_rng(0))
+        result = mm.register(pair.base, pair.target)
+        distance, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
+        print(f"halves {label}: {result.status}, {1e3 * distance:.0f} mm, {np.degrees(angle):.2f} deg", flush=True)
 
 
 def run(seed: int, asked: Namespace) -> list[float]:

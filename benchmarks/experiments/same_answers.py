@@ -2,7 +2,7 @@
 """Whether a change of the code changed an answer: a fixed list of pairs, registered before and after.
 
     python benchmarks/experiments/same_answers.py make PAIRS [--from DIR]     surveys of all pairs, once
-    python benchmarks/experiments/same_answers.py run PAIRS ANSWERS.jsonl     with the code that is installed
+    python benchmarks/experiments/same_answers.py run PAIRS ANSWERS.jsonl [--like TEXT] [--jobs N]
     python benchmarks/experiments/same_answers.py compare BEFORE.jsonl AFTER.jsonl
 
 Rooms of each overlap, other places, walks, tables, corridors, planes, moved sources, corrupted sensors, recordings,
@@ -10,11 +10,11 @@ the published method. Numbers are kept as hexadecimal floats: equal means equal 
 the first ended. ``--like TEXT`` takes the pairs whose name holds it.
 """
 
-import argparse
 import json
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
+from magmatch_evaluation.script import arguments, kept
 
-LOCAL = Path(__file__).resolve().parents[3] / "shared" / "data"
 ROOM = {"room_size": (3.0, 3.0, 0.6), "n_samples": 1500}
 # Statements that do not depend on the clock, the version or the settings' names.
 KEYS = (
     "status", "reason", "T_base_target", "covariance", "probability", "evidence", "overlap", "alternatives",
     "degenerate_directions", "sensor", "residual", "fitness", "inliers", "keypoints", "correspondences", "links",
 )  # fmt: skip
+
+# Pairs that the published method is asked for, too.
+OF_PAPER = {"room-1-0", "room-0.5-1", "nowhere-0", "table-0", "z30-0", "x30-1"}
 
 
 def simulated() -> Iterator[tuple[str, str, int, dict[str, Any]]]:
@@ -130,36 +133,33 @@ def around(walk: mm.Survey, stretch: mm.Survey) -> mm.Survey:
 def exact(value: Any) -> Any:
     """Numbers as hexadecimal, everything below as it is."""
     if isinstance(value, dict):
-        # A reference to a module's name may change with its place.
         return {key: exact(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
         return [exact(v) for v in value]
     return value.hex() if isinstance(value, float) else value
 
 
-def run(folder: Path, answers: Path, like: str, part: str) -> None:
-    """Register every pair that is not in the file yet."""
+def jobs_of(folder: Path) -> Iterator[str]:
+    """Names of the pairs, each with how it is registered: ``PAIR/HOW``."""
     names = sorted(path.name.removesuffix(".base.npz") for path in folder.glob("*.base.npz"))
-    jobs = [(name, "default") for name in names]
-    jobs += [(n, "paper") for n in names if n in {"room-1-0", "room-0.5-1", "nowhere-0", "table-0", "z30-0", "x30-1"}]
-    jobs += [(n, "uncalibrated") for n in names if n.startswith(("raw-", "jidling"))]
-    jobs += [(n, "upright") for n in names if n.startswith(("corridor-", "z30"))]
-    k, n_parts = map(int, part.split("/"))
-    known = {json.loads(line)["name"] for line in answers.read_text().splitlines()} if answers.exists() else set()
-    for name, how in [job for job in jobs if like in "/".join(job)][k::n_parts]:
-        if f"{name}/{how}" in known:
-            continue
-        base, target = (load(folder / f"{name}.{side}.npz") for side in ("base", "target"))
-        start = time.perf_counter()
-        try:
-            document = mm.register(base, target, config_of(how)).to_dict()
-        except Exception as error:
-            document = dict.fromkeys(KEYS) | {"status": "fault", "reason": repr(error)}
-        seconds = time.perf_counter() - start
-        row = {"name": f"{name}/{how}", **{key: exact(document[key]) for key in KEYS}, "took": round(seconds, 3)}
-        with answers.open("a") as stream:
-            stream.write(json.dumps(row) + "\n")
-        print(f"{name}/{how}: {row['status']}, {seconds:.1f} s", file=sys.stderr, flush=True)
+    yield from (f"{name}/default" for name in names)
+    yield from (f"{name}/paper" for name in names if name in OF_PAPER)
+    yield from (f"{name}/uncalibrated" for name in names if name.startswith(("raw-", "jidling")))
+    yield from (f"{name}/upright" for name in names if name.startswith(("corridor-", "z30")))
+
+
+def answer(folder: Path, job: str) -> dict[str, Any]:
+    """Register one pair."""
+    name, how = job.split("/")
+    base, target = (load(folder / f"{name}.{side}.npz") for side in ("base", "target"))
+    start = time.perf_counter()
+    try:
+        document = mm.register(base, target, config_of(how)).to_dict()
+    except Exception as error:
+        document = dict.fromkeys(KEYS) | {"status": "fault", "reason": repr(error)}
+    seconds = time.perf_counter() - start
+    print(f"{job}: {document['status']}, {seconds:.1f} s", file=sys.stderr, flush=True)
+    return {"name": job, **{key: exact(document[key]) for key in KEYS}, "took": round(seconds, 3)}
 
 
 def config_of(how: str) -> mm.RegistrationConfig:
@@ -193,26 +193,16 @@ def compare(before: Path, after: Path) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    making = verbs.add_parser("make")
-    making.add_argument("folder", type=Path)
-    making.add_argument("--from", dest="source", type=Path, default=LOCAL)
-    running = verbs.add_parser("run")
-    running.add_argument("folder", type=Path)
-    running.add_argument("answers", type=Path)
-    running.add_argument("--like", default="")
-    running.add_argument("--part", default="0/1", help="K/N: every Nth pair from the Kth on")
-    comparing = verbs.add_parser("compare")
-    comparing.add_argument("before", type=Path)
-    comparing.add_argument("after", type=Path)
-    arguments = parser.parse_args()
-    if arguments.verb == "make":
-        make(arguments.folder, arguments.source)
-    elif arguments.verb == "run":
-        run(arguments.folder, arguments.answers, arguments.like, arguments.part)
-    else:
-        sys.exit(bool(compare(arguments.before, arguments.after)))
+    asked = arguments(__doc__, (), recordings=None, like="", jobs=1)
+    verb, *places = asked.words
+    paths = [Path(place) for place in places]
+    if verb == "make":
+        make(*paths, asked.recordings)
+    elif verb == "run":
+        folder, answers = paths
+        kept(answers, [job for job in jobs_of(folder) if asked.like in job], partial(answer, folder), jobs=asked.jobs)
+    elif verb == "compare":
+        sys.exit(bool(compare(*paths)))
 
 
 if __name__ == "__main__":

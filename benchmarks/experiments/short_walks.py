@@ -2,7 +2,7 @@
 """Short stretches of one walk through a two-floor building, found in the map of the whole building from another walk.
 
     python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20 10 5] [--tries 100] [--seed 100]
-        [--floors 1 2] [--cut-out] [--spacing M --lengthscale M] [--save NAME]
+        [--floors 1 2] [--cut-out] [--save NAME]
 
 CEA: base = walk one, both floors; targets = stretches of walk two on either floor, each moved by a random SE(3).
 Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
@@ -21,7 +21,6 @@ from scipy.spatial import cKDTree
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.field.config import FieldConfig
 from magmatch.geometry import random_transform, transform_points
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
@@ -131,12 +130,11 @@ def report(floor: int, length: float, outcomes: list[Outcome]) -> list[str]:
 def main() -> None:
     asked = arguments(
         __doc__, recordings=None, lengths=[20.0, 10.0, 5.0], tries=100, seed=100, floors=[1, 2], cut_out=False,
-        spacing=float, lengthscale=float, save=saver,
+        save=saver,
     )  # fmt: skip
     walks = load_recordings("cea", asked.recordings)
     rng = np.random.default_rng(0)
-    field = FieldConfig(spacing=asked.spacing, lengthscale=asked.lengthscale)
-    base_map, mapping, _ = timed(mm.build_map, walks["training"], field)
+    base_map, mapping, _ = timed(mm.build_map, walks["training"])
     walk_index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), CONFIG.walks.search, rng))
     index = MapIndex(walk_index.base, lambda: walk_index)
     print(

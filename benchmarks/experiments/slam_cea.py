@@ -10,16 +10,15 @@ odometry of this kind. Rows stay in the folder of ``--out``; a second run goes o
 """
 
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from slam_scenarios import about_z, drifted
+from slam_scenarios import at_nodes, drifted, nees_of, off_truth, told
 from slam_walks import aligned_rms
 
 import magmatch as mm
-from magmatch.geometry import path_walked
-from magmatch.simulation.paths import heading_along
 from magmatch.slam.config import OdometryConfig
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
@@ -42,27 +41,12 @@ def work(name: str, data: Path) -> dict[str, object]:
         rows = rows[(rows[:, 2] < BETWEEN) == (floor == 1)]
         # One height: what a walker on a floor knows.
         paths.append(rows[:, :3] * [1, 1, 0])
-        logs.append(drifted(paths[-1], rows[:, 3:] * 1e-6, percent, rng))
-        # As its maker states it: of 10 m, per axis.
-        states[f"{walk}.csv"] = (percent / 100 * np.sqrt(path_walked(paths[-1])[-1] * 10 / 2), percent)
-        logs[-1] = mm.Survey(
-            logs[-1].positions, logs[-1].field, logs[-1].times, logs[-1].orientations, name=f"{walk}.csv"
-        )
+        logs.append(replace(drifted(paths[-1], rows[:, 3:] * 1e-6, percent, rng), name=f"{walk}.csv"))
+        states[logs[-1].name] = told(paths[-1], percent)
     config = mm.SlamConfig(odometry=OdometryConfig(sd=states["test.csv"]), sd_of_logs=states)
     session, seconds, _ = timed(mm.slam, logs, config)
-    graph = session.graph
-    # Each node's true pose: its axes are the odometry's.
-    turned = [
-        (log.orientations * about_z(heading_along(path)).inv()).inv() for log, path in zip(logs, paths, strict=True)
-    ]
-    p = np.concatenate([path[one.middles] for path, one in zip(paths, session.paths, strict=True)])
-    R = np.concatenate([turn[one.middles].as_matrix() for turn, one in zip(turned, session.paths, strict=True)])
-    off = [
-        float(np.linalg.norm((R[c.first].T @ (p[c.second] - p[c.first]) - c.T_first_second.translation)[:2]))
-        for c in graph.closures
-    ]
-    survive = sum(o > FAR and c.is_kept for o, c in zip(off, graph.closures, strict=True))
-    group = session.components[0]
+    p, turned = at_nodes(session, paths)
+    off, group = off_truth(session, p, turned), session.components[0]
     after = aligned_rms(
         *(
             np.concatenate([some[k][:, :2] for k in group])
@@ -70,24 +54,20 @@ def work(name: str, data: Path) -> dict[str, object]:
         )
     )
     before = [aligned_rms(log.positions[:, :2], path[:, :2]) for log, path in zip(logs, paths, strict=True)]
-    mine = np.flatnonzero(graph.component() == graph.component()[0])[1:]
-    e = np.einsum("nji,nj->ni", graph.R, graph.p - graph.p[0] - (p - p[0]) @ R[0])[mine, :2]
-    C = graph.marginals()[mine, 3:5, 3:5]
-    nees = float(np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]).mean() / 2)
     return {
         "name": name, "together": len(group) == len(logs), "before": float(np.sqrt(np.mean(np.square(before)))),
-        "after": after, "nees": nees, "closures": len(off), "survive": int(survive), "seconds": seconds,
-        "length": float(sum(one.walked[-1] for one in session.paths)),
+        "after": after, "nees": nees_of(session, p, turned), "closures": len(off),
+        "survive": sum(bool(c.is_kept) for c, apart in zip(session.graph.closures, off, strict=True) if apart > FAR),
+        "seconds": seconds, "length": float(sum(one.walked[-1] for one in session.paths)),
     }  # fmt: skip
 
 
 def main() -> None:
-    asked = arguments(__doc__, data=Path, out=Path, seeds=5, jobs=os.cpu_count(), minutes=float, save=saver)
-    asked.out.mkdir(parents=True, exist_ok=True)
+    asked = arguments(__doc__, data=Path, out=Path, seeds=5, jobs=os.cpu_count(), minutes=np.inf, save=saver)
     groups = [f"{floor} {percent}" for percent in DRIFTS for floor in FLOORS]
     wanted = [f"{group} {seed}" for seed in range(asked.seeds) for group in groups]
     make = partial(work, data=asked.data)
-    rows = kept(asked.out / "cea.jsonl", wanted, make, jobs=asked.jobs, minutes=asked.minutes or np.inf)
+    rows = kept(asked.out / "cea.jsonl", wanted, make, jobs=asked.jobs, minutes=asked.minutes)
     table = []
     for group in groups:
         some = [row for name, row in rows.items() if name.startswith(f"{group} ")]

@@ -1,6 +1,6 @@
 """Surveys of a hall, each in a frame of its own, merged with a stranger among them: who is tied, and how well.
 
-    python benchmarks/experiments/slam_merge.py --out DIR [--first 100] [--seeds 20] [--jobs 2] [--quick]
+    python benchmarks/experiments/slam_merge.py --out DIR [--first 100] [--seeds 20] [--jobs 2]
         [--minutes N] [--save NAME]
 
 A hall 3 m wide; surveys of 3 x 3 x 0.6 m (800 samples, 0.4 uT of noise, any SE(3)) lie 1 to 2.2 m apart along it:
@@ -98,13 +98,10 @@ def off(T: RigidTransform, T_true: RigidTransform) -> float:
 
 
 def main() -> None:
-    asked = arguments(
-        __doc__, out=Path, first=100, seeds=20, jobs=os.cpu_count(), quick=False, minutes=float, save=saver
-    )
-    asked.out.mkdir(parents=True, exist_ok=True)
-    seeds = range(asked.first, asked.first + (2 if asked.quick else asked.seeds))
+    asked = arguments(__doc__, out=Path, first=100, seeds=20, jobs=os.cpu_count(), minutes=np.inf, save=saver)
+    seeds = range(asked.first, asked.first + asked.seeds)
     wanted = [f"{n} {seed}" for seed in seeds for n in SURVEYS]
-    rows = kept(asked.out / "merge.jsonl", wanted, work, jobs=asked.jobs, minutes=asked.minutes or np.inf)
+    rows = kept(asked.out / "merge.jsonl", wanted, work, jobs=asked.jobs, minutes=asked.minutes)
     table = []
     for n in SURVEYS:
         some = [row for name, row in rows.items() if name.split(" ")[0] == str(n)]

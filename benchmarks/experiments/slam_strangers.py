@@ -42,7 +42,6 @@ def work(name: str, data: Path) -> dict[str, object]:
 
 def main() -> None:
     asked = arguments(__doc__, data=Path, out=Path, pairs=24, jobs=os.cpu_count(), save=saver)
-    asked.out.mkdir(parents=True, exist_ok=True)
     make = partial(work, data=asked.data)
     found = list(kept(asked.out / "strangers.jsonl", names(asked.pairs), make, jobs=asked.jobs).values())
     sums = {key: sum(row[key] for row in found) for key in ("windows", "between", "kept")}

@@ -9,16 +9,15 @@ that share a frame. Settings were chosen on infcenter 1-4 and routes 1-3; those 
 Rows stay in the folder of ``--out``; a second run goes on where the first ended.
 """
 
-import csv
 import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from localize_walks import real_walk
 
 import magmatch as mm
-from magmatch.data.formats.format import SurveyFormat
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
 
@@ -37,12 +36,6 @@ def names(sets: list[str]) -> Iterator[str]:
         for folder, walks in PLACES[place]:
             yield from (f"{folder}: {walk}" for walk in walks)
             yield f"{folder}: {' '.join(walks)}"
-
-
-def truth_of(path: Path) -> np.ndarray:
-    """Time, x, y of the true points."""
-    with path.open() as lines:
-        return np.array([[float(row[key]) for key in ("t", "x", "y")] for row in csv.DictReader(lines)])
 
 
 def error(found: list[tuple[np.ndarray, np.ndarray]], truths: list[np.ndarray]) -> float:
@@ -65,11 +58,8 @@ def aligned_rms(x: np.ndarray, y: np.ndarray) -> float:
 
 def work(name: str, data: Path) -> dict[str, object]:
     """One row."""
-    folder, walks = name.split(": ")
-    paths = [data / folder / f"{walk}.csv" for walk in walks.split()]
-    logs = [mm.read_survey(path, SurveyFormat(field_frame="sensor")) for path in paths]
-    truths = [truth_of(path.with_name(f"{path.stem}_truth.csv")) for path in paths]
-    session, _, seconds = timed(mm.slam, logs)
+    logs, truths = zip(*(real_walk(walk, data) for walk in name.split(": ")[1].split()), strict=True)
+    session, _, seconds = timed(mm.slam, list(logs))
     before = [error([(log.times, log.positions)], [truth]) for log, truth in zip(logs, truths, strict=True)]
     found = [(log.times, one.positions) for log, one in zip(logs, session.trajectories, strict=True)]
     largest = session.components[0]
@@ -88,7 +78,6 @@ def is_tuned(name: str) -> bool:
 
 def main() -> None:
     asked = arguments(__doc__, data=Path, out=Path, sets="infcenter,museum", jobs=os.cpu_count(), save=saver)
-    asked.out.mkdir(parents=True, exist_ok=True)
     wanted = list(names(asked.sets.split(",")))
     rows = kept(asked.out / "walks.jsonl", wanted, partial(work, data=asked.data), jobs=asked.jobs)
     found = [rows[name] for name in wanted if name in rows]

@@ -30,13 +30,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from bench_serve import children_of, make_map, resident
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
 
 from drifting import Place, drifting_walk
 from magmatch.serve.messages import read_pose
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments
-from serving import packed, samples, serving, wait_until
+from serving import client, packed, samples, serving, wait_until
 
 TRIES = 2000
 # Samples that a client has sent and has no answer to yet: with one, both would wait for the way there and back.
@@ -64,11 +63,9 @@ class Walker(threading.Thread):
         """Until all is answered, or too many tries failed."""
         rows, done = list(samples(self.log)), -1
         for _ in range(TRIES):
-            with suppress(WebSocketException, OSError, TimeoutError), connect(self.where["live"], proxy=None) as wire:
-                wire.send(
-                    json.dumps({"type": "hello", "answers": "binary"} | ({"key": self.key} if self.key else {}))
-                )
-                welcome = json.loads(wire.recv(timeout=60))
+            talking = client(self.where["service"], self.key, answers="binary")
+            with suppress(WebSocketException, OSError, TimeoutError), talking as one:
+                wire, welcome = one.socket, one.welcome
                 if self.key is not None:
                     self.n_resumed += welcome["resumed"]
                     self.n_anew += not welcome["resumed"]
@@ -160,7 +157,7 @@ def main() -> None:
         memory = Memory(total)
         while any(not w.is_done for w in walkers) and time.monotonic() < until:
             with serving(folder / "hall.map", "--states", folder / "states") as service:
-                where |= {"live": service.live, "service": service}
+                where["service"] = service
                 if not poster.is_alive():
                     poster.start()
                 for walker in walkers:
@@ -249,9 +246,9 @@ def kind_of(pid: int, own: int) -> str | None:
     """What a process of the service does; None of Python's own helpers."""
     if pid == own:
         return SERVICE
-    if b"spawn_main" not in command_of(pid):
-        return None
     with suppress(OSError):
+        if b"spawn_main" not in Path(f"/proc/{pid}/cmdline").read_bytes():
+            return None
         # Those that work on logs let others go first (nice).
         is_worker = os.getpriority(os.PRIO_PROCESS, pid) > os.getpriority(os.PRIO_PROCESS, own)
         return WORKER if is_worker else FOLLOWER
@@ -280,12 +277,6 @@ def watch(service, walkers, total, most, n_before, rng, memory, until, killed) -
             os.kill(victim, signal.SIGKILL)
         wait_until(lambda: service.ask("/health")[0] == 200)
     return n
-
-
-def command_of(pid: int) -> bytes:
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    return b""
 
 
 if __name__ == "__main__":

@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a run found, as Markdown, as one HTML page with figures, and as tables for the page of results."""
 
-import os
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from magmatch._version import __version__
@@ -24,7 +20,7 @@ from magmatch_evaluation.result_tables import (
     refusal_table,
 )
 from magmatch_evaluation.rows import AnyRow, MapRow
-from magmatch_evaluation.saved_table import Saver
+from magmatch_evaluation.saved_table import Saver, this_machine, today
 from magmatch_evaluation.statistics import Summaries, shortfalls, summaries
 
 NOWHERE = "Nowhere in this run."
@@ -139,13 +135,4 @@ def write_text(path: Path, text: str) -> None:
 
 def _versions() -> str:
     """Versions, machine and date on one line."""
-    there = ", ".join(f"{name} {_version(name)}" for name in PACKAGES if _version(name))
-    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    return f"magmatch {__version__}, {there}; {machine}; {date.today().isoformat()}."
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+    return f"magmatch {__version__}; {this_machine(PACKAGES)}; {today()}."

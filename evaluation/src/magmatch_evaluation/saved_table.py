@@ -146,9 +146,9 @@ def typed() -> str:
     return (f"OPENBLAS_NUM_THREADS={threads} " if threads else "") + shlex.join(["python", *kept])
 
 
-def this_machine() -> str:
+def this_machine(packages: Iterable[str] = PACKAGES) -> str:
     """Describe the machine, and the libraries that take the time."""
-    installed = ", ".join(f"{name} {installed_version(name)}" for name in PACKAGES)
+    installed = ", ".join(f"{name} {installed_version(name)}" for name in packages)
     machine = f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}"
     return f"{machine}; Python {platform.python_version()}, {installed}"
 

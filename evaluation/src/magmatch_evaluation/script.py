@@ -89,13 +89,14 @@ def kept(
     jobs: int = 1,
     minutes: float = np.inf,
 ) -> dict[str, dict[str, Any]]:
-    """Rows of all names, in a file of JSON lines: those that it holds are not made again.
+    """Rows of all names, in a file of JSON lines, whose folder is made: those that it holds are not made again.
 
     Each notes the commit it was made of; None where the code has changed since.
     """
     from magmatch_evaluation.parallel import run_all, until
     from magmatch_evaluation.saved_table import clean_commit
 
+    path.parent.mkdir(parents=True, exist_ok=True)
     known = {r["name"]: r for r in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
     wanted, end = list(names), time.monotonic() + 60 * minutes
     try:

@@ -123,4 +123,4 @@ def _flag(survey: str, setting: str) -> str:
 
 
 def _optional(annotation: Any) -> Any:
-    return annotation | None if annotation is not None else None
+    return annotation | None

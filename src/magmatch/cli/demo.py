@@ -2,6 +2,7 @@
 """``magmatch demo``: a registration of small packaged surveys, compared with the truth."""
 
 from importlib.resources import as_file, files
+from json import loads
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -42,7 +43,8 @@ def demo(
     with_help()
     loaded = perf_counter()
     with as_file(files("magmatch.data") / "samples" / "office") as folder:
-        base, target, truth = read_survey(folder / "base.csv"), read_survey(folder / "target.csv"), _truth(folder)
+        base, target = read_survey(folder / "base.csv"), read_survey(folder / "target.csv")
+        truth = loads((folder / "truth.json").read_text())
     settings = PRESETS["default"]
     used, mapped, result = register_keeping_maps(base, target, settings, seed=seed)
     result = with_wait(result, loaded)
@@ -63,13 +65,6 @@ def demo(
     say(tell_result(result, out / "result.json", report))
     say(_compare(result, truth, target))
     return DONE if result.is_accepted else NOT_ACCEPTED
-
-
-def _truth(folder: Path) -> dict[str, Any]:
-    import json
-
-    content: dict[str, Any] = json.loads((folder / "truth.json").read_text())
-    return content
 
 
 def _compare(result: "RegistrationResult", truth: dict[str, Any], target: "Survey") -> str:

@@ -71,11 +71,14 @@ def build(
     ] = None,
 ) -> None:
     """Build a field map from surveys and save it, or add surveys to a saved map."""
+    from magmatch.data.formats.sniff import sniff
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
     from magmatch.field.priors import PRIORS
 
-    is_addition = prior is None and domain is None and config is None and _is_map(surveys[0]) and len(surveys) > 1
+    is_addition = (
+        prior is None and domain is None and config is None and sniff(surveys[0]) == "map" and len(surveys) > 1
+    )
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
     check_outputs((out, report), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
     if report is not None:
@@ -159,12 +162,6 @@ def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> "Fi
         f"Wrote the map to {out}"
     )
     return new
-
-
-def _is_map(path: Path) -> bool:
-    from magmatch.data.formats.sniff import sniff
-
-    return sniff(path) == "map"
 
 
 def parse_domain(text: str) -> tuple[float, ...]:

@@ -28,19 +28,12 @@ class Narrator(logging.Handler):
     are compiled) stay. Warnings are held back while files are read, because a command that fails should print its
     error only. They are printed before the work begins, and those of the work at its end; each is printed once for
     all files concerned.
-
-    Attributes
-    ----------
-    is_verbose : bool
-        Print every message as it comes.
-    is_debugging : bool
-        Show tracebacks.
     """
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.is_verbose = False
-        self.is_debugging = False
+        self.is_verbose = False  # print every message as it comes
+        self.is_debugging = False  # show tracebacks
         self._status: Status | None = None
         self._is_working = False
         # Files and words by kind of warning, held back; kinds and files held back or said.

@@ -61,7 +61,8 @@ def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str
 def require_survey(survey: Any, layout: SurveyFormat | None = None, name: str = "survey") -> None:
     """Raise an error for an impossible survey, from a file (read with the given layout) or from a caller."""
     expect_kind(survey, name, (Survey,), ADVICE)
-    _require_samples(survey)
+    if len(survey) < MIN_SAMPLES:
+        raise _refuse(survey, f"expected at least {MIN_SAMPLES} samples, found {len(survey)}")
     require_part(survey, layout)
     _require_possible_extent(survey, layout)
 
@@ -89,11 +90,6 @@ def time_gaps(survey: Survey) -> Scalars:
 
 def _refuse(survey: Survey, message: str) -> SurveyError:
     return SurveyError(f"{survey.name}: {message}")
-
-
-def _require_samples(survey: Survey) -> None:
-    if len(survey) < MIN_SAMPLES:
-        raise _refuse(survey, f"expected at least {MIN_SAMPLES} samples, found {len(survey)}")
 
 
 def _require_possible_field(survey: Survey, layout: SurveyFormat | None) -> None:

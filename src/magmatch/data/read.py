@@ -6,14 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
 from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.formats.euroc import read_euroc_field
-from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.mat import read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import Sensor
@@ -112,9 +113,7 @@ def read_poses(path: str | Path, format: SurveyFormat | None = None) -> Trajecto
         return recording.trajectory if recording.has_orientations else None
     if layout.trajectory is None:
         return None
-    poses = load_trajectory(layout.trajectory, layout)
-    recording = Recording(Path(path), poses.times[:0], poses.positions[:0], poses)
-    return recording.carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic)).trajectory
+    return with_poses(path, np.zeros(0), np.zeros((0, 3)), layout).trajectory
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
@@ -147,9 +146,9 @@ def _read_phone(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = 
     return _joined(read_phone_recording(path, layout, sensor), layout)
 
 
-def _recording_of_euroc(path: str | Path, layout: SurveyFormat) -> Recording:
+def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
-    return recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor"))
+    return _joined(recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor")), layout)
 
 
 Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
@@ -157,7 +156,7 @@ Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
 # reader here and a signature in `sniff`.
 READERS: Mapping[FileKind, Reader] = {
     "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
-    "euroc": lambda path, layout: _joined(_recording_of_euroc(path, layout), layout),
+    "euroc": _read_euroc,
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
     "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout), layout),
     "phone": _read_phone,

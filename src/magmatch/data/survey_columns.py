@@ -32,6 +32,11 @@ SCHEMA = "magmatch.survey/1"
 FieldFrame = Literal["survey", "sensor"]
 
 
+def wanted_columns(theirs: Mapping[str, str]) -> dict[str, str]:
+    """Our names of all columns of a survey by the file's, which are alike where none is stated."""
+    return {**theirs, **{name: name for name in COLUMNS if name not in theirs.values()}}
+
+
 def survey_arguments(
     table: Table, field_unit: FieldUnit, length_unit: LengthUnit, field_frame: FieldFrame
 ) -> dict[str, Any]:

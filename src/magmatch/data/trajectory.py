@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from magmatch.arguments import column_of, expect_path, expect_rotations, points_of, require_increasing
 from magmatch.data.tables.quaternions import rotations_of
+from magmatch.data.tables.table import Table
 from magmatch.data.tables.tum import read_tum, write_tum
 from magmatch.errors import DataFormatError
 from magmatch.typing import Mask, Points, Scalars
@@ -118,8 +119,12 @@ class Trajectory:
             With the line at fault.
         """
         expect_path(path)
-        table = read_tum(path)
+        return cls.from_table(read_tum(path))
+
+    @classmethod
+    def from_table(cls, table: Table) -> "Trajectory":
+        """Poses of a table's columns, times in s."""
         orientations = rotations_of(table)
         if orientations is None or len(table) < 2:
-            raise DataFormatError(path, f"expected at least two poses, found {len(table)}")
+            raise DataFormatError(table.path, f"expected at least two poses, found {len(table)}")
         return cls(table.columns["t"], table.stack("x", "y", "z"), orientations)

@@ -38,18 +38,11 @@ def look_at(place: Path) -> Listing:
 
 @dataclass(eq=False, slots=True)
 class Catalogue:
-    """The listing that is served, and one that may replace it.
-
-    Attributes
-    ----------
-    served : Listing
-    fault : str or None
-        Why a newer one is not served.
-    """
+    """The listing that is served, and one that may replace it."""
 
     place: Path
     served: Listing
-    fault: str | None = None
+    fault: str | None = None  # why a newer one is not served
     _seen: Listing | None = None
     _refused: set[str] = field(default_factory=set)
 

@@ -29,27 +29,14 @@ class ReplayError(MagmatchError, OSError):
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """What came back of a log.
+    """What came back of a log."""
 
-    Attributes
-    ----------
-    times : (k,) array, s
-        Of the samples at which a pose was stated, and
-    poses : RigidTransform or None
-        those poses, ``T_map_body``.
-    n_answers : int
-    n_errors : int
-        Samples that were refused.
-    status, map : str
-        Of the last answer; no map where none is told.
-    """
-
-    times: np.ndarray
-    poses: RigidTransform | None
+    times: np.ndarray  # (k,), s: of the samples at which a pose was stated
+    poses: RigidTransform | None  # those poses, ``T_map_body``
     n_answers: int
-    n_errors: int
-    status: str
-    map: str | None
+    n_errors: int  # samples that were refused
+    status: str  # of the last answer
+    map: str | None  # of the last answer; None where none is told
 
 
 def live_url(url: str) -> str:

@@ -24,22 +24,10 @@ BACKLOG = 512
 
 
 def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None] = lambda _: None) -> None:
-    """Serve a map or a folder of maps.
+    """Serve a map or a folder of maps; ``on_start`` is told the address once every process is ready.
 
-    Parameters
-    ----------
-    place : path
-        A saved map, or a folder of them.
-    config : ServeConfig
-    on_start : callable
-        Told the address once every process is ready.
-
-    Raises
-    ------
-    DataFormatError
-        No map, or a damaged one.
-    ConfigurationError
-        The address cannot be had.
+    Raises `DataFormatError` where there is no map, or a damaged one; `ConfigurationError` where the address cannot be
+    had.
     """
     listening = _listen(config)
     # Once, before several processes do: a folder's maps are indexed where they are not yet.

@@ -16,9 +16,7 @@ BATCH = 500
 
 def nearest_neighbour(points: Points, field: Vectors, queries: Points) -> Vectors:
     """Field (T) of the nearest sample; points and queries in m."""
-    rows = np.asarray(cKDTree(points).query(queries)[1])
-    nearest: Vectors = field[rows]
-    return nearest
+    return np.asarray(field[cKDTree(points).query(queries)[1]])
 
 
 def inverse_distance(points: Points, field: Vectors, queries: Points) -> Vectors:

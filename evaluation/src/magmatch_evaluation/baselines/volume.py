@@ -67,7 +67,8 @@ def cut_layers(volume: Volume, normal: Vector3, gap: float, max_layers: int) -> 
 
     Neighbouring images lie `gap` (m) apart, wider where there would be too many.
     """
-    T_map_cut = RigidTransform.from_rotation(_looking_along(normal))
+    # Third axis along the normal; of z it is the identity.
+    T_map_cut = RigidTransform.from_rotation(Rotation.align_vectors(normal[None], [[0.0, 0.0, 1.0]])[0])
     local = transform_points(volume.samples, T_map_cut.inv())
     low, high = local.min(axis=0), local.max(axis=0)
     n_layers = int(np.clip((high[2] - low[2]) // gap, 1, max_layers))
@@ -98,11 +99,3 @@ def level_points(volume: Volume, level: float) -> Points:
         at[:, axis] += one / (one - other)
         parts.append(at)
     return transform_points(volume.grid.spacing * np.concatenate(parts), volume.grid.T_map_grid)
-
-
-def _looking_along(normal: Vector3) -> Rotation:
-    """Rotation whose third axis is the normal; of z it is the identity."""
-    other = np.eye(3)[0] if abs(normal[0]) < 0.9 else np.eye(3)[1]
-    y = np.cross(normal, other)
-    y /= np.linalg.norm(y)
-    return Rotation.from_matrix(np.column_stack([np.cross(y, normal), y, normal]))

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import COLUMNS, FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS
+from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
-from magmatch.errors import DataFormatError
 from magmatch.typing import Points
 
 logger = logging.getLogger(__name__)
@@ -23,10 +21,9 @@ logger = logging.getLogger(__name__)
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
-    names = layout.column_names()
-    known = [*names, *(name for name in COLUMNS if name not in names.values())]
+    known = wanted_columns(layout.column_names())
     table = read_table(path, known, recover=layout.recover, advise=_advice, texts=(FRAME_COLUMN,))
-    return survey_of_table(table.renamed(names), layout)
+    return survey_of_table(table.renamed(known), layout)
 
 
 def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
@@ -44,11 +41,6 @@ def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
 
 def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
     """Join field samples with the poses of a trajectory file."""
-    if layout.trajectory is None:
-        message = (
-            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"
-        )
-        raise DataFormatError(table.path, message)
     table.require(["t", *FIELD_COLUMNS], "With a trajectory the samples need times on its clock")
     table.require_increasing("t")
     ignored = [name for name in (*POSITION_COLUMNS, *QUATERNION) if table.has(name)]
@@ -56,14 +48,8 @@ def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
         logger.warning(
             "%s: columns %s are ignored, poses come from %s", table.path, ", ".join(ignored), layout.trajectory
         )
-    return Recording(
-        path=table.path,
-        times=table.columns["t"],
-        field=table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit],
-        trajectory=load_trajectory(layout.trajectory, layout),
-        field_frame=layout.field_frame,
-        poses_from=layout.trajectory,
-    ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))
+    field = table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit]
+    return with_poses(table.path, table.columns["t"], field, layout)
 
 
 def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:

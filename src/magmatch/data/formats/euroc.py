@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.tables.nanoseconds import seconds_of
-from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text import text_blocks
 from magmatch.data.trajectory import Trajectory
@@ -19,11 +18,7 @@ FIELD_COLUMNS = ("t", "bx", "by", "bz")
 
 def read_euroc_trajectory(path: str | Path) -> Trajectory:
     """Read the poses of a ground truth or an estimate."""
-    table = _read(path, POSE_COLUMNS)
-    orientations = rotations_of(table)
-    if orientations is None or len(table) < 2:
-        raise DataFormatError(path, f"expected at least two poses, found {len(table)}")
-    return Trajectory(table.columns["t"], table.stack("x", "y", "z"), orientations)
+    return Trajectory.from_table(_read(path, POSE_COLUMNS))
 
 
 def read_euroc_field(path: str | Path) -> Table:

@@ -5,11 +5,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from magmatch.data.formats.euroc import read_euroc_trajectory
+from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT
 from magmatch.errors import DataFormatError
+from magmatch.typing import Scalars, Vectors
 
 TRAJECTORY_READERS: Mapping[FileKind, Callable[[str | Path], Trajectory]] = {
     "tum": Trajectory.load,
@@ -25,3 +28,18 @@ def load_trajectory(path: str | Path, layout: SurveyFormat) -> Trajectory:
         message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw) or EuRoC"
         raise DataFormatError(path, message)
     return TRAJECTORY_READERS[kind](path).scaled(METRE_PER_UNIT[layout.length_unit])
+
+
+def with_poses(path: str | Path, times: Scalars, field: Vectors, layout: SurveyFormat, hint: str = "") -> Recording:
+    """Field samples (s; T) with the poses of the trajectory file that the layout names."""
+    if layout.trajectory is None:
+        message = "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory"
+        raise DataFormatError(path, f"{message} POSES.tum{hint}")
+    return Recording(
+        path=Path(path),
+        times=times,
+        field=field,
+        trajectory=load_trajectory(layout.trajectory, layout),
+        field_frame=layout.field_frame,
+        poses_from=layout.trajectory,
+    ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))

@@ -10,7 +10,7 @@ import numpy as np
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.mat5 import FREE, MAX_BYTES, MAX_RATIO, Mat5
-from magmatch.data.survey_columns import COLUMNS
+from magmatch.data.survey_columns import wanted_columns
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
@@ -29,7 +29,7 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
     An array is named as it is, ``data.mag`` within a structure; ``mag:2`` is the second column of one with several.
     """
     theirs = layout.column_names()
-    known = theirs | {name: name for name in COLUMNS if name not in theirs.values()}
+    known = wanted_columns(theirs)
     is_v5 = read_bytes(path, 19) == b"MATLAB 5.0 MAT-file"
     with plain_file(path) as place:
         try:

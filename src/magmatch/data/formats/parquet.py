@@ -12,7 +12,7 @@ import numpy as np
 from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import COLUMNS, SCHEMA
+from magmatch.data.survey_columns import SCHEMA, wanted_columns
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
@@ -30,7 +30,7 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     """Read the columns of a survey from a Parquet file."""
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
-        known = _known(layout)
+        known = wanted_columns(layout.column_names())
         wanted = {name: known[name.lower()] for name in names if name.lower() in known}
         if len(set(wanted.values())) < len(wanted):
             raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
@@ -48,7 +48,7 @@ def read_other_columns(
     path: str | Path, layout: SurveyFormat, most: int
 ) -> tuple[Scalars | None, dict[str, Scalars]]:
     """Times (in the file's unit, stamps in s) and the finite number columns that are none of a survey's."""
-    known = _known(layout)
+    known = wanted_columns(layout.column_names())
     columns: dict[str, Scalars] = {}
     with _opened(path) as (file, pa):
         schema, times = file.schema_arrow, None
@@ -82,12 +82,6 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
             raise
         words = " ".join(str(error).split())[:150]
         raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
-
-
-def _known(layout: SurveyFormat) -> dict[str, str]:
-    """Our names of the columns of a survey by the file's, lower case."""
-    theirs = layout.column_names()
-    return theirs | {name: name for name in COLUMNS if name not in theirs.values()}
 
 
 def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scalars]:

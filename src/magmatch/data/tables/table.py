@@ -95,21 +95,11 @@ def read_table(
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
     semicolon, tab, or else white space. Between semicolons or tabs numbers may have decimal commas.
 
-    Parameters
-    ----------
-    known : collection of str
-        Columns to read where present, lower case; others are ignored, whatever they hold.
-    names : sequence of str, optional
-        The columns, for formats without a header row; by default the first row names them.
-    raw : bytes, optional
-        The content, where it is not that of a file of its own (a member of an archive).
-    recover : bool, optional
-        Leave out rows that cannot be read, and say how many, instead of refusing; None where there is no such
-        choice, which messages then do not offer.
-    advise : callable
-        What to do about a file that has none of the columns, from the names it has.
-    texts : collection of str
-        Columns that hold one word for the whole file, read where present.
+    Columns that are not known (lower case) are ignored, whatever they hold; `texts` are those that hold one word for
+    the whole file. `names` are the columns of formats without a header row, `raw` the content of what is no file of
+    its own (a member of an archive). `recover` leaves out rows that cannot be read, and says how many, instead of
+    refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
+    file that has none of the columns, from the names it has.
     """
     reader = _TableReader(path, known, names, recover=recover, advise=advise, texts=texts)
     for block in text_blocks(path, raw):

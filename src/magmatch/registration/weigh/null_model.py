@@ -25,8 +25,8 @@ STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
 ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
 # Range of the field's variance in an overlap relative to that of the whole survey.
 LOCAL_STRENGTHS = np.geomspace(1e-3, 10.0, 17)
-# Share of modes that may disagree although the pose is right (moved objects).
-OUTLIER_SHARE = 0.1
+# Share of modes that objects moved between the surveys may change, although the pose is right.
+CHANGED_MODES = 0.1
 # Variance of what the base may leave unexplained, as a share of the field's.
 UNEXPLAINED = tuple(float(s) for s in np.geomspace(1e-4, 1.0, 17))
 
@@ -118,7 +118,7 @@ class NullModel:
         for share in UNEXPLAINED:
             v = np.minimum(k, 1.0 + share * variance)
             L = np.minimum(b2, 9 * k) / (2 * k) - np.stack([r2, np.zeros_like(r2)]) / (2 * v) + 1.5 * np.log(k / v)
-            L = np.logaddexp(np.log(OUTLIER_SHARE), np.log1p(-OUTLIER_SHARE) + L)
+            L = np.logaddexp(np.log(CHANGED_MODES), np.log1p(-CHANGED_MODES) + L)
             # A mode weaker than the residual variance is no evidence for or against.
             found.append(L[:, v < 0.8 * k].sum(axis=1))
         log_ratio, attainable = logsumexp(found, axis=0) - np.log(len(found))

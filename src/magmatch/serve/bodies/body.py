@@ -24,17 +24,7 @@ NOTHING = Estimate(LocalizerStatus.SEARCHING, "no sample has come yet")
 
 @dataclass(eq=False, slots=True)
 class Body:
-    """A client's body.
-
-    Attributes
-    ----------
-    n : int
-        Samples taken.
-    is_kept : bool
-        Whether its last state is on the disk.
-    left_at : float or None, s
-        When its client left.
-    """
+    """A client's body."""
 
     known: KnownPlaces
     config: LocalizerConfig
@@ -42,11 +32,11 @@ class Body:
     localizer: Localizer | None = None
     name: str = ""
     is_binary: bool = False
-    n: int = 0
+    n: int = 0  # samples taken
     t: float | None = None
     now: Estimate = NOTHING
-    is_kept: bool = True
-    left_at: float | None = None
+    is_kept: bool = True  # whether its last state is on the disk
+    left_at: float | None = None  # s: when its client left
     trail: deque[tuple[float, float, str]] = field(default_factory=lambda: deque(maxlen=MAX_TRAIL))
 
     @classmethod

@@ -21,6 +21,7 @@ from magmatch.viz.figures.plotting import (
     UT_PER_TESLA,
     colorbar,
     described,
+    flat,
     for_display,
     new_plane,
     new_scene,
@@ -60,14 +61,11 @@ def overlap_figure(base_map: FieldMap, compared: Comparison) -> "Figure":
     )
     inside = _seen(cut, compared.positions[compared.is_known], "inside", symbol=TARGET_MARKER, color=TARGET_COLOR)
     outside = _seen(cut, compared.positions[~compared.is_known], "outside", **OUTSIDE_STYLE)
-    a, b, c = ("xyz"[axis] for axis in cut.axes)
-    n_inside, n = int(compared.is_known.sum()), len(compared.rows)
-    figure = new_plane(
+    c, n_inside, n = "xyz"[cut.axes[2]], int(compared.is_known.sum()), len(compared.rows)
+    figure = cut.figure(
         f"Overlap: {n_inside} of {n} samples<br><sub>shaded: where the base map knows the "
         f"field at {cut.words}; samples seen along {c}</sub>",
         [shade, inside, outside],
-        f"{a} (m)",
-        f"{b} (m)",
     )
     return described(
         figure,
@@ -183,6 +181,4 @@ def _band(rows: Indices, low: Scalars, high: Scalars) -> tuple[Scalars, Scalars]
 
 def _seen(cut: Cut, p: Points, name: str, **marker: Any) -> Any:
     """Points of the base frame on the plan."""
-    x, y = for_display(p[:, list(cut.axes[:2])]).T
-    style = {"size": 4, "opacity": 0.7, **marker}
-    return require_plotly().Scatter(x=x, y=y, name=name, mode="markers", marker=style, hoverinfo="x+y+name")
+    return flat(cut.along(p), name=name, marker={"size": 4, "opacity": 0.7, **marker}, hoverinfo="x+y+name")

@@ -21,10 +21,10 @@ from magmatch.viz.figures.plotting import (
     TARGET_COLOR,
     TARGET_MARKER,
     described,
+    flat,
     for_display,
     label,
     lines3d,
-    new_plane,
     new_scene,
     points3d,
     require_plotly,
@@ -101,26 +101,18 @@ def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) 
     p_target = target.positions[thinned(len(target), MAX_SWEPT)]
     lain = [transform_points(p_target, T) for T in poses]
     cut = cut_through(np.concatenate([base.positions, *lain]))
-    axes = list(cut.axes[:2])
-    draw = require_plotly().Scatter
-    x, y = for_display(base.positions[thinned(len(base), MAX_SWEPT)][:, axes]).T
-    dots = {"size": 3, "color": BASE_COLOR, "opacity": 0.35}
-    traces = [draw(x=x, y=y, mode="markers", marker=dots, name=f"base: {label(base.name)}", hoverinfo="skip")]
+    dots, p_base = {"size": 3, "color": BASE_COLOR, "opacity": 0.35}, base.positions[thinned(len(base), MAX_SWEPT)]
+    traces = [flat(cut.along(p_base), marker=dots, name=f"base: {label(base.name)}", hoverinfo="skip")]
     for k, p in enumerate(lain):
         line = {"color": TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": POSE_DASHES[k % len(POSE_DASHES)]}
-        x, y = for_display(_outline(p[:, axes], is_path=has_order(target))).T
-        traces.append(draw(x=x, y=y, mode="lines", line=line, name=f"pose {k + 1}", hoverinfo="name"))
-        x, y = for_display(p[:, axes].mean(axis=0)[None]).T
-        text = {"mode": "text", "text": [f"<b>{k + 1}</b>"], "textfont": {"size": 18, "color": INK}}
-        traces.append(draw(x=x, y=y, hoverinfo="skip", showlegend=False, **text))
+        outline = _outline(cut.along(p), is_path=has_order(target))
+        traces.append(flat(outline, "lines", line=line, name=f"pose {k + 1}", hoverinfo="name"))
+        text = {"text": [f"<b>{k + 1}</b>"], "textfont": {"size": 18, "color": INK}}
+        traces.append(flat(cut.along(p).mean(axis=0)[None], "text", hoverinfo="skip", showlegend=False, **text))
     a, b, c = ("xyz"[axis] for axis in cut.axes)
-    figure = new_plane(
-        f"The target under each pose<br><sub>base frame, seen along {c}; numbers as in the table</sub>",
-        traces, f"{a} (m)", f"{b} (m)",
-    )  # fmt: skip
-    places = "; ".join(
-        f"{k + 1} around {a} {p[:, axes[0]].mean():.2f}, {b} {p[:, axes[1]].mean():.2f} m" for k, p in enumerate(lain)
-    )
+    title = f"The target under each pose<br><sub>base frame, seen along {c}; numbers as in the table</sub>"
+    figure, middles = cut.figure(title, traces), [cut.along(p).mean(axis=0) for p in lain]
+    places = "; ".join(f"{k + 1} around {a} {x:.2f}, {b} {y:.2f} m" for k, (x, y) in enumerate(middles))
     return described(figure, f"Plan of the base with the outline of the target under each pose: {places}.")
 
 

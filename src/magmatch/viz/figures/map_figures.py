@@ -16,7 +16,7 @@ from magmatch.viz.figures.plotting import (
     SPREAD_SCALE,
     UT_PER_TESLA,
     described,
-    for_display,
+    flat,
     label,
     magnitude_ut,
     new_plane,
@@ -62,13 +62,9 @@ def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
     """Standard deviation of a component on a cut, with the samples nearest to it."""
     p = field_map.survey.positions
     sd, is_known = UT_PER_TESLA * sd, field_map.knows(cut.points)
-    a, b, normal = cut.axes
-    nearest = np.argsort(np.abs(p[:, normal] - cut.height), kind="stable")[:MAX_MARKED]
-    x, y = for_display(p[nearest][:, [a, b]]).T
-    marks = require_plotly().Scatter(
-        x=x, y=y, mode="markers", marker={"size": 3, "color": PAPER, "line": {"color": INK, "width": 0.7}},
-        name="samples", hoverinfo="skip",
-    )  # fmt: skip
+    nearest = np.argsort(np.abs(p[:, cut.axes[2]] - cut.height), kind="stable")[:MAX_MARKED]
+    circles = {"size": 3, "color": PAPER, "line": {"color": INK, "width": 0.7}}
+    marks = flat(cut.along(p[nearest]), marker=circles, name="samples", hoverinfo="skip")
     limits = common_limits(sd[is_known])
     note = f"; circles: the {len(nearest)} samples nearest to the cut"
     return slice_figure("Standard deviation of a component", cut, sd, is_known, limits, SPREAD_SCALE, [marks], note)
@@ -78,9 +74,8 @@ def coverage_figure(coverage: Coverage) -> "Figure":
     """Cumulative distribution of the standard deviation over the known part."""
     sd = UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
     share = np.linspace(0, 1, len(sd))
-    go = require_plotly()
     line = {"color": BASE_COLOR, "width": 2.5}
-    curve = go.Scatter(x=for_display(sd), y=for_display(share), mode="lines", line=line, showlegend=False)
+    curve = flat(np.column_stack([sd, share]), "lines", line=line, showlegend=False)
     figure = new_plane(
         "Uncertainty over the known part<br><sub>share of the known volume with a smaller standard deviation</sub>",
         [curve], "standard deviation of a component (uT)", "share", is_equal=False,

@@ -66,11 +66,21 @@ def points3d(p: Points, **style: Any) -> Any:
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="markers", **style)
 
 
+def between(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Points of one line per row, as a single trace: rows are parted by gaps."""
+    return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, starts.shape[1])
+
+
 def lines3d(starts: Points, ends: Points, **style: Any) -> Any:
-    """One line per row, as a single trace (rows are parted by gaps)."""
-    gaps = np.full_like(starts, np.nan)
-    x, y, z = for_display(np.stack([starts, ends, gaps], axis=1).reshape(-1, 3)).T
+    """One line per row in space."""
+    x, y, z = for_display(between(starts, ends)).T
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="lines", hoverinfo="skip", **style)
+
+
+def flat(p: np.ndarray, mode: str = "markers", **style: Any) -> Any:
+    """Markers or lines at (n, 2) places of a flat figure."""
+    x, y = for_display(p).T
+    return require_plotly().Scatter(x=x, y=y, mode=mode, **style)
 
 
 def described(figure: "Figure", words: str) -> "Figure":

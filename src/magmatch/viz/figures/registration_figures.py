@@ -23,8 +23,10 @@ from magmatch.viz.figures.plotting import (
     TARGET_COLOR,
     TARGET_MARKER,
     UT_PER_TESLA,
+    between,
     colorbar,
     described,
+    flat,
     for_display,
     label,
     lines3d,
@@ -36,7 +38,6 @@ from magmatch.viz.figures.plotting import (
     thinned,
 )
 from magmatch.viz.figures.slices import (
-    Cut,
     common_limits,
     cut_through,
     field_on,
@@ -136,7 +137,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     rows = thinned(n_links, MAX_LINKS_ACROSS)
     limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
     cuts = [cut_through(m.survey.positions) for m in (base_map, target_map)]
-    ends = [_on_cut(cut, p[rows]) for cut, p in zip(cuts, (result.links.base, result.links.target), strict=True)]
+    ends = [cut.along(p[rows]) for cut, p in zip(cuts, (result.links.base, result.links.target), strict=True)]
     width = max(np.ptp(cuts[0].first), np.ptp(cuts[1].first))
     shift = np.array(
         [cuts[0].first[-1] - cuts[1].first[0] + 0.15 * width, cuts[0].second.mean() - cuts[1].second.mean()]
@@ -200,20 +201,12 @@ def drawn_words(*surveys: Survey) -> str:
     return ", ".join(words) or "all samples drawn"
 
 
-def _on_cut(cut: Cut, p: Points) -> np.ndarray:
-    """The two coordinates along a cut."""
-    return p[:, list(cut.axes[:2])]
-
-
 def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
     """Dark dots on a white line, which show on any colour."""
-    gaps = np.full_like(starts, np.nan)
-    x, y = for_display(np.stack([starts, ends, gaps], axis=1).reshape(-1, 2)).T
     halo, line = {"color": PAPER, "width": 2.5}, {"color": INK, "width": 1.5, "dash": "dot"}
-    draw = require_plotly().Scatter
     return [
-        draw(x=x, y=y, mode="lines", line=halo, hoverinfo="skip", showlegend=False),
-        draw(x=x, y=y, mode="lines", line=line, hoverinfo="skip", name="links"),
+        flat(between(starts, ends), "lines", line=halo, hoverinfo="skip", showlegend=False),
+        flat(between(starts, ends), "lines", line=line, hoverinfo="skip", name="links"),
     ]
 
 

@@ -16,13 +16,14 @@ from magmatch.viz.figures.plotting import (
     INK,
     LINK_COLOR,
     TARGET_COLOR,
+    between,
     colorbar,
     described,
+    flat,
     for_display,
     label,
     magnitude_ut,
     new_plane,
-    require_plotly,
     thinned,
 )
 from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, magnitude_slice
@@ -63,19 +64,14 @@ def session_figures(session: Session, component: int) -> "list[Figure]":
 def weakness_figure(session: Session) -> "Figure":
     """Standard deviation of the position along each log, relative to the first node of its frame."""
     traces, worst = [], 0.0
-    go = require_plotly()
     for k, path in enumerate(session.paths):
         nodes = path.nodes[thinned(len(path.windows), MAX_NODES)]
         sd = np.array([place for place, _ in session.standard_deviations(nodes)])
         walked = path.walked[path.middles[nodes - path.first_node]]
         worst = max(worst, float(sd.max()))
         line = {"color": (BASE_COLOR, TARGET_COLOR)[k % 2], "width": 2, "dash": DASHES[k // 2 % len(DASHES)]}
-        traces.append(
-            go.Scatter(
-                x=for_display(walked), y=for_display(sd), mode="lines+markers", line=line, marker={"size": 5},
-                name=label(session.names[k]),
-            )
-        )  # fmt: skip
+        name, marker = label(session.names[k]), {"size": 5}
+        traces.append(flat(np.column_stack([walked, sd]), "lines+markers", line=line, marker=marker, name=name))
     figure = new_plane(
         "Where the graph is weak<br><sub>standard deviation of the place against the frame's first node</sub>",
         traces, "path walked (m)", "m", is_equal=False,
@@ -87,11 +83,9 @@ def weakness_figure(session: Session) -> "Figure":
 def _before(
     session: Session, cut: Cut, logs: list[int], before: list[Points], limits: tuple[float, float]
 ) -> "Figure":
-    go, (a, b, _) = require_plotly(), cut.axes
     traces = []
     for k, p in zip(logs, before, strict=True):
         rows = thinned(len(p))
-        x, y = for_display(p[rows][:, [a, b]]).T
         marker = {
             "size": 4,
             "color": for_display(magnitude_ut(session.given[k].field[rows])),
@@ -101,25 +95,21 @@ def _before(
             "showscale": k == logs[0],
             "colorbar": colorbar("uT"),
         }
-        traces.append(go.Scatter(x=x, y=y, mode="markers", marker=marker, name=label(session.names[k])))
+        traces.append(flat(cut.along(p[rows]), marker=marker, name=label(session.names[k])))
     as_given = "as surveyed" if session.is_rigid else "as odometry has them"
-    figure = new_plane(
-        f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces,
-        f"{'xyz'[a]} (m)", f"{'xyz'[b]} (m)",
-    )  # fmt: skip
+    figure = cut.figure(f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces)
     figure.update_layout(showlegend=False)
     return described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
 
 
 def _line(cut: Cut, p: Points, name: str, color: str, n: int) -> Any:
-    x, y = for_display(p[thinned(len(p))][:, list(cut.axes[:2])]).T
     style = {"color": color, "width": 1.2, "dash": DASHES[n % len(DASHES)]}
-    return require_plotly().Scatter(x=x, y=y, mode="lines", line=style, name=label(name), hoverinfo="name")
+    return flat(cut.along(p[thinned(len(p))]), "lines", line=style, name=label(name), hoverinfo="name")
 
 
 def _closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
     """Lines between the nodes that closures tie."""
-    go, graph, found = require_plotly(), session.graph, []
+    graph, found = session.graph, []
     for kept, color, dash in ((True, TARGET_COLOR, "solid"), (False, LINK_COLOR, "dash")):
         pairs = [
             (c.first, c.second) for c in graph.closures if c.is_kept == kept and int(graph.log[c.second]) in logs
@@ -127,14 +117,11 @@ def _closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
         if not pairs:
             continue
         i, j = np.array(pairs).T
-        rows = np.stack([graph.p[i], graph.p[j], np.full((len(i), 3), np.nan)], axis=1).reshape(-1, 3)
-        x, y = for_display(rows[:, list(cut.axes[:2])]).T
+        rows = cut.along(between(graph.p[i], graph.p[j]))
         name = "closure" if kept else "rejected closure"
         style = {"color": color, "width": 2.5, "dash": dash}
         marker = {"size": 6, "color": color}
-        found.append(
-            go.Scatter(x=x, y=y, mode="lines+markers", line=style, marker=marker, name=name, hoverinfo="name")
-        )
+        found.append(flat(rows, "lines+markers", line=style, marker=marker, name=name, hoverinfo="name"))
     return found
 
 
@@ -150,9 +137,8 @@ def _ellipses(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
         values, directions = np.linalg.eigh(C[np.ix_(axes, axes)])
         rows += [(directions * np.sqrt(values.clip(0))) @ circle + session.graph.p[node, axes][:, None]]
         rows += [np.full((2, 1), np.nan)]
-    x, y = for_display(np.concatenate(rows, axis=1))
     name, line = "95 % of where a node may be", {"color": BASE_COLOR, "width": 1}
-    return [require_plotly().Scatter(x=x, y=y, mode="lines", line=line, name=name, hoverinfo="name")]
+    return [flat(np.concatenate(rows, axis=1).T, "lines", line=line, name=name, hoverinfo="name")]
 
 
 def _fixed_points(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
@@ -161,8 +147,7 @@ def _fixed_points(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
     if fixed is None or not (rows := np.isin(graph.log[fixed.one], logs)).any():
         return []
     at, off = fixed.position[rows], graph.off_fixed()[rows]
-    ends = np.stack([at, at + off, np.full_like(at, np.nan)], axis=1).reshape(-1, 3)
-    x, y = for_display(ends[:, list(cut.axes[:2])]).T
     marker = {"size": [9, 0, 0] * len(at), "color": INK, "symbol": "diamond"}
     style = {"color": INK, "width": 2}
-    return [require_plotly().Scatter(x=x, y=y, mode="lines+markers", line=style, marker=marker, name="fixed point")]
+    ends = cut.along(between(at, at + off))
+    return [flat(ends, "lines+markers", line=style, marker=marker, name="fixed point")]

@@ -16,6 +16,7 @@ from magmatch.viz.figures.plotting import (
     PAPER,
     colorbar,
     described,
+    flat,
     for_display,
     magnitude_ut,
     new_plane,
@@ -45,6 +46,14 @@ class Cut:
     def words(self) -> str:
         """Where the plane lies."""
         return f"{'xyz'[self.axes[2]]} = {round(self.height, 2) + 0.0:.2f} m"
+
+    def along(self, p: np.ndarray) -> np.ndarray:
+        """The two coordinates of points (n, 3) along the plane."""
+        return p[:, list(self.axes[:2])]
+
+    def figure(self, title: str, traces: list[Any]) -> "Figure":
+        """Put traces into a figure of the plane."""
+        return new_plane(title, traces, *(f"{'xyz'[axis]} (m)" for axis in self.axes[:2]))
 
 
 def cut_through(p: Points) -> Cut:
@@ -101,13 +110,8 @@ def slice_figure(
     note: str = "",
 ) -> "Figure":
     """Draw numbers in uT over a cut, with marks on it that a note explains."""
-    names = ["xyz"[axis] for axis in cut.axes]
-    figure = new_plane(
-        f"{title}<br><sub>{cut.words}{note}</sub>",
-        [heatmap(cut, values, is_known, limits, scale), *marks],
-        f"{names[0]} (m)",
-        f"{names[1]} (m)",
-    )
+    traces = [heatmap(cut, values, is_known, limits, scale), *marks]
+    figure = cut.figure(f"{title}<br><sub>{cut.words}{note}</sub>", traces)
     figure.update_layout(showlegend=False)
     known = values[is_known]
     spread = (
@@ -126,8 +130,7 @@ def magnitude_slice(
 def hollow_marks(p: np.ndarray, name: str, symbol: str) -> Any:
     """Marks at (n, 2) places: white with a dark rim, so that they show on any colour."""
     marker = {"size": 8, "symbol": symbol, "color": PAPER, "line": {"color": INK, "width": 1.5}}
-    x, y = for_display(p).T
-    return require_plotly().Scatter(x=x, y=y, name=name, mode="markers", marker=marker, hoverinfo="name+x+y")
+    return flat(p, name=name, marker=marker, hoverinfo="name+x+y")
 
 
 def common_limits(*parts: Scalars) -> tuple[float, float]:

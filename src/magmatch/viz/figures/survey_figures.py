@@ -16,13 +16,13 @@ from magmatch.viz.figures.plotting import (
     UT_PER_TESLA,
     colorbar,
     described,
+    flat,
     for_display,
     label,
     magnitude_ut,
     new_plane,
     new_scene,
     points3d,
-    require_plotly,
     thinned,
 )
 from magmatch.viz.figures.slices import common_limits
@@ -70,9 +70,7 @@ def profile_figure(survey: Survey) -> "Figure":
     drawn = [*zip(("bx", "by", "bz"), field.T, strict=True), ("|B|", np.linalg.norm(field, axis=1))]
     styles = ((BASE_COLOR, "solid"), (TARGET_COLOR, "dash"), (LINK_COLOR, "dot"), (INK, "dashdot"))
     traces = [
-        require_plotly().Scatter(
-            x=for_display(along), y=for_display(values), name=name, mode="lines", line={"color": color, "dash": dash}
-        )
+        flat(np.column_stack([along, values]), "lines", name=name, line={"color": color, "dash": dash})
         for (name, values), (color, dash) in zip(drawn, styles, strict=True)
     ]
     x_title = "sample" if survey.times is None else "time since the first sample (s)"

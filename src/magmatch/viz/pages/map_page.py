@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from magmatch._version import __version__
 from magmatch.data.order import has_order
@@ -19,14 +18,13 @@ from magmatch.viz.figures.slices import cut_through
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages.page import (
     Section,
+    again,
     columns,
-    details,
     figure_row,
     note,
     paragraph,
     subheading,
     table,
-    to_copy,
     write_page,
 )
 
@@ -52,8 +50,8 @@ def write_map_report(
 
     `read` holds the surveys as read (map frame), to show which samples were left out; `command` reproduces the map.
     """
-    again = _again(field_map, command)
-    write_page(path, f"magmatch: map of {field_map.survey.name}", [*map_sections(field_map, read), again])
+    sections = [*map_sections(field_map, read), _again(field_map, command)]
+    write_page(path, f"magmatch: map of {field_map.survey.name}", sections)
 
 
 def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Section]:
@@ -179,16 +177,8 @@ def _number(name: str, value: float) -> str:
 def _again(field_map: FieldMap, command: str | None) -> Section:
     names = [part.name for part in field_map.surveys]
     command = command or f"magmatch map {shlex.join(names)} --config settings.yaml --out MAP"
-    settings = field_map.config.model_dump(mode="json", exclude={"comparison"})
-    text = yaml.safe_dump({"field": settings}, sort_keys=False)
     words = (
         f"magmatch {__version__}. The same surveys and settings give the same map. Settings: save as settings.yaml."
     )
-    return Section(
-        "Reproduce this map",
-        [
-            paragraph(words),
-            to_copy("command", command, is_wrapped=True),
-            details("settings.yaml", to_copy("settings", text)),
-        ],
-    )
+    settings = {"field": field_map.config.model_dump(mode="json", exclude={"comparison"})}
+    return again("Reproduce this map", words, command, settings)

@@ -9,14 +9,16 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import yaml
 
 from magmatch.atomic import atomic_write
 from magmatch.glossary import terms
@@ -123,6 +125,14 @@ def to_copy(name: str, text: str, *, is_wrapped: bool = False) -> str:
 def details(summary: str, html: str, *, is_open: bool = False) -> str:
     """What is opened on demand."""
     return f"<details{' open' if is_open else ''}><summary>{escape(summary)}</summary>{html}</details>"
+
+
+def again(title: str, words: str, command: str | None, settings: Mapping[str, Any], *more: str) -> Section:
+    """How to get the same once more: words, the command, further blocks, and the settings, folded."""
+    text = yaml.safe_dump(settings, sort_keys=False, width=100)
+    blocks = [paragraph(words)] if words else []
+    blocks += [] if command is None else [to_copy("command", command, is_wrapped=True)]
+    return Section(title, [*blocks, *more, details("settings.yaml", to_copy("settings", text))])
 
 
 def _terms_of(sections: Sequence[Section]) -> list[Section]:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
 from magmatch.viz.figures.registration_figures import (
@@ -30,12 +31,12 @@ from magmatch.viz.pages.page import (
     write_page,
 )
 from magmatch.viz.pages.registration_tables import (
-    again,
     answer_words,
     certainty,
     figures_table,
     free_directions,
     other_poses,
+    reproduced,
     transform_table,
 )
 from magmatch.viz.verdict import MEANING, headline, next_steps
@@ -55,7 +56,7 @@ def write_report(
     """
     sections = [_answer(result)]
     if base is not None and target is not None:
-        base_survey, target_survey = _survey(base), _survey(target)
+        base_survey, target_survey = survey_of(base), survey_of(target)
         sections.append(Section("In space", [figure_row(scene_figures(base_survey, target_survey, result))]))
         sections += _field(base, target, result)
         sections += _agreement(base, target, result)
@@ -64,15 +65,11 @@ def write_report(
     else:
         sections += certainty(result, None)
     sections += other_poses(result, base, target)
-    sections.append(
-        Section("In numbers", [columns([transform_table(result)], [figures_table(result)]), *_time(result)])
-    )
-    sections.append(again(result, command))
+    in_numbers, figure = [columns([transform_table(result)], [figures_table(result)])], time_figure(result)
+    in_numbers += [] if figure is None else [details("Time per stage", figure_row([figure]))]
+    sections.append(Section("In numbers", in_numbers))
+    sections.append(reproduced(result, command))
     write_page(path, _title(result), sections)
-
-
-def _survey(read: Survey | FieldMap) -> Survey:
-    return read.survey if isinstance(read, FieldMap) else read
 
 
 def _title(result: RegistrationResult) -> str:
@@ -116,7 +113,7 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
         words = "This needs a map of the base. None could be made: too few samples, or settings of another version."
         return [Section(title, [note(words)])]
     compared = compare(base, target, T_base_target, result)
-    n, n_all = len(compared.rows), len(_survey(target))
+    n, n_all = len(compared.rows), len(survey_of(target))
     words = f"Based on {n} of the target's {n_all} samples, evenly chosen. " if n < n_all else ""
     if not result.is_accepted:
         words += "The pose is the best candidate, which was not accepted. "
@@ -131,11 +128,6 @@ def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: Regis
             f"{n_known} samples exceed {LARGEST_ORDINARY:.1f}; 1 in 1000 would by chance."
         )
     blocks = [paragraph(words), figure_row(agreement_figures(base, compared))]
-    if compared.rms is not None and has_order(_survey(target)):
+    if compared.rms is not None and has_order(survey_of(target)):
         blocks.append(figure_row([along_figure(compared)]))
     return [Section(title, blocks)]
-
-
-def _time(result: RegistrationResult) -> list[str]:
-    figure = time_figure(result)
-    return [] if figure is None else [details("Time per stage", figure_row([figure]))]

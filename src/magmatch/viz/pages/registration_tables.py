@@ -4,7 +4,6 @@
 import shlex
 
 import numpy as np
-import yaml
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
@@ -15,7 +14,7 @@ from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure
 from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.residuals import compare
-from magmatch.viz.pages.page import Section, details, figure_row, note, paragraph, table, to_copy, with_terms
+from magmatch.viz.pages.page import Section, again, details, figure_row, note, paragraph, table, with_terms
 from magmatch.viz.verdict import percent
 
 # Other poses that are listed, and samples that give their numbers.
@@ -158,7 +157,7 @@ def other_poses(
     return [Section("Other poses", blocks)]
 
 
-def again(result: RegistrationResult, command: str | None) -> Section:
+def reproduced(result: RegistrationResult, command: str | None) -> Section:
     """Command, inputs and settings that reproduce the result."""
     names = [str(entry.get("name", "?")) for entry in result.inputs]
     if command is None:
@@ -168,19 +167,12 @@ def again(result: RegistrationResult, command: str | None) -> Section:
         [name, str(entry.get("sha256", entry.get("SHA-256", "")))]
         for name, entry in zip(names, result.inputs, strict=False)
     ]
-    settings = yaml.safe_dump(result.config, sort_keys=False, width=100)
-    return Section(
-        "Reproduce this result",
-        [
-            paragraph(
-                f"magmatch {result.version}, seed {result.seed}. The same input, settings and seed give the same "
-                "transform. Save the settings below as settings.yaml, or pass the result file itself to --config."
-            ),
-            to_copy("command", command, is_wrapped=True),
-            table(inputs, ["input", "SHA-256"]) if inputs else "",
-            details("settings.yaml", to_copy("settings", settings)),
-        ],
+    words = (
+        f"magmatch {result.version}, seed {result.seed}. The same input, settings and seed give the same "
+        "transform. Save the settings below as settings.yaml, or pass the result file itself to --config."
     )
+    listed = [table(inputs, ["input", "SHA-256"])] if inputs else []
+    return again("Reproduce this result", words, command, result.config, *listed)
 
 
 def turn_words(T: RigidTransform) -> str:

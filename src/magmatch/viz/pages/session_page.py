@@ -5,20 +5,17 @@ from math import degrees
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.session import Session
 from magmatch.viz.figures.session_figures import session_figures, weakness_figure
 from magmatch.viz.pages.page import (
     Section,
+    again,
     bullets,
-    details,
     figure_row,
     note,
-    paragraph,
     table,
-    to_copy,
     verdict,
     write_page,
 )
@@ -54,7 +51,8 @@ def write_session_report(path: str | Path, session: Session, result: SlamResult,
         sections.append(_closures(result))
     if result.anchors:
         sections.append(_anchors(result))
-    sections.append(_again(result, command))
+    words = f"magmatch {result.version}. Same inputs and settings give the same result. Save them as settings.yaml."
+    sections.append(again("Run it again", words, command, result.config))
     write_page(path, "magmatch: " + ", ".join(session.names), sections)
 
 
@@ -110,12 +108,3 @@ def _anchors(result: SlamResult) -> Section:
         "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log."
     )
     return Section("Fixed points", [note(words), table(rows, ["log", "at", "off by", "stated sd"])])
-
-
-def _again(result: SlamResult, command: str) -> Section:
-    words = f"magmatch {result.version}. Same inputs and settings give the same result. Save them as settings.yaml."
-    settings = to_copy("settings", yaml.safe_dump(result.config, sort_keys=False))
-    return Section(
-        "Run it again",
-        [paragraph(words), to_copy("command", command, is_wrapped=True), details("settings.yaml", settings)],
-    )

@@ -3,12 +3,10 @@
 
 from pathlib import Path
 
-import yaml
-
 from magmatch.localization.result import LocalizationResult, LocalizationStatus
 from magmatch.localization.track import Track
 from magmatch.viz.figures.track_figures import path_figure, status_figure
-from magmatch.viz.pages.page import Section, bullets, details, figure_row, table, to_copy, verdict, write_page
+from magmatch.viz.pages.page import Section, again, bullets, figure_row, table, verdict, write_page
 
 # Most parts listed one by one, the longest.
 MAX_LISTED = 40
@@ -45,6 +43,5 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     ]
     columns = ["from (s)", "for", "status", "map", "why"]
     sections.append(Section("Along the log", [figure_row([status_figure(track)]), table(rows, columns)]))
-    settings = to_copy("settings", yaml.safe_dump(result.config, sort_keys=False))
-    sections.append(Section("Run it again", [details("settings.yaml", settings)]))
+    sections.append(again("Run it again", "", None, result.config))
     write_page(path, f"magmatch: {track.log.name}", sections)

@@ -49,11 +49,8 @@ def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[
     tables = [name for name in names if name.lower().endswith((".csv", ".csv.gz")) and not is_hidden(name)]
     known = sorted((name for name in tables if stem_of(name) in MEMBERS), key=lambda n: (order.index(stem_of(n)), n))
     others = [name for name in tables if stem_of(name) not in MEMBERS and "meta" not in Path(name).parts]
-    return known + [name for name in others[:MAX_LOOKED_INTO] if _says_its_sensor(name, head_of(name))]
-
-
-def _says_its_sensor(name: str, head: bytes) -> bool:
-    return says_its_sensor(head.decode("utf-8-sig", "replace").partition("\n")[0].strip(), stem_of(name))
+    headers = {name: head_of(name).decode("utf-8-sig", "replace") for name in others[:MAX_LOOKED_INTO]}
+    return known + [n for n, head in headers.items() if says_its_sensor(head.partition("\n")[0].strip(), stem_of(n))]
 
 
 def is_hidden(name: str) -> bool:

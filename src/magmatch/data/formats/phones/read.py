@@ -6,9 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import get_args
 
-from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.load_trajectory import load_trajectory
+from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.phones.containers import opened_tables
 from magmatch.data.formats.phones.getsensordata import APP, is_getsensordata, read_getsensordata
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
@@ -81,17 +80,6 @@ def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor 
             )
         log = raw
     stream = log.require(sensor or "field", "a survey")
-    if layout.trajectory is None:
-        message = (
-            "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory POSES.tum"
-            " ('magmatch odometry' makes one from accelerometer and gyroscope)"
-        )
-        raise DataFormatError(path, message)
-    return Recording(
-        path=Path(path),
-        times=stream.times,
-        field=stream.values / MICROTESLA * TESLA_PER_UNIT[layout.field_unit],
-        trajectory=load_trajectory(layout.trajectory, layout),
-        field_frame=layout.field_frame,
-        poses_from=layout.trajectory,
-    ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))
+    field = stream.values / MICROTESLA * TESLA_PER_UNIT[layout.field_unit]
+    hint = " ('magmatch odometry' makes one from accelerometer and gyroscope)"
+    return with_poses(path, stream.times, field, layout, hint)
