@@ -122,7 +122,9 @@ def test_where_positions_follow_a_path_odometry_is_asked_about_once_and_whose():
     assert "magmatch slam" in both
     reason = "the best pose has probability 0.6, other poses 0.4 together; survey more of the surroundings"
     for status, is_told in ((Status.AMBIGUOUS, True), (Status.INCONSISTENT, True), (Status.UNINFORMATIVE, False)):
-        advised = with_advice(RegistrationResult(status, reason, None), {"base": path, "target": path}, UPRIGHT).reason
+        advised = with_advice(
+            RegistrationResult(status, reason, None), {"base": path, "target": path}, UPRIGHT
+        ).reason
         assert (both in advised) is is_told
         assert len([s for s in re.split(r"[.;!?](?:\s|$)", advised) if s]) <= 4
         assert ("survey more of it" in advised) is (status is Status.INCONSISTENT)
