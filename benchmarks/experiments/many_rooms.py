@@ -22,7 +22,7 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.scenario import SimulatedPair
+from magmatch.simulation.scene import SimulatedPair
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, pose_error, timed
 from magmatch_evaluation.statistics import wilson_interval

@@ -12,7 +12,8 @@ Walks *with their own odometry* drift; their true pose is the best fit of the od
 
 Right: within 0.5 m (museum: 1 m) and 3 degrees or two stated standard deviations; wrong: accepted more than 1.5 m or
 8 degrees off, or between different places. *Best candidate right*: the first pose, accepted or not, within 0.5 m
-(1 m) and 8 degrees: headings are known so well. With odometry right is within three stated standard deviations.
+(1 m) and 8 degrees: headings are known so well. With odometry right is within three stated standard deviations,
+or refused with a reason that names drift: found in the halves of the walk, or as a question.
 Maps of bases are made before, once, and are not in the seconds. Rows stay in FOLDER, a second run goes on where the
 first ended. ``--quick`` takes every eighth pair, ``--pairs`` lists all.
 """
@@ -32,6 +33,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.weigh.bend import DRIFTS
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, pose_error, timed
 
@@ -167,6 +169,7 @@ class Row:
             far = not within
         self.is_wrong = bool(self.is_accepted and (far or self.kind == "other"))
         self.names_drift = not self.is_accepted and "drift" in self.reason
+        self.finds_drift = not self.is_accepted and DRIFTS in self.reason
 
 
 def table(rows: list[Row]) -> list[list[str]]:
@@ -182,6 +185,7 @@ def table(rows: list[Row]) -> list[list[str]]:
         said = f"{len(right)} ({len(right) / n:.0%})"
         if kind.startswith("odo"):
             said += f", or refused naming drift: {sum(r.names_drift for r in these)}"
+            said += f", of these found: {sum(r.finds_drift for r in these)}"
         lines.append([
             f"{KINDS[kind]}, {'server room' if place == 'inf' else 'museum'}", mode, str(n), said, str(len(good)),
             str(sum(r.is_accepted for r in good)), str(sum(r.is_wrong for r in these)),

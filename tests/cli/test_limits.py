@@ -2,12 +2,14 @@
 """How sure an answer must be, said on the command line: what is taken, what is refused, what it does."""
 
 import json
-from math import radians
+from math import degrees, radians
 
 import pytest
 
 from magmatch.cli.limits import with_limits
+from magmatch.cli.main import main
 from magmatch.errors import ConfigurationError
+from magmatch.localization.config import LocalizerConfig
 from magmatch.registration.config import PRESETS
 
 DEFAULT = PRESETS["default"]
@@ -112,3 +114,14 @@ def test_a_probability_beyond_what_is_reached_refuses(place, run, tmp_path):
     assert code == 3
     assert result["T_base_target"] is None
     assert result["status"] in ("inconsistent", "uninformative", "no_overlap", "ambiguous")
+
+
+@pytest.mark.parametrize(
+    ("command", "decision"), [("register", DEFAULT.decision), ("localize", LocalizerConfig().decision)]
+)
+def test_the_help_states_the_limits_that_hold(command, decision, capsys):
+    assert main([command, "--help"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    lengths, angle = decision.max_sd_translation_in_lengths, degrees(decision.max_sd_rotation)
+    assert f"[default: {lengths} correlation lengths of the field, {angle:.1f} degrees]" in said
+    assert f"[default: {decision.min_probability}]" in said

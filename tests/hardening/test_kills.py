@@ -24,7 +24,7 @@ ELSEWHERE = {
 IN_CATALOGUE = {
     "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",
     "data/tables/tum.py",
-    "data/write.py", "field/storage/archive.py", "field/export.py", "registration/to_other_programs.py",
+    "data/write.py", "field/storage/archive.py", "field/axis_grid.py", "registration/to_other_programs.py",
     "registration/index/mapped_arrays.py", "serve/bodies/checkpoints.py", "viz/pages/page.py",
 }  # fmt: skip
 

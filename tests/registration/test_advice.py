@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.registration.advice import diagnosis, remedy, with_advice
+from magmatch.registration.advice import diagnosis, of_odometry, remedy, with_advice
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.result import RegistrationResult, Status
 
@@ -109,3 +109,28 @@ def test_where_z_is_said_to_be_up_in_both_a_refusal_begins_with_fields_that_cont
     assert with_advice(refused, surveys, UPRIGHT).reason.startswith("the field dips")
     assert with_advice(refused, surveys, ANY_POSE).reason.startswith("no")
     assert with_advice(refused, {"base": ROOM, "target": ROOM}, UPRIGHT).reason.startswith("no")
+
+
+def test_where_positions_follow_a_path_odometry_is_asked_about_once_and_whose():
+    rows = np.linspace(0, 4 * np.pi, 300)
+    path = Survey(np.column_stack([rows, np.sin(rows), 0 * rows]), EARTH + np.zeros((300, 3)))
+    assert of_odometry({"base": ROOM, "target": ROOM}) == []
+    assert "the base are" in of_odometry({"base": path, "target": ROOM})[0]
+    assert "the target are" in of_odometry({"base": ROOM, "target": path})[0]
+    (both,) = of_odometry({"base": path, "target": path})
+    assert "both surveys" in both
+    assert "magmatch slam" in both
+    reason = "the best pose has probability 0.6, other poses 0.4 together; survey more of the surroundings"
+    for status, is_told in ((Status.AMBIGUOUS, True), (Status.INCONSISTENT, True), (Status.UNINFORMATIVE, False)):
+        advised = with_advice(
+            RegistrationResult(status, reason, None), {"base": path, "target": path}, UPRIGHT
+        ).reason
+        assert (both in advised) is is_told
+        assert len([s for s in re.split(r"[.;!?](?:\s|$)", advised) if s]) <= 4
+        assert ("survey more of it" in advised) is (status is Status.INCONSISTENT)
+
+
+def test_of_drift_that_was_found_nothing_more_is_said():
+    reason = "the target's positions or orientations drift: its halves fit poses 3.1 m and 20 deg apart"
+    answer = RegistrationResult(Status.INCONSISTENT, reason, None)
+    assert with_advice(answer, {"base": ROOM, "target": ROOM}, ANY_POSE) is answer

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.geometry import path_walked
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.halves import naming_drift
@@ -51,6 +52,44 @@ def test_a_walk_that_bends_in_the_middle_is_refused_and_drift_is_named_with_its_
     assert "drift" in answer.reason
     (turn,) = re.findall(r"(\d+) deg apart where they meet", answer.reason)
     assert abs(int(turn) - 8) <= 1
+
+
+def test_of_an_answer_beside_a_change_drift_is_named_if_it_explains_the_residuals_better(base):
+    straight = made(3).target.subset(ROWS)
+    found = answered(base, straight)
+    # As if what residuals a single pose leaves had been taken for iron that moved.
+    beside = replace(found, evidence=found.evidence | {"unchanged": 0.8, "effective": 20.0})
+    assert naming_drift(found, base, bent(straight, 8.0), CONFIG) is found
+    assert naming_drift(beside, base, straight, CONFIG) is beside
+    refused = naming_drift(beside, base, bent(straight, 8.0), CONFIG)
+    assert refused.status is Status.INCONSISTENT
+    assert "drift" in refused.reason
+    assert (refused.T_base_target, refused.covariance) == (None, None)
+    assert refused.probability < 0.01
+    assert refused.alternatives[0].T_base_target is found.T_base_target
+
+
+def turning(survey, degrees):
+    """The same survey by dead reckoning whose heading drifts steadily, by so much in all."""
+    walked = path_walked(survey.positions)
+    turn = Rotation.from_euler("z", np.radians(degrees) * (walked / walked[-1] - 0.5)[:, None])
+    steps = turn[1:].apply(np.diff(survey.positions, axis=0))
+    return Survey(np.concatenate([[np.zeros(3)], np.cumsum(steps, axis=0)]), turn.apply(survey.field))
+
+
+def test_a_survey_compared_as_a_map_is_known_no_better_than_its_drift_lets_it():
+    pair, config = made(3), RegistrationConfig(search="invariants")
+    base = prepare_index(build_map(pair.base), config)
+    straight, turned = (
+        register_once(base, one, one, config, 0, Clock())[2] for one in (pair.target, turning(pair.target, 10.0))
+    )
+    assert straight.is_accepted
+    assert "drift" not in straight.reason
+    assert turned.is_accepted
+    # Its halves differ by half of the whole turn.
+    (turn,) = re.findall(r"(\d+) deg apart", turned.reason)
+    assert abs(int(turn) - 5) <= 1
+    assert np.degrees(turned.standard_deviations[0]) > 10.0 / np.sqrt(12) * 0.8
 
 
 def test_drift_is_not_named_of_a_bent_walk_of_another_place(base):

@@ -22,6 +22,7 @@ from magmatch.registration.result import Links, Status
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.steps import register_once, settle_and_decide
 from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.weigh.bend import Bend
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
 
@@ -62,6 +63,7 @@ class HandMadeStrategy:
     """States a pose as it was weighed; settles it by a step and a wider covariance."""
 
     settled_covariance: np.ndarray = field(default_factory=lambda: 1e-4 * np.eye(6))
+    bent: Bend | None = None
     asked: list = field(default_factory=list)
 
     def state(self, pair, pose):
@@ -72,6 +74,9 @@ class HandMadeStrategy:
         self.asked.append(("settle", pose))
         settled = replace(pose, T_base_target=pose.T_base_target * STEP, covariance=self.settled_covariance)
         return pair.estimate(settled), Support(residual=0.9, n_inliers=4, links=NO_LINKS)
+
+    def bend(self, pair, pose):
+        return self.bent
 
 
 def decided(ranked, elsewhere=-np.inf, strategy=None, config=None):
@@ -99,6 +104,21 @@ def test_what_settling_finds_out_decides_whether_the_pose_is_known_well_enough()
     assert (result.T_base_target, result.covariance) == (None, None)
     np.testing.assert_allclose(result.alternatives[0].T_base_target.translation, [1.0, 0.0, 0.01], atol=1e-12)
     assert len(result.degenerate_directions) == 6
+
+
+def test_what_a_target_bends_by_widens_the_answer_and_is_named_if_it_is_sure():
+    xi = np.array([0.0, 0.0, 0.03, 0.02, 0.0, 0.0])
+    sure, chance = (Bend(xi, np.zeros(3), spread**2 * np.eye(6), 0.6) for spread in (1e-3, 1e-1))
+    answer = decided([shifted(0.0)], strategy=HandMadeStrategy(bent=sure))
+    assert answer.is_accepted
+    assert "drift" in answer.reason
+    np.testing.assert_allclose(answer.covariance[2, 2], 1e-4 + (0.6 * 0.03) ** 2, rtol=1e-9)
+    unbent = decided([shifted(0.0)], strategy=HandMadeStrategy(bent=chance))
+    assert "drift" not in unbent.reason
+    np.testing.assert_allclose(unbent.covariance, 1e-4 * np.eye(6), atol=1e-12)
+    far = decided([shifted(0.0)], strategy=HandMadeStrategy(bent=replace(sure, xi=20 * xi)))
+    assert far.status is Status.DEGENERATE
+    assert "drift" in far.reason
 
 
 def test_a_doubtful_pose_is_stated_as_it_was_weighed():

@@ -58,9 +58,10 @@ def evaluate(
     ] = None,
     save: Annotated[bool, typer.Option("--save", help="Also save the tables in benchmarks/results.")] = False,
 ) -> None:
-    """Run the benchmark: named experiments, several methods, paired seeds.
+    """Run the benchmark: several methods on the same pairs.
 
-    Every finished trial is stored in the folder, so an interrupted run resumes where it stopped.
+    Trials are paired by seed. Every finished trial is stored in the folder, so an interrupted run resumes where it
+    stopped.
     """
     if names == ["list"]:
         _list()

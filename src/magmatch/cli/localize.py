@@ -54,16 +54,16 @@ def localize(
         str | None,
         typer.Option(
             help="Largest standard deviation of a stated pose: metres,degrees.  [default: 0.3 correlation lengths of "
-            "the field, 4.6 degrees]"
+            "the field, 9.2 degrees]"
         ),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with the path over the map here.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
-    """Find where LOG's body was in MAP's frame, from an unknown start.
+    """Find where LOG's body was in MAP's frame.
 
-    Poses are written only where they are certain, with the required probability and accuracy.
+    The start is unknown. Poses are written only where they are certain, with the required probability and accuracy.
 
     Exit code 0: at least one pose is stated; 3: never localized, with the reason.
     """

@@ -45,7 +45,7 @@ def build(
         typer.Argument(
             help="Surveys (or saved maps) in one frame; several are mapped together. If the first is a saved map and "
             "no setting is given, the others are added to it, and only the part that they touch is fitted again.",
-            metavar="SURVEY...",
+            metavar="SURVEY",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Write the map here.")],
@@ -70,7 +70,7 @@ def build(
         str | None, typer.Option(help="Dask scheduler whose workers fit the tiles instead, tcp://HOST:PORT.")
     ] = None,
 ) -> None:
-    """Build a field map from surveys and save it, or add surveys to a saved map."""
+    """Build and save a field map, or add surveys to one."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig

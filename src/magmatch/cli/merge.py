@@ -24,7 +24,7 @@ EXAMPLES = (
 def merge(
     surveys: Annotated[
         list[Path],
-        typer.Argument(help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY..."),
+        typer.Argument(help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY"),
     ],
     out: Annotated[Path, typer.Option(help="Folder for surveys, maps, graph, report and result.")],
     layouts: Layouts,

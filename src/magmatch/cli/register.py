@@ -90,6 +90,8 @@ def register(
     The answer is a rigid transform that takes TARGET's coordinates to BASE's, or the reason why there is none. If
     BASE is a folder of maps, the result also names the map that contains TARGET.
 
+    Each survey is taken as rigid. Odometry that drifts is corrected by 'magmatch slam', which also ties logs.
+
     Exit code 0: accepted; 3: not accepted, with the reason.
     """
     with_help()

@@ -48,9 +48,10 @@ def serve(
         Path | None, typer.Option(help="YAML file of settings: limits, and those of the localizer.")
     ] = None,
 ) -> None:
-    """Serve MAP: samples in and poses out over a WebSocket, whole logs by POST, and a page to watch.
+    """Localise many bodies in MAP over a network.
 
-    Ctrl-C ends the service; when it is started again, clients continue where they were.
+    Samples in and poses out over a WebSocket, whole logs by POST, and a page to watch. Ctrl-C ends
+    the service; when it is started again, clients continue where they were.
     """
     for package in ("uvicorn", "starlette", "websockets", "prometheus_client"):
         import_extra(package, "the service", "serve")

@@ -32,7 +32,7 @@ SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
 @command("slam", EXAMPLES, surveys=())
 def slam(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs with odometry and field, each in its own frame.", metavar="LOG...")
+        list[Path], typer.Argument(help="Logs with odometry and field, each in its own frame.", metavar="LOG")
     ],
     out: Annotated[Path, typer.Option(help="Folder for trajectories, surveys, maps, graph, report and result.")],
     layouts: Layouts,
@@ -61,9 +61,10 @@ def slam(
     rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
-    """Correct the drift of LOGs with the field, and bring them into one frame with one map.
+    """Correct the drift of LOGs, and bring them into one frame.
 
-    Where a log revisits a place, the field shows it. Such closures correct the poses and tie logs to each other.
+    One map is made of them. Where a log revisits a place, the field shows it. Such closures correct the poses and
+    tie logs to each other.
 
     If interrupted, the same command resumes where it stopped. With --anchors the frame is that of the fixed points,
     if they determine it.

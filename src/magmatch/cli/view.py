@@ -32,7 +32,7 @@ def view(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Surveys, saved maps, or a registration result with its base and target.", metavar="FILE..."
+            help="Surveys, saved maps, or a registration result with its base and target.", metavar="FILE"
         ),
     ],
     layouts: Layouts,

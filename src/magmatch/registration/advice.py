@@ -8,22 +8,26 @@ import numpy as np
 
 from magmatch.data.diagnoses import diagnose, of_verticals
 from magmatch.data.survey import Survey
+from magmatch.field.folds import has_path_order
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.prepared.walk import MAX_BREADTH
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.weigh.bend import DRIFTS
 
 
 def with_advice(
     answer: RegistrationResult, surveys: Mapping[str, Survey], prior: PosePriorConfig
 ) -> RegistrationResult:
-    """A refusal, its reason extended by a survey's fault or, if the places seem to differ, by a remedy."""
+    """A refusal, its reason extended by a survey's fault or, if no single pose fits, by remedies."""
     if answer.is_accepted:
         return answer
     if wrong := diagnosis(surveys) or contradiction(surveys, prior):
         return replace(answer, reason=f"{wrong}; {answer.reason}")
-    if answer.status is not Status.INCONSISTENT:
+    if DRIFTS in answer.reason or answer.status not in (Status.INCONSISTENT, Status.AMBIGUOUS):
         return answer
-    return replace(answer, reason=f"{answer.reason}; {remedy(surveys, prior)}")
+    remedies = [remedy(surveys, prior)] if answer.status is Status.INCONSISTENT else []
+    remedies += of_odometry(surveys)
+    return replace(answer, reason="; ".join([answer.reason, *remedies])) if remedies else answer
 
 
 def diagnosis(surveys: Mapping[str, Survey]) -> str:
@@ -52,6 +56,15 @@ def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
             "both surveys are flat: if z is up in both, use --gravity-aligned (--planar if their heights agree too)"
         )
     return "if they do share a region, survey more of it, or state what is known of the pose (--gravity-aligned)"
+
+
+def of_odometry(surveys: Mapping[str, Survey]) -> list[str]:
+    """In one clause, what to do about positions along a path that may drift; none if no survey follows a path."""
+    walked = [side for side, survey in surveys.items() if has_path_order(survey.positions)]
+    if not walked:
+        return []
+    whose = "both surveys" if len(walked) == 2 else f"the {walked[0]}"
+    return [f"if the positions of {whose} are odometry that drifts, correct them with magmatch slam first"]
 
 
 def _is_flat(survey: Survey) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether a refused walk drifts: each half fits the base, but not with the same pose."""
+"""Whether a walk drifts: each half fits the base, but not with the same pose."""
 
 from dataclasses import replace
 from functools import partial
@@ -14,7 +14,7 @@ from magmatch.registration.decide.posterior import effective_evidence, needed_ev
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk, is_line
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bend import DRIFTS, REMEDY, weigh_halves
 from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
@@ -26,10 +26,11 @@ def naming_drift(
     """A refusal whose reason names drift, if the halves of the walk have different poses.
 
     Both halves must have the evidence that an answer needs, and together exceed the evidence of a single pose by as
-    much. The evidence of two poses includes two search penalties, so the excess shows that they differ.
+    much. The evidence of two poses includes two search penalties, so the excess shows that they differ. An answer
+    that is accepted only beside a change of the field is refused then: drift explains the residuals better.
     """
-    is_told = answer.is_accepted or DRIFTS in answer.reason
-    if is_told or answer.best_pose is None or config.search not in ("auto", "pairs"):
+    is_explained = answer.is_accepted and answer.evidence.get("unchanged", 1.0) == 1.0
+    if is_explained or DRIFTS in answer.reason or answer.best_pose is None or config.search not in ("auto", "pairs"):
         return answer
     if not is_line(samples, index.length):
         return answer
@@ -46,11 +47,23 @@ def naming_drift(
 
     halves = [one for _, one in weigh_halves(walk, np.arange(len(walk)), searched)]
     evidence = [effective_evidence(one.log_evidence, one.misfit) for one in halves]
-    whole = max((effective_evidence(one.log_evidence, one.misfit) for one in weighed(walk, [best])), default=0.0)
+    whole = [effective_evidence(one.log_evidence, one.misfit) for one in weighed(walk, [best])]
+    excess = sum(evidence) - max([0.0, *whole, answer.evidence.get("effective") or 0.0])
     needed = needed_evidence(config.decision.min_probability, "walk", config.decision.prior_odds)
-    if len(halves) < 2 or min(evidence) < needed or sum(evidence) - max(whole, 0.0) < needed:
+    if len(halves) < 2 or min(evidence) < needed or excess < needed:
         return answer
     between, middle = halves[0].T_base_target.inv() * halves[1].T_base_target, walk.positions[len(walk) // 2]
     apart, turn = np.linalg.norm(between.apply(middle) - middle), np.degrees(between.rotation.magnitude())
     words = f"{DRIFTS}: its halves fit poses {apart:.1f} m and {turn:.0f} deg apart where they meet; {REMEDY}"
-    return replace(answer, reason=f"{answer.reason}; {words}")
+    if not answer.is_accepted:
+        return replace(answer, reason=f"{answer.reason}; {words}")
+    probability = (answer.probability or 0.0) / (1 + np.exp(excess))
+    return replace(
+        answer,
+        status=Status.INCONSISTENT,
+        reason=words,
+        T_base_target=None,
+        covariance=None,
+        probability=float(probability),
+        alternatives=(Alternative(answer.best_pose, float(probability)), *answer.alternatives),
+    )

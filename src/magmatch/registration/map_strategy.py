@@ -20,6 +20,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, common_leng
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.weigh.bend import Bend, bend_of_map
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
 from magmatch.registration.weigh.evidence import PoseEvidence, overlap_weight
 from magmatch.registration.weigh.map_covariance import map_covariance
@@ -96,3 +97,9 @@ class MapStrategy:
             of_maps = map_covariance(pair.base, pair.target, pose.pose, self.config.refinement, self.seed)
             covariance = enclosing(covariance, of_maps)
         return self.state(pair, replace(pose, covariance=covariance + drift_covariance(pose.pose)))
+
+    def bend(self, pair: MapPair, pose: PoseEvidence) -> Bend | None:
+        """The difference between the poses of the path's halves; where a change was estimated, it may bend them."""
+        if pose.is_beside_change:
+            return None
+        return bend_of_map(pair.base, pair.target, pose.pose, pair.prior, self.config.refinement, self.seed)

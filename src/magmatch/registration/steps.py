@@ -38,7 +38,7 @@ def register_once(
         return base, target_map, register_published(map_of(base), target_map, config.keypoints, seed, clock)
     with clock("prepare"):
         index = prepare_index(base, config)
-    bend, tried = None, list[tuple[Target, RegistrationResult]]()
+    tried = list[tuple[Target, RegistrationResult]]()
     for strategy in strategies(index.length, target, samples, config, seed, clock):
         with clock("prepare"):
             pair = strategy.pair(index)
@@ -46,8 +46,7 @@ def register_once(
             found = strategy.search(pair)
         with clock("refine"):
             weighed = strategy.refine_and_weigh(pair, found)
-        bend = weighed.bend or bend
-        answer = settle_and_decide(replace(weighed, bend=bend), config.decision, clock)
+        answer = settle_and_decide(weighed, config.decision, clock)
         tried.append((strategy.target, answer))
         if answer.is_accepted:
             break
@@ -69,9 +68,11 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
     with clock("settle"):
         by, is_probable = weighed.strategy, posterior.best >= config.min_probability
         estimate, support = (by.settle if is_probable else by.state)(pair, posterior.poses[0])
-        bend = weighed.bend(estimate.T_base_target) if weighed.bend and is_probable else None
+        bend = by.bend(pair, posterior.poses[0]) if is_probable else None
+        if bend is not None and not bend.is_sure(config.min_probability):
+            bend = None
         if bend is not None:
-            estimate = estimate.with_spread(bend.spread(estimate.center))
+            estimate = estimate.with_spread(bend.seen_from(pair.T_target_model).spread(estimate.center))
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
         if bend is not None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How a target is compared with a base, as a map or as a walk: the steps that both implement, and their order."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -61,9 +60,6 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
         In any order.
     elsewhere : float, nats
         Log odds of the best pose in any other base; -inf if there is none.
-    bend : callable or None
-        Significant bend of the target about a pose, in the surveys' frames, or None. Available only for a target
-        weighed as a walk: otherwise it would cost more than comparing maps.
     """
 
     strategy: "Strategy[BaseSide, TargetSide, W]"
@@ -71,7 +67,6 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
     found: SearchResult
     ranked: list[W]
     elsewhere: float = -np.inf
-    bend: Callable[[RigidTransform], Bend | None] | None = None
 
     @property
     def best_log_odds(self) -> float:
@@ -100,3 +95,6 @@ class Strategy(Protocol[BaseSide, TargetSide, Pose_contra]):
 
     def settle(self, pair: Pair[BaseSide, TargetSide], pose: Pose_contra) -> tuple[Estimate, Support]:
         """A probable pose, its covariance widened by what residuals do not show."""
+
+    def bend(self, pair: Pair[BaseSide, TargetSide], pose: Pose_contra) -> Bend | None:
+        """How the target bends about a pose, in the frames compared; None if it cannot be told."""

@@ -3,11 +3,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
@@ -24,11 +22,10 @@ from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
-from magmatch.registration.weigh.bend import Bend, bend_of
+from magmatch.registration.weigh.bend import Bend, bend_of_walk
 from magmatch.registration.weigh.line_evidence import LineEvidence, inside_base, weigh_walk
 
 WalkPair = Pair[WalkIndex, Walk]
-WeighedWalk = Weighed[WalkIndex, Walk, LineEvidence]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -71,21 +68,13 @@ class WalkStrategy:
         config = self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, starts, walks.noise, walks.length, pair.prior, config)
         if walks.noise.is_learned or not ranked:
-            along: WeighedWalk = Weighed(self, pair, found, ranked, bend=partial(self.bend, pair))
-            return along
+            return Weighed(self, pair, found, ranked)
         tell("weighing the walk's poses from both sides")
         mapped = self.mapped()
         as_maps = mapped.pair_with(walks.base, pair.prior.volume)
         to_model = pair.T_target_model.inv() * as_maps.T_target_model
         poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
         return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
-
-    def bend(self, pair: WalkPair, T_base_target: RigidTransform) -> Bend | None:
-        """How the walk bends about a pose, in the surveys' frames; None if the bend is not significant."""
-        T, walks, config = pair.T_base_model.inv() * T_base_target * pair.T_target_model, pair.base, self.config.walks
-        found = bend_of(walks.base, pair.target, T, walks.noise, walks.length, pair.prior, config.evidence)
-        is_sure = found is not None and found.is_sure(self.config.decision.min_probability)
-        return found.seen_from(pair.T_target_model) if found is not None and is_sure else None
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
@@ -97,3 +86,9 @@ class WalkStrategy:
     def settle(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """Return the pose as weighed: along a path, nothing remains to be widened."""
         return self.state(pair, pose)
+
+    def bend(self, pair: WalkPair, pose: LineEvidence) -> Bend | None:
+        """The difference between the halves' poses along the path."""
+        walks, config = pair.base, self.config.walks.evidence
+        T, noise = pose.T_base_target, walks.noise
+        return bend_of_walk(walks.base, pair.target, T, noise, walks.length, pair.prior, config)

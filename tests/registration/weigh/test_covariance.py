@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Covariances of a pose: what cells and drift make of it, which encloses another."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
-from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
+from magmatch.registration.refine.sensors import TIED_SD, SensorConfig, identical_sensors
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
 
 SCALE = np.array([1e-3, 2e-3, 1e-3, 0.01, 0.03, 0.02])
@@ -151,3 +153,12 @@ def test_a_pose_follows_drift_as_least_squares_does_of_each_survey_by_itself():
         gain = np.linalg.solve(J.T @ J + prior, J.T)
         expected += gain @ K @ gain.T
     np.testing.assert_allclose(drift_covariance(pose_with(blocks, prior)), expected, rtol=1e-6)
+
+
+def test_a_pose_follows_drift_whether_or_not_its_sensor_is_known_beforehand():
+    rng = np.random.default_rng(3)
+    J, drift = rng.normal(size=(200, 6)), np.zeros((9, 9))
+    drift[:6, :6] = J.T @ J
+    pose = pose_with([block_of(J, rng.normal(size=200), rng.uniform(0, 1, (200, 3)), drift)])
+    tied = replace(pose, sensor_sd=np.full(3, TIED_SD))
+    np.testing.assert_allclose(drift_covariance(tied), drift_covariance(pose), rtol=1e-6)

@@ -5,7 +5,7 @@ A survey states how accurate its own positions are. Independent errors show in t
 the path do not, since the pose follows them, so they must be added to the covariance (`covariance.py`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -58,6 +58,10 @@ class Drift:
         stretch = (walked / side).astype(np.int64)
         ends = np.arange(stretch[-1] + 1, dtype=np.float64)[:, None]
         return cls(pose_sd, lasting_sd, stretch, np.exp(-cdist(ends, ends) / STRETCHES_PER_LENGTH))
+
+    def together(self, other: "Drift") -> "Drift":
+        """Errors of these samples and of those that they are compared with, as if correlated along this path."""
+        return replace(self, lasting_sd=float(np.hypot(self.lasting_sd, other.lasting_sd)))
 
     def score_covariance(self, weighted: np.ndarray, gradient: Tensors, rows: Indices) -> Matrix:
         """Covariance of the sum of the samples' scores through their positions."""

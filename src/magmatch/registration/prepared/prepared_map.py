@@ -5,7 +5,7 @@ The model frame moves with the survey, which makes the answer equivariant under 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import SAMPLING, thin
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.raster import Raster, rasterize
-from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 # Medians of chi-square variables: robust variance from squared norms of a vector, and of a traceless symmetric
 # gradient, which has five independent components.
@@ -77,6 +77,11 @@ class PreparedMap:
     noise_sd: float
     drift: Drift
     draws: Callable[[], Sequence[Any]]
+
+    def part(self, rows: Indices) -> "PreparedMap":
+        """The same map with some of its samples, for comparing them with another map."""
+        drift = replace(self.drift, stretch=self.drift.stretch[rows])
+        return replace(self, samples=self.samples[rows], sample_field=self.sample_field[rows], drift=drift)
 
 
 def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:

@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far a walk bends: the difference between its halves' poses, which a rigid pose cannot follow."""
+"""How far a target bends along its path: the difference between its halves' poses, which no rigid pose follows."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
+from magmatch.field.folds import has_path_order
 from magmatch.geometry import adjoint, path_walked, rotation_matrix
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
+from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
 from magmatch.registration.weigh.line_evidence import LineConfig, LineEvidence, weigh_walk
-from magmatch.typing import Covariance6, Indices, Matrix, Vector3
+from magmatch.registration.weigh.map_covariance import map_covariance
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Vector3
 
 DRIFTS = "the target's positions or orientations drift"
+NO_ROWS = np.zeros(0, dtype=np.int64)
 REMEDY = "register shorter pieces, or correct the walk with magmatch slam"
 
 
@@ -69,9 +74,47 @@ class Bend:
 
     def __str__(self) -> str:
         return (
-            f"{DRIFTS}: the halves of what the base covers fit best {np.linalg.norm(self.xi[3:]):.1f} m and "
+            f"{DRIFTS}: the halves of what the base covers fit best {np.linalg.norm(self.xi[3:]):.2g} m and "
             f"{np.degrees(np.linalg.norm(self.xi[:3])):.0f} deg apart; {REMEDY}"
         )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Half:
+    """One half of the covered part, refined by itself.
+
+    Attributes
+    ----------
+    rows : (k,) int array
+        Of the walk's positions.
+    T_base_walk : RigidTransform
+    center : (3,) array, m
+        Point about which the covariance is stated, walk's axes.
+    covariance : (6, 6) array
+        Of xi in ``T Exp(xi)`` about the centre.
+    """
+
+    rows: Indices
+    T_base_walk: RigidTransform
+    center: Vector3
+    covariance: Covariance6
+
+
+def bend_between(T_base_walk: RigidTransform, positions: Points, is_covered: Mask, halves: list[Half]) -> Bend | None:
+    """The bend of a walk about the pose of the whole; None unless both halves have a pose."""
+    if len(halves) < 2:
+        return None
+    center, total = positions[is_covered].mean(axis=0), np.zeros((6, 6))
+    for half in halves:
+        M = adjoint(RigidTransform.from_translation(half.center - center))
+        total += M @ half.covariance @ M.T
+    first, second = (T_base_walk.inv() * half.T_base_walk for half in halves)
+    turn = second.rotation.as_rotvec() - first.rotation.as_rotvec()
+    walked = path_walked(positions)
+    along = walked - walked[is_covered].mean()
+    between = float(np.diff([walked[half.rows].mean() for half in halves])[0])
+    xi = np.concatenate([turn, second.apply(center) - first.apply(center)])
+    return Bend(xi, center, total, float(np.sqrt((along**2).mean())) / between)
 
 
 def weigh_halves(
@@ -81,7 +124,7 @@ def weigh_halves(
     return [(half, best) for half in np.array_split(rows, 2) for best in weigh(walk.part(half))[:1]]
 
 
-def bend_of(
+def bend_of_walk(
     base: PreparedMap,
     walk: Walk,
     T_base_walk: RigidTransform,
@@ -97,17 +140,28 @@ def bend_of(
         return weigh_walk(base, half, [T_base_walk], noise, length, prior, config)
 
     found = weigh_halves(walk, np.flatnonzero(is_covered), weigh)
-    if len(found) < 2:
+    halves = [Half(rows, best.T_base_target, best.center, best.covariance) for rows, best in found]
+    return bend_between(T_base_walk, walk.positions, is_covered, halves)
+
+
+def bend_of_map(
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, prior: PosePrior, config: RefinementConfig, seed: int
+) -> Bend | None:
+    """Refine the halves of a map's samples, if they follow a path, from the pose of the whole.
+
+    Only the base's map is looked up: the target's own map blends what both halves passed.
+    """
+    if not has_path_order(target.samples):
         return None
-    rows, halves = zip(*found, strict=True)
-    center, total = walk.positions[is_covered].mean(axis=0), np.zeros((6, 6))
-    for half in halves:
-        M = adjoint(RigidTransform.from_translation(half.center - center))
-        total += M @ half.covariance @ M.T
-    first, second = (T_base_walk.inv() * half.T_base_target for half in halves)
-    turn = second.rotation.as_rotvec() - first.rotation.as_rotvec()
-    walked = path_walked(walk.positions)
-    along = walked - walked[is_covered].mean()
-    between = float(np.diff([walked[part].mean() for part in rows])[0])
-    xi = np.concatenate([turn, second.apply(center) - first.apply(center)])
-    return Bend(xi, center, total, float(np.sqrt((along**2).mean())) / between)
+    T, side = pose.T_base_target, 2 * common_length(base, target)
+    is_covered = base.raster.lookup(T.apply(target.samples))[3]
+    unlooked, drift, halves = base.part(NO_ROWS), target.drift.together(base.drift), list[Half]()
+    for rows in np.array_split(np.flatnonzero(is_covered), 2):
+        part = replace(target, drift=drift).part(rows)
+        half = refine(unlooked, part, pose, prior, config, np.random.default_rng(seed))
+        seen = joint_covariance(half, side) if half.blocks else None
+        if seen is not None:
+            of_map = map_covariance(unlooked, part, half, config, seed)
+            covariance = enclosing(seen[:6, :6], of_map) + drift_covariance(half)
+            halves.append(Half(rows, half.T_base_target, half.center, covariance))
+    return bend_between(T, target.samples, is_covered, halves)

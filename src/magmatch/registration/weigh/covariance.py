@@ -28,7 +28,7 @@ def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
         curvature = block.curvature + prior
         # Each cell is worth three numbers: six are fitted, and their mean is taken out.
         n_free = n_cells - 6 / 3 - 1
-        if n_free <= 0 or np.linalg.cond(_balanced(curvature[:6, :6])) > 1 / ROUNDING:
+        if n_free <= 0 or np.linalg.cond(_balanced(curvature[:6, :6])[0]) > 1 / ROUNDING:
             continue
         clusters = clusters - clusters.mean(axis=0)
         meat = clusters.T @ clusters * n_cells / n_free
@@ -57,7 +57,9 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
     total = np.zeros_like(pose.known_before)
     for block in pose.blocks:
         # An error bends both, a sample's pull and what holds against it: weights answer weights.
-        bread = np.linalg.pinv(_regular(block.information + pose.known_before), hermitian=True)
+        # Balanced: beside what a tied sensor is known by, the pose's information would seem rounding.
+        balanced, scales = _balanced(_regular(block.information + pose.known_before))
+        bread = np.linalg.pinv(balanced, hermitian=True) / scales
         total += bread @ block.drift @ bread
     covariance: Covariance6 = ((total + total.T) / 2)[:6, :6]
     return covariance
@@ -69,7 +71,7 @@ def _regular(A: Matrix) -> Matrix:
     return guarded
 
 
-def _balanced(A: Matrix) -> Matrix:
+def _balanced(A: Matrix) -> tuple[Matrix, Matrix]:
+    """A matrix with a diagonal of ones, and what it was divided by."""
     d = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
-    balanced: Matrix = A / np.outer(d, d)
-    return balanced
+    return A / np.outer(d, d), np.outer(d, d)

@@ -36,13 +36,16 @@ def map_covariance(
     # The maps' errors are independent, so their squares are added, rather than one draw of each.
     total: Covariance6 = np.zeros((6, 6))
     for lookup, noise_sd, errors in ((forward, target.noise_sd, of_base), (backward, base.noise_sd, of_target)):
-        moves = np.linalg.solve(information, _scores(lookup, noise_sd, pose, errors).T)[:6]
-        total = total + moves @ moves.T / len(errors)
+        if errors:
+            moves = np.linalg.solve(information, _scores(lookup, noise_sd, pose, errors).T)[:6]
+            total = total + moves @ moves.T / len(errors)
     return total
 
 
 def _errors(of: PreparedMap, points: Points) -> list[Vectors]:
-    """How a map's field may differ from its mean at points: draws."""
+    """How a map's field may differ from its mean at points: draws; none without points."""
+    if not len(points):
+        return []
     posterior = of.field_map.posterior
     mean = posterior.evaluate(points).field
     return [posterior.evaluate(points, 0, weights).field - mean for weights in of.draws()]

@@ -7,7 +7,7 @@ import numpy as np
 
 from magmatch.geometry import path_walked
 from magmatch.localization.track import Track
-from magmatch.viz.figures.plotting import described, flat, for_display, magnitude_ut, new_plane
+from magmatch.viz.figures.plotting import colorbar, described, flat, for_display, magnitude_ut, new_plane
 from magmatch.viz.figures.slices import common_limits, cut_through, field_on, magnitude_slice
 
 if TYPE_CHECKING:
@@ -25,11 +25,15 @@ def path_figure(track: Track, k: int) -> "Figure":
         "size": 4,
         "color": for_display(sd),
         "colorscale": "Bluered",
-        "colorbar": {"title": "sd (m)", "x": 1.15},
+        # Above the picture; the field's is below.
+        "colorbar": colorbar("m")
+        | {"len": 0.6, "x": 0.3, "yref": "paper", "y": 1.0, "thickness": 8, "nticks": 3, "tickangle": 0},
     }
     path = flat(cut.along(points), marker=marker, name="path")
     limits = common_limits(magnitude_ut(field_map.survey.field))
-    return magnitude_slice("|B| of the map", cut, *field_on(cut, field_map), limits, [path], "; points: stated poses")
+    return magnitude_slice(
+        "|B| of the map", cut, *field_on(cut, field_map), limits, [path], "; points: stated poses, coloured by sd"
+    )
 
 
 def status_figure(track: Track) -> "Figure":

@@ -24,11 +24,17 @@ NEXT_STEPS = {
 }
 
 
+def verdict_on(result: LocalizationResult) -> str:
+    """Where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
+    ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
+    share = f"; a pose for {result.share:.0%} of the time" if result.is_localized else ""
+    return verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
+
+
 def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
     """Write one HTML page about a log in a map; it works offline and on a phone."""
-    headline = result.status.capitalize()
     answer = [
-        verdict(headline, result.reason, is_good=result.is_localized),
+        verdict_on(result),
         "<h2 id='next'>What to do next</h2>",
         bullets(NEXT_STEPS[result.status]),
     ]
