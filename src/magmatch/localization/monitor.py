@@ -185,7 +185,8 @@ def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance
 
 
 def _factor(known: KnownMap, factor: float) -> float:
-    return max(factor, 0.0 if known.noise.is_learned else 1.0)
+    """Of a pose's covariance, from that of the readings': its root, as tracking balances them with odometry's noise."""
+    return float(np.sqrt(max(factor, 0.0 if known.noise.is_learned else 1.0)))
 
 
 @compiled
