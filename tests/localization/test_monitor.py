@@ -95,3 +95,22 @@ def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it
     assert ratio == pytest.approx(2.0, rel=0.25)
     said = [np.trace((covariance_of(a, known, factor) - known.bent)[3:, 3:]) for factor in (1.0, 4.0)]
     assert said[1] / said[0] == pytest.approx(ratio, rel=0.25)
+
+
+def test_a_way_outside_the_map_costs_no_more_than_coming_into_it(known):
+    steps, fit, rng = np.zeros(N, STEP), fits(np.random.default_rng(5), 1, 3.0), np.random.default_rng(6)
+    steps["u"][:, 0], null = 1.0, fits(rng, 3, 4.0)
+    fit["is_known"][: N // 2] = 0
+    inside, *usual = (
+        evidence(steps, fit, null, known, toll)[0] for toll in (FREE, Toll(0.1, 0, 5.0), Toll(3.0, 0, 5.0))
+    )
+    np.testing.assert_allclose(inside - usual, [[0.1 * N / 2], [5.0]], atol=1e-9)
+
+
+def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
+    steps, rng = np.zeros(N, STEP), np.random.default_rng(7)
+    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
+    bank["earlier"], fit["is_known"][-1] = 30.0, 0
+    forget(steps, fit, null, known, Toll(0.0, 1), 4.0, bank)
+    assert bank["earlier"][0] > 20
+    assert bank["earlier"][1] == pytest.approx(4.0)
