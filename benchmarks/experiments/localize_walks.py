@@ -6,15 +6,15 @@
 DIR holds ``cea/corridor_*.csv``: walk one is the map, walk two is walked with its true field and with odometry that
 is made up (drift, scale, a phone that is tilted, a sensor's bias); ``dodolilo/infcenter`` and ``ipin2023/pdr``: walks
 with their own odometry, in maps of other walks at true positions (``make_surveys.py`` of DIR).
-Sets: cea1 and cea2 (floors), cea (both floors in one map), infcenter, museum. Cases of cea: odometry of 0.5, 1 and
-3 %, steps, bias; `kidnapped` after 30 m; `jump5` to `jump30`, of the bias (uT), after 25 m; `outside`: after 30 m the
+Sets: cea1 and cea2 (floors), cea (both floors in one map), infcenter, museum. Cases of cea: odometry of 0.5, 1 and 3
+%, steps, bias; `kidnapped` after 30 m; `jump5` to `jump30`, of the bias (uT), after 25 m; `outside`: after 30 m the
 body leaves the map for 40 m and comes back (error, share and NEES are of that part); `stairs` and `lift`, in the map
-of both floors: to the other floor after 30 m, odometry seeing the rise of stairs but not of a lift; `elsewhere`, walks
-on the other floor. Error: distance in the map's frame without any alignment, horizontal where the truth is. Tuned on
-cea1, infcenter walks 5 and 6, museum routes 1 to 3. A wrong run states a pose more than 1 m off (kidnapped, lift:
-after it was lost; outside, stairs: once it left; elsewhere: any). Lost for: path from the end of such a change to the
-next right pose. Cost: a sample that is tracked, and a search, over an evaluation of field and gradient at a point (of
-a batch of 4,000).
+of both floors: to the other floor after 30 m, odometry seeing the rise of stairs but not of a lift; `elsewhere`,
+walks on the other floor. Error: distance in the map's frame without any alignment, horizontal where the truth is.
+Tuned on cea1, infcenter walks 5 and 6, museum routes 1 to 3. A wrong run states a pose more than 1 m off (kidnapped,
+lift: after it was lost; outside, stairs: once it left; elsewhere: any). Lost for: path from the end of such a change
+to the next right pose. Cost: a sample that is tracked, and a search, over an evaluation of field and gradient at a
+point (of a batch of 4,000).
 """
 
 import csv
