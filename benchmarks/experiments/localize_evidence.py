@@ -6,8 +6,9 @@
 DIR, its maps and its walks are those of `localize_walks.py`. Rows are kept in OUT and not made again.
 starts: walks of 30 m in CEA's walk two, alternately on both floors, with odometry of 0.5, 1 and 3 % and steps in
 turn and a bias of up to 30 uT in any direction. off: walks of other places and of the other floor. others: Kok's
-square and library, mapped by their first 55 %, thirds of the rest walked; Aalto's run 4 of one sensor in a map of
-runs 1 and 2 of the other, with made-up odometry of 1 %. reliability: before a pose is stated, how probable the best
+square and library, mapped by their first 55 % or their last, the rest walked from its beginning and from its middle;
+Aalto's runs of one sensor, each in a map of the two others of another sensor, with made-up odometry of 1 %, run 4
+thrice. Late: the path after 15 m. reliability: before a pose is stated, how probable the best
 one was said to be, every half metre of all rows, and how often it was right: within three of the largest standard
 deviations allowed. Walks off the map weigh as much as the prior odds say.
 """
@@ -31,7 +32,7 @@ from magmatch_evaluation.statistics import wilson_interval
 INFCENTER = "walk1 walk2 walk3 walk4"
 WALKS = [f"walk{k}" for k in range(5, 10)]
 ROUTES = [f"route{r}_{k}" for r in range(1, 6) for k in range(1, 5)]
-EVERY, RIGHT = 0.5, 1.0
+EVERY, RIGHT, LATE = 0.5, 1.0, 15.0
 BINS = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0001)
 LEVELS = ("0.5%", "1%", "3%", "steps")
 CONFIG = mm.LocalizerConfig()
@@ -43,12 +44,17 @@ def recording(name, data):
     return load_recordings(name.split("/")[0], data / name.split("/")[0])[name.split("/")[1]]
 
 
+def mapped(n, name):
+    """Samples of a recording that make its map: the first 55 %, or with #last the last."""
+    return np.arange(int(0.45 * n), n) if name.endswith("#last") else np.arange(int(0.55 * n))
+
+
 def another_place(name, data, out):
     """An indexed map of Kok's or Aalto's, kept."""
 
     def surveys():
-        found = [recording(one, data) for one in name.split()]
-        return [found[0].subset(np.arange(int(0.55 * len(found[0]))))] if name.startswith("kok") else found
+        found = [recording(one.split("#")[0], data) for one in name.split()]
+        return [found[0].subset(mapped(len(found[0]), name))] if name.startswith("kok") else found
 
     return indexed(out / f"{name.replace('/', '-').replace(' ', '-')}.map", surveys)
 
@@ -78,10 +84,14 @@ def log_of(name, data):
     if source.startswith("aalto"):
         log = odometry_of(survey.positions, survey.field, rng, "1%", 0.0)
         return log, np.c_[log.times, survey.positions]
-    rest = np.arange(int(0.55 * len(survey)), len(survey)) if part != "9" else np.arange(len(survey))
-    third = survey.subset(np.array_split(rest, 3)[int(part)] if part != "9" else rest)
+    # All of it (9), or what the first or last 55 % leave: the whole (0, 2), the later half (1, 3).
+    rows = np.arange(len(survey))
+    if part != "9":
+        rows = np.setdiff1d(rows, mapped(len(survey), "#last" if int(part) > 1 else ""))
+        rows = rows[int(part) % 2 * len(rows) // 2 :]
+    some = survey.subset(rows)
     turn = RigidTransform.from_rotation(Rotation.from_euler("z", rng.uniform(-3, 3)))
-    return third.transformed(turn), np.c_[third.times, third.positions]
+    return some.transformed(turn), np.c_[some.times, some.positions]
 
 
 def work(name, data, out):
@@ -98,11 +108,12 @@ def work(name, data, out):
     walked = path_walked(log.positions)
     d, first, said, errors, nees, asked = truth.shape[1] - 1, None, [], [], [], -np.inf
     true = np.stack([np.interp(log.times, truth[:, 0], c) for c in truth.T[1:]], axis=1)
-    n_stated = 0
+    n_stated, n_late = 0, 0
     for n, t in enumerate(log.times):
         localizer.update(float(t), poses[n], z[n])
         belief = localizer._places.best
         n_stated += belief.is_sure
+        n_late += belief.is_sure and walked[n] > LATE
         if walked[n] < asked + EVERY:
             continue
         asked = walked[n]
@@ -121,7 +132,7 @@ def work(name, data, out):
             said.append([belief._found.best, bool(is_right)])
     return {
         "name": name, "walked": float(walked[-1]), "stated": n_stated / len(log), "first": first, "errors": errors,
-        "nees": nees, "said": said,
+        "nees": nees, "said": said, "late": float(n_late / max((walked > LATE).sum(), 1)),
     }  # fmt: skip
 
 
@@ -130,12 +141,16 @@ def names(table, n):
     if table == "starts":
         return [f"starts: {('cea1', 'cea2')[k % 2]}: cea#{k}" for k in range(n)]
     if table == "others":
-        kok = [f"others: kok/{place}: kok/{place}#{k}" for place in ("square", "library") for k in range(3)]
-        sensors = ("invensense", "trivisio")
-        runs = [
-            (f"aalto/{one}-1 aalto/{one}-2", f"aalto/{two}-4") for one in sensors for two in sensors if one != two
-        ]
-        return kok + [f"others: {place}: {log}#{k}" for place, log in runs for k in range(3)]
+        kok = [
+            f"others: kok/{place}{'#last' if k > 1 else ''}: kok/{place}#{k}"
+            for place in ("square", "library") for k in range(4)
+        ]  # fmt: skip
+        sensors, rows = ("invensense", "trivisio"), []
+        for one, two in (sensors, sensors[::-1]):
+            for run, others in ((4, (1, 2)), (1, (2, 4)), (2, (1, 4))):
+                place = " ".join(f"aalto/{one}-{k}" for k in others)
+                rows += [f"others: {place}: aalto/{two}-{run}#{k}" for k in range(3 if run == 4 else 1)]
+        return kok + rows
     if table == "off":
         kok = [f"kok/{place}#9" for place in ("mall", "square", "library", "eight")]
         pairs = [("cea1", log) for log in (*WALKS, *ROUTES, *kok)] + [(INFCENTER, log) for log in (*ROUTES, *kok)]
@@ -162,7 +177,7 @@ def of_places(rows):
     return [
         len(rows), quantiles([row["first"] for row in rows], (0.5, 0.9)), never, sum(is_wrong),
         quantiles(list(errors), (0.5, 0.95)), f"{np.mean([row['stated'] for row in rows]):.2f}",
-        f"{np.mean(nees):.2f}" if len(nees) else "",
+        f"{np.mean([row['late'] for row in rows]):.2f}", f"{np.mean(nees):.2f}" if len(nees) else "",
     ]  # fmt: skip
 
 
@@ -235,7 +250,7 @@ def main() -> None:
         show(columns, [[place, *off_the_map(some)] for place, some in parts], asked.save)
         return
     columns = (
-        "map", "odometry", "n", "first right, m", "never", "wrong (1 m)", "error, m", "share stated", "NEES",
+        "map", "odometry", "n", "first right, m", "never", "wrong (1 m)", "error, m", "share stated", "late", "NEES",
     )  # fmt: skip
     lines = [[*label, *of_places(some)] for label, some in groups.items()]
     show(columns, [*lines, ["all", "", *of_places(found)]], asked.save)

@@ -1,16 +1,19 @@
 """Walks in a known map from an unknown start: first fix, error, wrong fixes, and whether what is stated is true.
 
     python benchmarks/experiments/localize_walks.py --data DIR --out DIR [--sets cea1,infcenter,museum] [--n 20]
-        [--save NAME]
+        [--cases outside,stairs] [--quick] [--save NAME]
 
 DIR holds ``cea/corridor_*.csv``: walk one is the map, walk two is walked with its true field and with odometry that
 is made up (drift, scale, a phone that is tilted, a sensor's bias); ``dodolilo/infcenter`` and ``ipin2023/pdr``: walks
 with their own odometry, in maps of other walks at true positions (``make_surveys.py`` of DIR).
-Sets: cea1 and cea2 (floors), cea (both floors in one map), infcenter, museum. Cases of cea: odometry of 0.5, 1 and
-3 %, steps, bias; `kidnapped` after 30 m; `jump5` to `jump30`, of the bias (uT), after 25 m; `elsewhere`, walks on the
-other floor. Error: distance in the map's frame without any alignment, horizontal where the truth is. Tuned on cea1,
-infcenter walks 5 and 6, museum routes 1 to 3. A wrong run states a pose more than 1 m off (kidnapped: after it was
-lost; elsewhere: any). Cost: a sample that is tracked, and a search, over an evaluation of field and gradient at a
+Sets: cea1 and cea2 (floors), cea (both floors in one map), infcenter, museum. Cases of cea: odometry of 0.5, 1 and 3
+%, steps, bias; `kidnapped` after 30 m; `jump5` to `jump30`, of the bias (uT), after 25 m; `outside`: after 30 m the
+body leaves the map for 40 m and comes back (error, share and NEES are of that part); `stairs` and `lift`, in the map
+of both floors: to the other floor after 30 m, odometry seeing the rise of stairs but not of a lift; `elsewhere`,
+walks on the other floor. Error: distance in the map's frame without any alignment, horizontal where the truth is.
+Tuned on cea1, infcenter walks 5 and 6, museum routes 1 to 3. A wrong run states a pose more than 1 m off (kidnapped,
+lift: after it was lost; outside, stairs: once it left; elsewhere: any). Lost for: path from the end of such a change
+to the next right pose. Cost: a sample that is tracked, and a search, over an evaluation of field and gradient at a
 point (of a batch of 4,000).
 """
 
@@ -45,8 +48,9 @@ LEVELS = {
     "3%": (0.030, 0.60, 0.050, 0.010, 0.5),
     "steps": (0.075, 1.00, 0.080, 0.020, 1.0),
 }
-CASES = (*LEVELS, "bias", "kidnapped", "jump5", "jump15", "jump30", "elsewhere")
-LENGTHS = {"kidnapped": 60.0, "elsewhere": 100.0}
+FLOORS = ("stairs", "lift")
+CASES = (*LEVELS, "bias", "kidnapped", "jump5", "jump15", "jump30", "outside", *FLOORS, "elsewhere")
+LENGTHS = {"elsewhere": 100.0}
 
 
 def odometry_of(p, b, rng, level, bias):
@@ -139,8 +143,58 @@ def stretch(rows, length, rng):
     return rows[(walked >= first) & (walked <= first + length)]
 
 
-def walk_of(floor, case, seed, data):
-    """A log of a case, its true places and attitudes, and where on it the case happens (m)."""
+def beside(p, q, shape, foreign, field_map, rng):
+    """Rows of a way from p to q, straight but for `shape` (m), through a field that the map does not contradict.
+
+    It is drawn from the map's posterior; the less the map knows there, the more it is that of some foreign rows.
+    """
+    way = p[:3] + np.linspace(0, 1, len(shape))[:, None] * (q - p)[:3] + shape
+    variance = np.trace(field_map.covariance(way), axis1=1, axis2=2) / 3
+    known = (field_map.knows(way) / (1 + variance / foreign[:, 3:].var(axis=0).mean()))[:, None]
+    first = rng.integers(len(foreign) - len(way))
+    field = known * field_map.draw(way, 1, 0, rng)[0].field + (1 - known) * foreign[first : first + len(way), 3:]
+    # What was measured at both ends is carried a metre on.
+    along = path_walked(way)[:, None]
+    field += np.exp(-along) * (p[3:] - field[0]) + np.exp(along - along[-1]) * (q[3:] - field[-1])
+    return np.c_[way, field][1:-1]
+
+
+def out_and_back(rows, foreign, field_map, rng):
+    """30 m of rows, 40 m out of the map from its rim and back, 30 m on; where it leaves and where it is back."""
+    walked = path_walked(rows[:, :3])
+    is_far = (walked > 30.0) & (walked < walked[-1] - 30.0)
+    away = rng.uniform(0, 2 * np.pi)
+    away = np.array([np.cos(away), np.sin(away), 0.0])
+    k = np.flatnonzero(is_far)[np.argmax(rows[is_far, :3] @ away)]
+    angle = np.linspace(0, 2 * np.pi, 600)[:, None]
+    # As long as 40 m, and 1 m wide.
+    shape = 9.95 * (1 - np.cos(angle)) * away + 0.5 * np.sin(angle) * np.cross([0, 0, 1], away)
+    before, after = (
+        rows[(walked >= a) & (walked <= b)] for a, b in ((walked[k] - 30, walked[k]), (walked[k], walked[k] + 30))
+    )
+    return [before, beside(before[-1], after[0], shape, foreign, field_map, rng), after]
+
+
+def to_another_floor(floors, field_map, rng):
+    """30 m on one floor, a turn of stairs, 30 m on the other from there."""
+    one, other = floors if rng.uniform() < 0.5 else floors[::-1]
+    (walked, p), (walked_there, q) = ((path_walked(rows[:, :3]), rows) for rows in (one, other))
+    is_long = np.flatnonzero(walked_there < walked_there[-1] - 30.0)
+    k, near, apart = 0, 0, np.inf
+    # Where the floors lie over each other.
+    while walked[k] < 30.0 or apart > 1.5:
+        k = rng.integers(len(p))
+        gaps = np.linalg.norm(q[is_long, :2] - p[k, :2], axis=1)
+        near, apart = is_long[np.argmin(gaps)], gaps.min()
+    before = p[(walked >= walked[k] - 30.0) & (walked <= walked[k])]
+    after = q[(walked_there >= walked_there[near]) & (walked_there <= walked_there[near] + 30.0)]
+    angle = np.linspace(0, 2 * np.pi, 140)[:, None]
+    shape = 1.5 * np.c_[np.cos(angle) - 1, np.sin(angle), 0 * angle]
+    return [before, beside(before[-1], after[0], shape, q, field_map, rng), after]
+
+
+def walk_of(floor, case, seed, data, field_map):
+    """A log of a case, its true places, and the samples at which the body leaves and is back, where it does."""
     rng = np.random.default_rng(seed)
     there = {"cea1": "cea2", "cea2": "cea1"}[floor] if case == "elsewhere" else floor
     rows = cea(data)["test"][there]
@@ -151,6 +205,21 @@ def walk_of(floor, case, seed, data):
     direction = rng.standard_normal(3)
     direction /= np.linalg.norm(direction)
     level = case if case in LEVELS else "1%"
+    if case == "outside" or case in FLOORS:
+        low, high = (cea(data)["test"][one] for one in ("cea1", "cea2"))
+        # Of a map of both floors, the body leaves the lower.
+        parts = (
+            to_another_floor((low, high), field_map, rng) if case in FLOORS
+            else out_and_back(*((high, low) if floor == "cea2" else (low, high)), field_map, rng)
+        )  # fmt: skip
+        path, ends = np.vstack(parts), np.cumsum([len(part) for part in parts])
+        seen = path[:, :3].copy()
+        if case == "lift":
+            rise = seen[ends[1], 2] - seen[ends[0] - 1, 2]
+            path, seen = (np.delete(x, np.s_[ends[0] : ends[1]], axis=0) for x in (path, seen))
+            seen[ends[0] :, 2] -= rise
+            ends[1] = ends[0]
+        return odometry_of(seen, path[:, 3:], rng, level, 0.0), path[:, :3], ends[:2]
     if case == "kidnapped":
         (p, b), (q, c) = part(30.0), part(30.0)
         one, other = odometry_of(p, b, rng, level, 0), odometry_of(q, c, rng, level, 0)
@@ -164,13 +233,27 @@ def walk_of(floor, case, seed, data):
             np.r_[one.times, one.times[-1] + 0.5 + moved.times],
             Rotation.concatenate([one.orientations, moved.orientations]), name="walk",
         )  # fmt: skip
-        return log, np.vstack([p, q])
+        return log, np.vstack([p, q]), [len(p), len(p)]
     p, b = part(LENGTHS.get(case, 60.0))
     bias = 30e-6 * direction * rng.uniform() if case == "bias" else 0.0
     if case.startswith("jump"):
         walked = path_walked(p)
         bias = np.where(walked[:, None] > 25.0, float(case[4:]) * 1e-6 * direction, 0.0)
-    return odometry_of(p, b, rng, level, bias), p
+    return odometry_of(p, b, rng, level, bias), p, None
+
+
+def changed(rows, error, walked, is_stated, leaves, back):
+    """Of stated samples, how far the body was known right again once it was back, and how many were wrong."""
+    is_late = rows >= back
+    last = rows[(error > 1.0) & is_late].max(initial=back)
+    again = rows[(error < 1.0) & is_late & (rows >= last)]
+    # A body that was put down where it had been is never lost.
+    gone = np.flatnonzero((np.arange(len(walked)) >= back) & ~is_stated)
+    later = is_late & (rows > (gone[0] if len(gone) else -1)) if leaves == back else rows >= leaves
+    return {
+        "again": float(walked[again[0]] - walked[back]) if len(again) else None,
+        "wrong": float(np.mean(error[later] > 1.0)) if later.any() else 0.0,
+    }
 
 
 def work(name, data, out, smooth):
@@ -178,10 +261,10 @@ def work(name, data, out, smooth):
     place_name, case, seed = name.split(": ")
     place = place_of(place_name, data, out)
     if place_name.startswith("cea"):
-        log, p = walk_of(place_name, case, int(seed), data)
+        log, p, ends = walk_of(place_name, case, int(seed), data, place.field_map)
         truth = np.c_[log.times, p]
     else:
-        log, truth = real_walk(case, data)
+        (log, truth), ends = real_walk(case, data), None
     track, seconds, _ = timed(localize_smoothly if smooth else localize, place, log, mm.LocalizerConfig())
     seconds -= track.seconds["map"]
     walked = path_walked(log.positions)
@@ -211,22 +294,18 @@ def work(name, data, out, smooth):
     first = float(walked[right[0]]) if len(right) else None
     wrong = float(np.mean(error > 1.0)) if len(error) else 0.0
     row |= {"first": first, "after": float(track.is_stated[stated[0] :].mean())}
-    if case == "kidnapped":
-        # The odometry's own path is a little longer or shorter.
-        is_late = walked[rows] > 29.0
-        last = walked[rows[(error > 1.0) & is_late]].max(initial=30.0)
-        again = rows[(error < 1.0) & is_late & (walked[rows] >= last)]
-        row |= {"again": float(walked[again[0]]) - 30.0 if len(again) else None}
-        # A body that was put down where it had been is never lost.
-        gone = np.flatnonzero((walked > 30.0) & ~track.is_stated)
-        later = is_late & (rows > (gone[0] if len(gone) else -1))
-        wrong = float(np.mean(error[later] > 1.0)) if later.any() else 0.0
-        error, nees = error[~is_late], nees[~is_late]
+    if ends is not None:
+        row |= changed(rows, error, walked, track.is_stated, *ends)
+        wrong = row["wrong"]
+        own = (rows >= ends[0]) & (rows < ends[1]) if case == "outside" else rows < ends[0]
+        error, nees = error[own], nees[own]
+        if case == "outside":
+            row["share"] = float(track.is_stated[slice(*ends)].mean())
     few = slice(None, None, max(len(error) // 200, 1))
     return row | {"error": error[few].tolist(), "nees": nees[few].tolist(), "wrong": wrong}
 
 
-def names(sets, n):
+def names(sets, n, cases=CASES):
     """Rows of all sets: ``PLACE: CASE: SEED``."""
     for one in sets:
         if one == "infcenter":
@@ -236,7 +315,11 @@ def names(sets, n):
                 yield from (f"route{r}_{a} route{r}_{a + 1}: route{r}_{b}: 0" for a, b in ((1, 3), (3, 1)))
         else:
             yield from (
-                f"{one}: {case}: {k}" for case in CASES for k in range(n) if (one, case) != ("cea", "elsewhere")
+                f"{one}: {case}: {k}"
+                for case in cases
+                for k in range(n)
+                if case != "elsewhere" or one != "cea"
+                if case not in FLOORS or one == "cea"
             )
 
 
@@ -263,7 +346,7 @@ def cost(place, data):
     """Mean time of a sample that is tracked, and of the longest search, over an evaluation at a point; in s, too."""
     field_map, rng = place.field_map, np.random.default_rng(0)
     points = field_map.survey.positions[rng.integers(len(field_map.survey), size=4000)]
-    log, _ = walk_of("cea1", "1%", 0, data)
+    log, *_ = walk_of("cea1", "1%", 0, data, field_map)
     poses = RigidTransform.from_components(log.positions, log.orientations)
     z, times, one = log.orientations.inv().apply(log.field), [], []
     # The first run compiles; each sample's best of the others counts: what else runs on the machine does not.
@@ -281,11 +364,11 @@ def cost(place, data):
 
 def main() -> None:
     asked = arguments(
-        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", n=20, smooth=False, jobs=os.cpu_count(),
-        save=saver,
+        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", cases=",".join(CASES), n=20, quick=False,
+        smooth=False, jobs=os.cpu_count(), save=saver,
     )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
-    wanted = list(names(asked.sets.split(","), asked.n))
+    wanted = list(names(asked.sets.split(","), 1 if asked.quick else asked.n, asked.cases.split(",")))
     for place in dict.fromkeys(name.split(": ")[0] for name in wanted):
         place_of(place, asked.data, asked.out)
     file = asked.out / ("smooth.jsonl" if asked.smooth else "walks.jsonl")
@@ -302,7 +385,7 @@ def main() -> None:
     costs = [
         (one, *(f"{x:.3g}" for x in cost(place_of(one, asked.data, asked.out), asked.data)))
         for one in ("cea1", "cea")
-        if one in asked.sets.split(",")
+        if one in asked.sets.split(",") and not asked.quick
     ]
     show(("map", "a tracked sample", "a search", "evaluation, us"), costs)
 

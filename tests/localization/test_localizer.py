@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
-from drifting import Place, drifting_walk
+from drifting import Place, about_z, drifting_walk, loop
 from magmatch.localization.samples import OdometryJump, unit_rows
 
 
@@ -254,3 +254,44 @@ def test_other_things_than_maps_and_logs_are_named(place):
     log, _ = drifting_walk(Place(1), 3, laps=0.5)
     with pytest.raises(mm.SurveyError, match="times"):
         mm.localize(place, mm.Survey(log.positions, log.field))
+
+
+def outing(place, seed, length):
+    """A walk of 13 m, a way straight out of the map and back (m), by odometry that turns, and a walk on.
+
+    What is said on the last, and its true positions.
+    """
+    log, truth = drifting_walk(Place(1), seed, laps=0.8, start=0.5)
+    localizer, R, end = mm.Localizer(place), log.orientations[-1], 0.5 + 1.6 * np.pi
+    assert feed(localizer, log)[-1].is_stated
+    n = round(length / 0.1)
+    ahead = 0.1 * np.r_[1 : n + 1, n:0:-1][:, None] * [[1.0, 0.0, 0.0]]
+    heading = about_z(loop(np.array([end]))[1])
+    field = heading.inv().apply(Place(1).field(truth[-1] + heading.apply(ahead)))
+    positions = log.positions[-1] + R.apply(ahead + 0.01 * np.arange(2 * n)[:, None] * [0.0, 0.2, 0.0])
+    for k, (p, z) in enumerate(zip(positions, field, strict=True)):
+        localizer.update(log.times[-1] + 0.1 * (k + 1), RigidTransform.from_components(p, R), z)
+    then, p_then = drifting_walk(Place(1), seed + 10, laps=0.8, start=end)
+    last = RigidTransform.from_components(positions[-1], R)
+    T = last * RigidTransform.from_components(then.positions[0], then.orientations[0]).inv()
+    return feed(localizer, then, T=T, later=log.times[-1] + 0.1 * (2 * n + 1)), p_then
+
+
+def test_a_body_that_was_out_of_the_map_is_found_again_soon_after_it_is_back(place):
+    said, truth = outing(place, 26, 12.0)
+    is_stated = np.array([e.is_stated for e in said])
+    off = [np.linalg.norm(e.T_map_body.translation - p) for e, p in zip(said, truth, strict=True) if e.is_stated]
+    assert max(off) < 0.6
+    # Five of the map's field lengths.
+    assert np.argmax(is_stated) / len(said) * 0.8 * 20.8 < 3.0
+    assert is_stated[len(said) // 2 :].all()
+
+
+def test_whatever_spoke_for_a_hypothesis_before_a_contradiction_it_counts_as_little(place, followed):
+    localizer = mm.Localizer(place)
+    feed(localizer, followed.log, slice(0, 100))
+    belief = localizer._places.best
+    belief._bank["earlier"] = 50.0
+    belief.doubt()
+    # The prior odds that nothing ended.
+    assert belief._bank["earlier"].max() <= np.log(100) + 1e-9

@@ -3,10 +3,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.localization.measurement import FIT, STEP
-from magmatch.localization.monitor import Toll, evidence, forget
-from magmatch.localization.state import hypotheses
+import magmatch as mm
+from magmatch.localization.measurement import FIT, STEP, follow
+from magmatch.localization.monitor import Toll, covariance_of, evidence, forget
+from magmatch.localization.state import hypotheses, model_of
 
 N, FREE = 24, Toll(0.0, 0)
 
@@ -66,3 +68,49 @@ def test_who_is_trusted_and_outside_the_map_forgets_nothing(known):
     forget(steps, fit, null, known, Toll(0.0, 1), 1.0, bank)
     assert bank["earlier"][0] > 5
     assert bank["earlier"][1] == pytest.approx(1.0)
+
+
+def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it(place, known, followed):
+    """Odometry is as good as before: four times the readings' covariance doubles the pose's."""
+    log, localizer = followed.log, mm.Localizer(place)
+    poses, z = (
+        RigidTransform.from_components(log.positions, log.orientations),
+        log.orientations.inv().apply(log.field),
+    )
+    for n in range(60):
+        localizer.update(log.times[n], poses[n], z[n])
+    belief, usual = localizer._places.best, model_of(known, mm.LocalizerConfig())
+    worse = {k: 4 * getattr(usual, k) for k in ("misfit_variance", "map_factor2", "nugget_variance")}
+    a, b = (belief._bank[:1].copy() for _ in range(2))
+    sizes = []
+    for n in range(60, len(log)):
+        end = belief._window._end
+        localizer.update(log.times[n], poses[n], z[n])
+        if belief._window._end == end:
+            continue
+        for one, model in ((a, usual), (b, usual._replace(**worse))):
+            follow(one, known, model, belief._window.steps[-1:], np.zeros((1, 1), FIT), moves_first=True)
+        sizes.append([np.trace(one["P"][0, 3:6, 3:6]) for one in (a, b)])
+    ratio = np.median([y / x for x, y in sizes[len(sizes) // 4 :]])
+    assert ratio == pytest.approx(2.0, rel=0.25)
+    said = [np.trace((covariance_of(a, known, factor) - known.bent)[3:, 3:]) for factor in (1.0, 4.0)]
+    assert said[1] / said[0] == pytest.approx(ratio, rel=0.25)
+
+
+def test_a_way_outside_the_map_costs_no_more_than_coming_into_it(known):
+    steps, fit, rng = np.zeros(N, STEP), fits(np.random.default_rng(5), 1, 3.0), np.random.default_rng(6)
+    steps["u"][:, 0], null = 1.0, fits(rng, 3, 4.0)
+    fit["is_known"][: N // 2] = 0
+    inside, *usual = (
+        evidence(steps, fit, null, known, toll)[0] for toll in (FREE, Toll(0.1, 0, 5.0), Toll(3.0, 0, 5.0))
+    )
+    np.testing.assert_allclose(inside - usual, [[0.1 * N / 2], [5.0]], atol=1e-9)
+
+
+def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
+    steps, rng = np.zeros(N, STEP), np.random.default_rng(7)
+    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
+    bank["earlier"], fit["is_known"][-1] = 30.0, 0
+    forget(steps, fit, null, known, Toll(0.0, 1), 4.0, bank)
+    assert bank["earlier"][0] > 20
+    assert bank["earlier"][1] == pytest.approx(4.0)

@@ -76,16 +76,21 @@ class Belief:
 
     def _forget_first(self) -> None:
         """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
-        config, window = self._config, self._window
+        window = self._window
         if self._since == 0:
-            forget(*self._parts(), self._known, self._toll, -np.log(config.end_probability), self._bank)
+            forget(*self._parts(), self._known, self._toll, self._most_earlier, self._bank)
         window.forget_first()
         self._since = max(self._since - 1, 0)
 
     @property
+    def _most_earlier(self) -> float:
+        """Prior log odds that the track was not lost since."""
+        return -float(np.log(self._config.end_probability))
+
+    @property
     def _toll(self) -> Toll:
-        """A hypothesis that is trusted may leave the map."""
-        return Toll(self._config.price_outside / self._known.length, int(self.is_sure))
+        """A hypothesis that is trusted may leave the map; others come into it as seldom as a track is lost."""
+        return Toll(self._config.price_outside / self._known.length, int(self.is_sure), self._most_earlier)
 
     def is_doubtful(self) -> bool:
         """Whether the trusted hypothesis is contradicted by the latest bins."""
@@ -101,6 +106,8 @@ class Belief:
     def doubt(self) -> None:
         """Trust no hypothesis; from now on, evidence counts only from where the contradiction began."""
         window, recent = self._window, len(self._trail)
+        # Of a body outside the map nothing was forgotten.
+        self._bank["earlier"] = np.minimum(self._bank["earlier"], self._most_earlier)
         last = max(len(window) - recent, 0)
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
         window.weigh_against(self._null.begin_anew(window.steps[self._since :], window.null))

@@ -35,7 +35,8 @@ class LocalizerConfig(Settings):
     # Prior probability that the track is lost within the latest path: the body is carried elsewhere, or its sensor's
     # bias jumps.
     end_probability: float = Field(default=0.01, gt=0, lt=1)
-    # Penalty of a hypothesis that was never trusted for each field length of path outside the map, nats.
+    # Penalty of a hypothesis that is not trusted for each field length of path outside the map, nats; at most that of
+    # a track that is lost: it came into the map.
     price_outside: float = Field(default=3.0, ge=0)
     # When a pose is stated: the decision of a registration. The body may well be elsewhere, and is asked for at every
     # step: at these odds a walk elsewhere is ever stated once in 1,600 (Ville's inequality), in 10 km once in 16. An

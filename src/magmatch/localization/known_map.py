@@ -63,18 +63,22 @@ class KnownMap:
         base, noise = index.base, index.walks.noise
         raster = rasterize(base.field_map, RASTER_SPACING * index.length, base.draws())
         anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]
+        field_sd, values = float(np.sqrt(base.sample_field.var(axis=0).mean())), raster.values.copy()
+        # A map that says nothing of a place still says how much its field varies.
+        sd = values[..., 3]
+        sd /= np.sqrt(1 + np.maximum(sd * noise.map_factor / field_sd, 0) ** 2)
         R = rotation_matrix(base.T_map_model).T
         return cls(
             index,
             base.field_map.survey.name,
             base.T_map_model.as_matrix(),
             np.ascontiguousarray(R),
-            Ground(raster.values, raster.origin, raster.spacing, np.ascontiguousarray(R[:, 2])),
+            Ground(values, raster.origin, raster.spacing, np.ascontiguousarray(R[:, 2])),
             index.length,
             noise,
             np.ascontiguousarray(anchors),
             raster.volume,
-            float(np.sqrt(base.sample_field.var(axis=0).mean())),
+            field_sd,
             float(np.sqrt((base.sample_field**2).mean())),
             base.sample_field.mean(axis=0),
             np.diag(np.repeat([noise.attitude_sd**2, noise.drift_sd**2], 3)),

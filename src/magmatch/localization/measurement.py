@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The measurement update of hypotheses by a bin of samples: ``z = gain R^T (B(p) + g c) + M b + nugget``.
+"""The measurement update of hypotheses by a bin of samples: ``z = gain R^T (B(p) + g c + s e) + M b + nugget``.
 
-g^2 is the variance of the field that does not repeat from walk to walk, including the map's own.
+g^2 is the variance of the field that does not repeat from walk to walk, s^2 that of the map's own error.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.bins import Bin
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.state import BIAS, GAIN, MISFIT, PLACE, SCALE, Model, N, correct, predict, settle
+from magmatch.localization.state import BIAS, ERROR, GAIN, MISFIT, PLACE, SCALE, Model, N, correct, predict, settle
 from magmatch.registration.prepared.raster import find_cell, interpolate
 
 # A bin and the odometry that leads to it: turn, shift (m, in the axes of the body before) and time (s) from the bin
@@ -146,19 +146,24 @@ def _follow(bank, steps, moves_first, ground, model, fit):  # type: ignore[no-un
 def _linearise(h, step, out, model, H, r):  # type: ignore[no-untyped-def]
     """Innovation and its derivatives where the map's field, sd and gradient are `out`."""
     R, f = h.R, 1 + h.gain
-    g = np.sqrt(model.misfit_variance + model.map_factor2 * out[3] ** 2)
-    bx, by, bz = out[0] + g * h.c[0], out[1] + g * h.c[1], out[2] + g * h.c[2]
+    g, s = np.sqrt(model.misfit_variance), np.sqrt(model.map_factor2) * out[3]
+    bx, by, bz = (
+        out[0] + g * h.c[0] + s * h.e[0],
+        out[1] + g * h.c[1] + s * h.e[1],
+        out[2] + g * h.c[2] + s * h.e[2],
+    )
     for a in range(3):
         x, y, w = R[0, a], R[1, a], R[2, a]
         reading = x * bx + y * by + w * bz
         r[a] = step.z[a] - f * reading
-        # R^T [B]x, R^T G, M, g R^T and the reading itself.
+        # R^T [B]x, R^T G, M, g R^T, s R^T and the reading itself.
         H[a, 0], H[a, 1], H[a, 2] = f * (y * bz - w * by), f * (w * bx - x * bz), f * (x * by - y * bx)
         for e in range(3):
             H[a, PLACE + e] = f * (x * out[4 + e] + y * out[7 + e] + w * out[10 + e])
             H[a, BIAS + e] = step.M[a, e]
             r[a] -= step.M[a, e] * h.b[e]
         H[a, MISFIT], H[a, MISFIT + 1], H[a, MISFIT + 2] = f * g * x, f * g * y, f * g * w
+        H[a, ERROR], H[a, ERROR + 1], H[a, ERROR + 2] = f * s * x, f * s * y, f * s * w
         H[a, GAIN] = reading
 
 

@@ -61,10 +61,11 @@ class Weighed:
 
 
 class Toll(NamedTuple):
-    """Penalty per metre outside the map (nats), and how many of the first hypotheses are exempt from it."""
+    """Penalty per metre outside the map, how many of the first hypotheses are exempt from it, and the most (nats)."""
 
     per_metre: float
     n_free: int
+    most: float = np.inf
 
 
 def evidence(
@@ -104,7 +105,7 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, 
             unrelated = np.logaddexp(unrelated, one_field)
         unrelated -= np.log(null.shape[1])
         likelihood, best = _average(own, n, log_factors, inverse, log_priors)
-        gained[k] = likelihood - own_det - unrelated - paid
+        gained[k] = likelihood - own_det - unrelated - min(paid, toll.most)
         factor[k] = np.exp(log_factors[best])
         # The covariance's factor is averaged over: what it explains is not to count again.
         misfit[k] = np.sqrt(own / factor[k] / max(n, 1))
@@ -113,11 +114,11 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, 
 def forget(
     steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll, most: float, bank: np.ndarray
 ) -> None:
-    """Move what each hypothesis gained by the first bin to earlier evidence, up to a cap."""
+    """Move what each hypothesis gained by the first bin to earlier evidence, up to a cap unless it is free."""
     gained, rest = (evidence(steps[k:], fit[k:], null[k:], known, toll)[0] for k in (0, 1))
-    # A body that may leave the map and is outside forgets nothing.
-    is_outside = (np.arange(len(bank)) < toll.n_free) & (fit[-1]["is_known"] == 0)
-    limit = np.where(is_outside, np.inf, np.maximum(most, bank["earlier"]))
+    # A body that may leave the map and is outside forgets nothing, and nothing of that when it comes back.
+    is_free, is_outside = np.arange(len(bank)) < toll.n_free, fit[-1]["is_known"] == 0
+    limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(most, bank["earlier"])), most)
     bank["earlier"] = np.minimum(bank["earlier"] + gained - rest, limit)
 
 
@@ -185,7 +186,8 @@ def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance
 
 
 def _factor(known: KnownMap, factor: float) -> float:
-    return max(factor, 0.0 if known.noise.is_learned else 1.0)
+    """Of a pose's covariance, from that of the readings: its root, as odometry's noise is not scaled with them."""
+    return float(np.sqrt(max(factor, 0.0 if known.noise.is_learned else 1.0)))
 
 
 @compiled

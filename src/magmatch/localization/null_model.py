@@ -13,6 +13,7 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
+from magmatch.localization.matern import transition
 from magmatch.localization.measurement import FIT
 from magmatch.localization.state import Model, settle
 from magmatch.typing import Vector3
@@ -120,9 +121,8 @@ def _compare(x, P, b, RM, nugget, PH, S, r):  # type: ignore[no-untyped-def]
 @compiled
 def _predict(x, P, d, dt, rate, variance, misfit, model):  # type: ignore[no-untyped-def]
     """Along d metres of path; the slope is in units of the field, times the rate."""
-    v = rate * d
-    e, fade = np.exp(-v), np.exp(-d / model.misfit_length)
-    f00, f01, f10, f11 = e * (1 + v), e * v, -e * v, e * (1 - v)
+    fade = np.exp(-d / model.misfit_length)
+    f00, f01, f10, f11 = transition(rate * d)
     for a in range(3):
         i = 4 * a
         x[i], x[i + SLOPE] = f00 * x[i] + f01 * x[i + 1], f10 * x[i] + f11 * x[i + 1]

@@ -2,8 +2,9 @@
 """Hypotheses: each an error-state Kalman filter of the body's pose and of what else makes the readings differ.
 
 State: attitude R and position p of the body (model frame), bias b of the sensor (body axes, T) and its gain, the
-map's misfit c along the path (model frame, of unit variance, an Ornstein-Uhlenbeck process as `PathNoise` has it) and
-the odometry's scale. Error: ``R = Exp(theta) R_hat``, the others by their difference; in this order, N in all.
+map's misfit c along the path (model frame, of unit variance, an Ornstein-Uhlenbeck process as `PathNoise` has it),
+the map's own error e (the same, but smooth: a Matern-3/2 process and its slope) and the odometry's scale. Error:
+``R = Exp(theta) R_hat``, the others by their difference; in this order, N in all.
 """
 
 from typing import NamedTuple
@@ -13,16 +14,17 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
+from magmatch.localization.matern import transition
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import Matrix, Vector3
 
-THETA, PLACE, BIAS, MISFIT, GAIN, SCALE, N = 0, 3, 6, 9, 12, 13, 14
+THETA, PLACE, BIAS, MISFIT, ERROR, SLOPE, GAIN, SCALE, N = 0, 3, 6, 9, 12, 15, 18, 19, 20
 # One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the
 # search for it cost, and that bins gained that are no longer kept.
 HYPOTHESIS = np.dtype(
     [
-        ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("gain", "f8"), ("scale", "f8"),
-        ("P", "f8", (N, N)), ("earlier", "f8"),
+        ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("e", "f8", 3), ("slope", "f8", 3),
+        ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)), ("earlier", "f8"),
     ]
 )  # fmt: skip
 
@@ -38,12 +40,15 @@ class Model(NamedTuple):
     misfit_variance: float
     misfit_length: float
     map_factor2: float
+    error_rate: float
     nugget_variance: float
     gate: float
 
 
 # A bin that misses by more (chi^2 of 3, one in 10,000) counts as if its covariance were so much larger.
 GATE = 21.0
+# Rate of the Matern-3/2 process whose correlation falls to a half where a squared exponential's of length 1 does.
+RATE = 1.67835 / np.sqrt(2 * np.log(2))
 
 
 def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
@@ -63,6 +68,7 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
         misfit_variance=noise.misfit_sd**2 + noise.constant_sd**2,
         misfit_length=noise.misfit_length,
         map_factor2=noise.map_factor**2,
+        error_rate=RATE / noise.map_length,
         nugget_variance=noise.nugget_sd**2,
         gate=GATE,
     )
@@ -84,7 +90,7 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
     P = np.zeros((N, N))
     P[:3, :3] = sd[1] ** 2 * vertical + tilt**2 * level
     P[3:6, 3:6] = sd[0] ** 2 * level + height**2 * vertical
-    P[MISFIT:GAIN, MISFIT:GAIN] = np.eye(3)
+    P[MISFIT:GAIN, MISFIT:GAIN] = np.eye(GAIN - MISFIT)
     P[GAIN, GAIN] = config.gain_sd**2
     P[SCALE, SCALE] = config.odometry.scale_sd**2
     return P
@@ -93,46 +99,58 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
 @compiled
 def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
     """Move a hypothesis on by odometry: turn dR and shift u in the axes of the body before it."""
-    R, p, c, P = h.R, h.p, h.c, h.P
+    R, p, c, e, slope, P = h.R, h.p, h.c, h.e, h.slope, h.P
     d = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
     f = 1 + h.scale
     wx = R[0, 0] * u[0] + R[0, 1] * u[1] + R[0, 2] * u[2]
     wy = R[1, 0] * u[0] + R[1, 1] * u[1] + R[1, 2] * u[2]
     wz = R[2, 0] * u[0] + R[2, 1] * u[1] + R[2, 2] * u[2]
     fade = np.exp(-d / model.misfit_length)
+    f00, f01, f10, f11 = transition(model.error_rate * d)
     p[0] += f * wx
     p[1] += f * wy
     p[2] += f * wz
     for a in range(3):
         c[a] *= fade
+        e[a], slope[a] = f00 * e[a] + f01 * slope[a], f10 * e[a] + f11 * slope[a]
     # P = F P F^T, rows then columns: a turn theta carries the step with it, theta x (f w).
     for j in range(N):
         tx, ty, tz, ds = P[0, j], P[1, j], P[2, j], P[SCALE, j]
         P[3, j] += f * (ty * wz - tz * wy) + wx * ds
         P[4, j] += f * (tz * wx - tx * wz) + wy * ds
         P[5, j] += f * (tx * wy - ty * wx) + wz * ds
-        for a in range(MISFIT, GAIN):
-            P[a, j] *= fade
+        for a in range(3):
+            x, v = P[ERROR + a, j], P[SLOPE + a, j]
+            P[MISFIT + a, j] *= fade
+            P[ERROR + a, j], P[SLOPE + a, j] = f00 * x + f01 * v, f10 * x + f11 * v
     for i in range(N):
         tx, ty, tz, ds = P[i, 0], P[i, 1], P[i, 2], P[i, SCALE]
         P[i, 3] += f * (ty * wz - tz * wy) + wx * ds
         P[i, 4] += f * (tz * wx - tx * wz) + wy * ds
         P[i, 5] += f * (tx * wy - ty * wx) + wz * ds
-        for a in range(MISFIT, GAIN):
-            P[i, a] *= fade
+        for a in range(3):
+            x, v = P[i, ERROR + a], P[i, SLOPE + a]
+            P[i, MISFIT + a] *= fade
+            P[i, ERROR + a], P[i, SLOPE + a] = f00 * x + f01 * v, f10 * x + f11 * v
+    # Of a stationary process as much comes back as the step forgets.
+    g00, g01, g11 = 1 - f00 * f00 - f01 * f01, -f00 * f10 - f01 * f11, 1 - f10 * f10 - f11 * f11
     for a in range(3):
         P[a, a] += model.tilt_walk * d
         P[3 + a, 3 + a] += model.place_walk * d
         P[BIAS + a, BIAS + a] += model.bias_drift * dt
         P[MISFIT + a, MISFIT + a] += 1 - fade * fade
-        for e in range(3):
-            vertical = up[a] * up[e] * d
-            P[a, e] += (model.turn_walk - model.tilt_walk) * vertical
-            P[3 + a, 3 + e] += (model.height_walk - model.place_walk) * vertical
+        P[ERROR + a, ERROR + a] += g00
+        P[SLOPE + a, SLOPE + a] += g11
+        P[ERROR + a, SLOPE + a] += g01
+        P[SLOPE + a, ERROR + a] += g01
+        for k in range(3):
+            vertical = up[a] * up[k] * d
+            P[a, k] += (model.turn_walk - model.tilt_walk) * vertical
+            P[3 + a, 3 + k] += (model.height_walk - model.place_walk) * vertical
     for a in range(3):
         x, y, z = R[a, 0], R[a, 1], R[a, 2]
-        for e in range(3):
-            R[a, e] = x * dR[0, e] + y * dR[1, e] + z * dR[2, e]
+        for k in range(3):
+            R[a, k] = x * dR[0, k] + y * dR[1, k] + z * dR[2, k]
 
 
 @compiled
@@ -145,24 +163,26 @@ def move(bank, dR, u, up, model):  # type: ignore[no-untyped-def]
 @compiled
 def correct(h, dx):  # type: ignore[no-untyped-def]
     """Add an error to a hypothesis: ``R = Exp(theta) R``."""
-    R, p, b, c = h.R, h.p, h.b, h.c
+    R, p, b, c, e, slope = h.R, h.p, h.b, h.c, h.e, h.slope
     for a in range(3):
         p[a] += dx[PLACE + a]
         b[a] += dx[BIAS + a]
         c[a] += dx[MISFIT + a]
+        e[a] += dx[ERROR + a]
+        slope[a] += dx[SLOPE + a]
     h.gain += dx[GAIN]
     h.scale += dx[SCALE]
     angle = np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2)
     if angle > 0:
         x, y, z = dx[0] / angle, dx[1] / angle, dx[2] / angle
         sine, cosine = np.sin(angle), np.cos(angle)
-        for e in range(3):
+        for k in range(3):
             # Rodrigues' formula on each column.
-            rx, ry, rz = R[0, e], R[1, e], R[2, e]
+            rx, ry, rz = R[0, k], R[1, k], R[2, k]
             along = (1 - cosine) * (x * rx + y * ry + z * rz)
-            R[0, e] = cosine * rx + sine * (y * rz - z * ry) + along * x
-            R[1, e] = cosine * ry + sine * (z * rx - x * rz) + along * y
-            R[2, e] = cosine * rz + sine * (x * ry - y * rx) + along * z
+            R[0, k] = cosine * rx + sine * (y * rz - z * ry) + along * x
+            R[1, k] = cosine * ry + sine * (z * rx - x * rz) + along * y
+            R[2, k] = cosine * rz + sine * (x * ry - y * rx) + along * z
 
 
 @compiled

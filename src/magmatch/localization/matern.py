@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A Matern-3/2 process along a path as a filter has it: its value, and its slope over its rate, of one variance."""
+
+import numpy as np
+
+from magmatch.compiled import inlined
+
+
+@inlined
+def transition(v):  # type: ignore[no-untyped-def]
+    """By how much value and slope depend on both a path of rate times length v before: f00, f01, f10, f11."""
+    e = np.exp(-v)
+    return e * (1 + v), e * v, -e * v, e * (1 - v)
