@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import multivariate_normal
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.slam.chain import Placed, log_density, smooth
-from magmatch.slam.config import SlamConfig
+from magmatch.slam.chain import Placed, smooth
 
 REVISIT, KEEPS_ON = 0.4, 0.8
 
@@ -85,27 +83,3 @@ def test_neighbours_that_agree_believe_each_other_and_those_that_do_not_stay_alo
 
 def test_without_windows_nothing_is_found():
     assert smooth([], [], REVISIT, KEEPS_ON) == []
-
-
-FREE, ALIGNED, PLANAR = (
-    SlamConfig(is_gravity_aligned=aligned, is_planar=planar)
-    for aligned, planar in ((False, False), (True, False), (True, True))
-)
-C = np.diag([0.01, 0.01, 0.2, 0.5, 0.7, 0.05]) ** 2
-
-
-def pose(rotvec, shift):
-    return RigidTransform.from_components(np.array(shift), Rotation.from_rotvec(rotvec))
-
-
-@pytest.mark.parametrize(("config", "drifts"), [(FREE, range(6)), (ALIGNED, range(2, 6)), (PLANAR, range(2, 5))])
-def test_a_prediction_is_a_normal_density_of_the_components_that_drift(config, drifts):
-    xi = np.array([0.02, -0.01, 0.3, -0.4, 0.2, 0.06])
-    rows = list(drifts)
-    expected = multivariate_normal.logpdf(xi[rows], cov=C[np.ix_(rows, rows)])
-    assert log_density(pose(xi[:3], xi[3:]), C, config.drifts) == pytest.approx(expected)
-
-
-def test_gravity_and_the_floor_are_no_prediction_of_a_neighbour():
-    level, leaning = pose([0, 0, 0.1], [0.3, 0.1, 0]), pose([0.06, -0.05, 0.1], [0.3, 0.1, 0.2])
-    assert log_density(level, C, PLANAR.drifts) == pytest.approx(log_density(leaning, C, PLANAR.drifts), abs=0.01)

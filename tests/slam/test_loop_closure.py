@@ -3,12 +3,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam import loop_closure
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
-from magmatch.slam.loop_closure import Rough, matches
+from magmatch.slam.loop_closure import Rough, log_density, matches
 
 
 def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_begin_from(lone, monkeypatch):
@@ -38,3 +40,27 @@ def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(lone):
         of_node = [UPRIGHT_SD, LEVEL_SD, LEVEL_SD]
         expected = multivariate_normal.logpdf([turn, x, y], cov=np.diag(sd[2:5] ** 2 + np.square(of_node)))
         assert match.log_prior == pytest.approx(expected)
+
+
+FREE, ALIGNED, PLANAR = (
+    SlamConfig(is_gravity_aligned=aligned, is_planar=planar)
+    for aligned, planar in ((False, False), (True, False), (True, True))
+)
+C = np.diag([0.01, 0.01, 0.2, 0.5, 0.7, 0.05]) ** 2
+
+
+def pose(rotvec, shift):
+    return RigidTransform.from_components(np.array(shift), Rotation.from_rotvec(rotvec))
+
+
+@pytest.mark.parametrize(("config", "drifts"), [(FREE, range(6)), (ALIGNED, range(2, 6)), (PLANAR, range(2, 5))])
+def test_a_prediction_is_a_normal_density_of_the_components_that_drift(config, drifts):
+    xi = np.array([0.02, -0.01, 0.3, -0.4, 0.2, 0.06])
+    rows = list(drifts)
+    expected = multivariate_normal.logpdf(xi[rows], cov=C[np.ix_(rows, rows)])
+    assert log_density(pose(xi[:3], xi[3:]), C, config.drifts) == pytest.approx(expected)
+
+
+def test_gravity_and_the_floor_are_no_prediction_of_a_neighbour():
+    level, leaning = pose([0, 0, 0.1], [0.3, 0.1, 0]), pose([0.06, -0.05, 0.1], [0.3, 0.1, 0.2])
+    assert log_density(level, C, PLANAR.drifts) == pytest.approx(log_density(leaning, C, PLANAR.drifts), abs=0.01)

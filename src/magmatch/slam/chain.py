@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import logsumexp
 
-from magmatch.typing import Covariance6, Indices, Matrix, Scalars
+from magmatch.typing import Covariance6, Matrix, Scalars
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -22,16 +22,6 @@ class Placed:
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node
     log_odds: float  # over nowhere, prior included
     log_prior: float  # density of the prior at the pose, of the components that drift
-
-
-def log_density(off: RigidTransform, covariance: Covariance6, drifts: Indices) -> float:
-    """Log density of a pose that is ``off = Exp(xi)`` from where it is predicted, of the components that drift.
-
-    Gravity and the floor hold each window by itself, so its own evidence has them; a neighbour predicts the others.
-    """
-    r = np.concatenate([off.rotation.as_rotvec(), off.translation])[drifts]
-    S = covariance[np.ix_(drifts, drifts)]
-    return float(-0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
 def smooth(

@@ -14,11 +14,10 @@ from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.line_evidence import inside_base, weigh_walk
 from magmatch.slam.bases import Base
-from magmatch.slam.chain import log_density
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.windows import Window
-from magmatch.typing import Covariance6
+from magmatch.typing import Covariance6, Indices
 
 # Poses nearer than this are one answer: in field lengths, and rad.
 SAME_SHIFT, SAME_TURN = 0.3, 0.1
@@ -70,6 +69,16 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
         odds = log_odds(e.log_evidence, e.misfit, "window")
         found.append(Match(T, M @ e.covariance @ M.T, odds, _log_prior(window, T, prior, expected)))
     return found
+
+
+def log_density(off: RigidTransform, covariance: Covariance6, drifts: Indices) -> float:
+    """Log density of a pose that is ``off = Exp(xi)`` from where it is predicted, of the components that drift.
+
+    Gravity and the floor hold each window by itself, so its own evidence has them; a neighbour predicts the others.
+    """
+    r = np.concatenate([off.rotation.as_rotvec(), off.translation])[drifts]
+    S = covariance[np.ix_(drifts, drifts)]
+    return float(-0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
 def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:

@@ -9,12 +9,12 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_error, transform_from_matrix
 from magmatch.slam.bases import Base
-from magmatch.slam.chain import Placed, log_density, smooth
+from magmatch.slam.chain import Placed, smooth
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, REACH, PoseGraph
 from magmatch.slam.graph.ties import Closure
-from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, matches
+from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, log_density, matches
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
