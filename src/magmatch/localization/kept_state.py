@@ -26,7 +26,7 @@ from magmatch.localization.monitor import Weighed
 from magmatch.localization.samples import Samples
 from magmatch.registration.decide.posterior import Posterior
 
-SCHEMA = "magmatch.localizer/1"
+SCHEMA = "magmatch.localizer/2"
 # What a state may consist of.
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (Bin, Binning, Posterior, Samples, Weighed, Window)}
 # Of a belief and its null model: what follows from the map and the settings.
@@ -68,7 +68,8 @@ def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: st
     words, _, content = rest.partition(b"\n")
     head = json.loads(words)
     if (head["schema"], head["version"]) != (SCHEMA, __version__):
-        raise DataFormatError(path, f"is of version {head['version']}, expected {__version__}")
+        was, expected = f"{head['schema']} of {head['version']}", f"{SCHEMA} of {__version__}"
+        raise DataFormatError(path, f"is of version {was}, expected {expected}")
     localizer = Localizer(known, config)
     if head["config"] != _config_of(localizer):
         raise DataFormatError(path, "is of other settings")
