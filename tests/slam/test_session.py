@@ -13,9 +13,11 @@ from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 from magmatch.geometry import adjoint, exp_se3, random_transform
+from magmatch.slam.loop_closure import Match
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
+from magmatch.slam.tie import Candidate
 
 KEYS = [
     "schema",
@@ -215,3 +217,15 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     others = np.flatnonzero(graph.log == graph.log[closure.second])
     assert not graph.is_tied(others, window.node).any()
     assert not {c.node for c in places.near(window)} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
+
+
+def test_a_pass_ties_a_window_once(three):
+    """What is weighed again with more windows may favour a node beside the one that is tied: the same evidence."""
+    places = three.session.places.copied()
+    path = places.paths[1]
+    closure = next(c for c in places.graph.closures if c.second in path.nodes)
+    for first in (closure.first, closure.first + 1):
+        T = places.graph.pose(first).inv() * places.graph.pose(closure.first) * closure.T_first_second
+        sure = Match(RigidTransform.identity(), closure.covariance, 12.0, -2.0)
+        candidates = [[Candidate(first, T, sure)] if n == closure.second else [] for n in path.nodes]
+        assert places.tie(path, candidates) == 0

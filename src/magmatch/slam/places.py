@@ -167,12 +167,11 @@ class Places:
         return of_numbers(self.steps(lambda: numbers_of(look())))
 
     def tie(self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = ()) -> int:
-        """Add the certain closures, except those of some windows, and solve; returns how many were found."""
-        known = {(c.first, c.second) for c in self.graph.closures}
+        """Add certain closures, one a pass, except those of some windows, and solve; returns how many were found."""
         closures = [
             c
             for c in tie(path, candidates, self.graph, self.paths)
-            if (c.first, c.second) not in known and c.second not in but
+            if c.second not in but and not self.graph.is_tied(np.array([c.first]), c.second).any()
         ]
         self.graph.closures += closures
         if closures:
