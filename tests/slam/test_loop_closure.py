@@ -61,6 +61,15 @@ def test_a_prediction_is_a_normal_density_of_the_components_that_drift(config, d
     assert log_density(pose(xi[:3], xi[3:]), C, config.drifts) == pytest.approx(expected)
 
 
+def test_many_densities_are_those_of_each():
+    rng = np.random.default_rng(0)
+    offs = [pose(0.3 * rng.standard_normal(3), rng.standard_normal(3)) for _ in range(5)]
+    covariances = C * rng.uniform(0.5, 2.0, (5, 1, 1))
+    for config in (FREE, ALIGNED, PLANAR):
+        each = [log_density(off, S, config.drifts) for off, S in zip(offs, covariances, strict=True)]
+        np.testing.assert_allclose(log_density(RigidTransform.concatenate(offs), covariances, config.drifts), each)
+
+
 def test_gravity_and_the_floor_are_no_prediction_of_a_neighbour():
     level, leaning = pose([0, 0, 0.1], [0.3, 0.1, 0]), pose([0.06, -0.05, 0.1], [0.3, 0.1, 0.2])
     assert log_density(level, C, PLANAR.drifts) == pytest.approx(log_density(leaning, C, PLANAR.drifts), abs=0.01)

@@ -58,9 +58,9 @@ class SlamConfig(Settings):
     @property
     def drifts(self) -> Indices:
         """Components of a pose that odometry lets drift, rotation first: gravity and the floor hold the others."""
-        return (
-            np.arange(6) if not self.is_gravity_aligned else np.array([2, 3, 4] if self.is_planar else [2, 3, 4, 5])
-        )
+        if not self.is_gravity_aligned:
+            return np.arange(6)
+        return np.array([2, 3, 4] if self.is_planar else [2, 3, 4, 5])
 
     @property
     def run_length(self) -> int:

@@ -71,14 +71,16 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     return found
 
 
-def log_density(off: RigidTransform, covariance: Covariance6, drifts: Indices) -> float:
-    """Log density of a pose that is ``off = Exp(xi)`` from where it is predicted, of the components that drift.
+def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) -> np.ndarray:
+    """Log density of poses that are ``off = Exp(xi)`` from where they are predicted, of the components that drift.
 
     Gravity and the floor hold each window by itself, so its own evidence has them; a neighbour predicts the others.
+    One pose with its covariance (6, 6), or h of them with theirs (h, 6, 6).
     """
-    r = np.concatenate([off.rotation.as_rotvec(), off.translation])[drifts]
-    S = covariance[np.ix_(drifts, drifts)]
-    return float(-0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(2 * np.pi * S)[1]))
+    r = np.concatenate([off.rotation.as_rotvec(), off.translation], axis=-1)[..., drifts]
+    S = covariance[..., drifts[:, None], drifts]
+    chi2 = (r * np.linalg.solve(S, r[..., None])[..., 0]).sum(axis=-1)
+    return np.asarray(-0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
 def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:
@@ -88,7 +90,7 @@ def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, exp
         height = prior.height_range if prior.height is not None else 1.0
         return float(np.log(height / (expected * turns)) - prior.log_share_inside)
     off = (expected.T_base_log * window.T_log_node).inv() * T_base_log * window.T_log_node
-    return log_density(off, expected.covariance + NODE_COVARIANCE, window.config.drifts)
+    return float(log_density(off, expected.covariance + NODE_COVARIANCE, window.config.drifts))
 
 
 def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:

@@ -151,12 +151,17 @@ def _log_transition(
     node: int, candidates: list[list[Candidate]], placed: list[list[Placed]], k: int, graph: PoseGraph
 ) -> Matrix:
     """Log density of the next window's candidates as odometry predicts them from this one's."""
+    shape = len(placed[k]), len(placed[k + 1])
+    if not all(shape):
+        return np.zeros(shape)
     step, Q = graph.odometry(node)
-    M = np.zeros((len(placed[k]), len(placed[k + 1])))
-    for i, one in enumerate(placed[k]):
-        for j, other in enumerate(placed[k + 1]):
-            # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
-            apart = abs(candidates[k][i].node - candidates[k + 1][j].node)
-            S = Q * (1 + min(apart, APART)) + one.covariance + other.covariance
-            M[i, j] = log_density((one.T * step).inv() * other.T, S, graph.config.drifts)
-    return M
+    i, j = np.indices(shape).reshape(2, -1)
+    (T, C, at), (T_next, C_next, at_next) = (
+        (RigidTransform.concatenate([p.T for p in some]), np.stack([p.covariance for p in some]),
+         np.array([c.node for c in found]))
+        for some, found in zip(placed[k : k + 2], candidates[k : k + 2], strict=True)
+    )  # fmt: skip
+    # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
+    steps = 1 + np.minimum(np.abs(at[i] - at_next[j]), APART)
+    S = Q * steps[:, None, None] + C[i] + C_next[j]
+    return log_density((T * step).inv()[i] * T_next[j], S, graph.config.drifts).reshape(shape)
