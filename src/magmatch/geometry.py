@@ -151,10 +151,10 @@ def unit_vectors(vectors: Vectors) -> Vectors:
 
 
 def skew(v: Points) -> Tensors:
-    """Cross-product matrices (n, 3, 3) of vectors (n, 3): ``skew(a) @ b == a x b``."""
-    S = np.zeros((len(v), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return S - np.swapaxes(S, 1, 2)
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == a x b``."""
+    S = np.zeros((*v.shape, 3))
+    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return S - np.swapaxes(S, -1, -2)
 
 
 def exp_se3(xi: np.ndarray) -> RigidTransform:

@@ -17,7 +17,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.typing import Indices, Points, Scalars, Vector3
 
 # Largest bend of a window, in field lengths.
-MOST_BEND = 0.5
+MOST_BEND = 1.0
 
 
 @dataclass(frozen=True, eq=False)

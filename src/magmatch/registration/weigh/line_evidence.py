@@ -5,6 +5,7 @@ Residuals are taken in the walk's axes, ``r = b - R^T B_base(T y)``, and the pos
 centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gradient in the walk's axes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -189,33 +190,48 @@ class _LeastSquares:
     bending: np.ndarray | None = None
 
     def run(self, R: Tensors, p: Points, strain: Matrix, n_steps: int, *, is_full: bool) -> _Fits:
-        """Take steps; the last evaluation only states chi^2 and information."""
+        """Take steps; the last evaluation only states chi^2 and information.
+
+        In full, the walk's shape is fitted too: the field is not linear over as far as odometry may bend it.
+        """
         scale = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
+        errors = np.zeros((len(R), 0 if self.bending is None else self.bending.shape[2]))
         for _ in range(n_steps):
-            fits, v = self._evaluate(R, p, strain, is_full=is_full)
+            fits, v, errors_after = self._evaluate(R, p, errors, strain, is_full=is_full)
             xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
             xi /= np.maximum(1.0, np.abs(xi / scale).max(axis=1))[:, None]
             p = p + np.einsum("hij,hj->hi", R, xi[:, 3:])
             R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
-        return self._evaluate(R, p, strain, is_full=is_full)[0]
+            if is_full and self.bending is not None:
+                errors = errors_after(xi)
+        return self._evaluate(R, p, errors, strain, is_full=is_full)[0]
 
-    def _evaluate(self, R: Tensors, p: Points, strain: Matrix, *, is_full: bool) -> tuple[_Fits, Matrix]:
-        """Where the poses stand, and the gradient of half their chi^2."""
+    def _evaluate(
+        self, R: Tensors, p: Points, errors: Matrix, strain: Matrix, *, is_full: bool
+    ) -> tuple[_Fits, Matrix, Callable[[Matrix], Matrix]]:
+        """Where the poses stand, the gradient of half their chi^2, and the errors of shape after a step xi.
+
+        The walk is bent by ``errors`` (h, m), in their standard deviations; all m are integrated out from there.
+        """
         n_poses, n = len(R), len(self.walk)
-        y = self.walk.positions - self.center
-        points = (p[:, None] + np.einsum("hij,nj->hni", R, y)).reshape(-1, 3)
+        y, b = self._bent(errors)
+        points = (p[:, None] + np.einsum("hij,hnj->hni", R, y)).reshape(-1, 3)
         _, sd, _, is_known = self.base.raster.lookup(points)
         values = self.base.posterior.evaluate(points, order=1)
         known, sd = is_known.reshape(n_poses, n), sd.reshape(n_poses, n)
         expected = values.field.reshape(n_poses, n, 3) @ R
         G = np.swapaxes(R, 1, 2)[:, None] @ gradient_of(values).reshape(n_poses, n, 3, 3) @ R[:, None]
-        J = np.concatenate([G @ skew(y) - skew(self.walk.field), -G], axis=3)
-        rows = np.concatenate([(self.walk.field - expected)[..., None], J], axis=3) * known[..., None, None]
+        J = np.concatenate([G @ skew(y) - skew(b), -G], axis=3)
+        rows = np.concatenate([(b - expected)[..., None], J], axis=3) * known[..., None, None]
         # Where something moved since, residuals of a whole piece are larger by a common factor.
         rows = rows / strain[..., None, None]
         G = G * known[..., None, None]
-        C = (self._full_covariance if is_full else self._alike_covariance)(G, sd, known)
-        white, half_log_det, variance = _whiten(C, rows)
+        moved = None if self.bending is None else np.concatenate([skew(b), G], axis=3) @ self.bending
+        if moved is not None and errors.any():
+            # What the residuals would be if the walk were not bent, by their slopes where it is.
+            rows[..., 0] += np.einsum("hnim,hm->hni", moved, errors) * (known / strain)[..., None]
+        C = (self._full_covariance if is_full else self._alike_covariance)(G, moved, sd, known)
+        white, half_log_det, variance, L = _whiten(C, rows)
         half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
         normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / variance
         z, JW = white[:, :, 0], white[:, :, 1:]
@@ -226,39 +242,50 @@ class _LeastSquares:
             known_before, slope, _ = self.prior.rows_of_many(R, p, self.center)
             information += known_before
             v += slope
-        return _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det), v
+
+        def errors_after(xi: Matrix) -> Matrix:
+            assert moved is not None
+            left = z + np.einsum("hki,hi->hk", JW, xi)
+            fitted = np.stack([solve_triangular(a, r, lower=True, trans=1) for a, r in zip(L, left, strict=True)])
+            return np.asarray(np.einsum("hkm,hk->hm", moved.reshape(n_poses, 3 * n, -1), fitted))
+
+        fits = _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det)
+        return fits, v, errors_after
+
+    def _bent(self, errors: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Bins about the centre, and their field, of a walk whose shape has some errors: (h, n, 3) each."""
+        h = len(errors)
+        y, b = np.tile(self.walk.positions - self.center, (h, 1, 1)), np.tile(self.walk.field, (h, 1, 1))
+        if self.bending is None or not errors.any():
+            return y, b
+        off = np.einsum("nim,hm->hni", self.bending, errors)
+        turns = Rotation.from_rotvec(off[..., :3].reshape(-1, 3))
+        return y + off[..., 3:], turns.apply(b.reshape(-1, 3)).reshape(b.shape)
 
     def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
         """Transform that turns by R and puts the walk's centre somewhere."""
         return RigidTransform.from_components(moved_center - R @ self.center, Rotation.from_matrix(R))
 
-    def _alike_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
+    def _alike_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""
         C = self.noise.isotropic(self.distance, sd)
-        if self.bending is not None:
-            moved = self._moved(G).reshape(*known.shape, -1)
+        if moved is not None:
+            moved = moved.reshape(*known.shape, -1)
             return _isolate(C + moved @ np.swapaxes(moved, 1, 2) / 3, known)
         moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
         moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
         return _isolate(C + moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length), known)
 
-    def _full_covariance(self, G: Tensors, sd: Matrix, known: Matrix) -> Matrix:
+    def _full_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
-        if self.bending is None:
+        if moved is None:
             field = np.broadcast_to(self.walk.field, (*known.shape, 3))
             C = self.noise.full(self.distance, sd, G, field)
         else:
-            moved = self._moved(G)
             moved = moved.reshape(len(moved), -1, moved.shape[-1])
             alike = self.noise.isotropic(self.distance, sd)
             C = moved @ np.swapaxes(moved, 1, 2) + np.kron(alike, np.eye(3))
         return _isolate(C, np.repeat(known, 3, axis=1))
-
-    def _moved(self, G: Tensors) -> np.ndarray:
-        """What errors of the walk's shape do to its residuals, (h, n, 3, m)."""
-        assert self.bending is not None
-        turns = np.broadcast_to(skew(self.walk.field), G.shape)
-        return np.asarray(np.concatenate([turns, G], axis=3) @ self.bending)
 
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
@@ -308,10 +335,11 @@ def _isolate(C: Matrix, known: Matrix) -> Matrix:
     return C
 
 
-def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
+def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix, Matrix]:
     """Whiten rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
 
-    Returns the whitened rows (h, 3 n, k), half the log-determinants (h,), and the expected square of each bin (h, n).
+    Returns the whitened rows (h, 3 n, k), half the log-determinants (h,), the expected square of each bin (h, n), and
+    the factors of the covariances.
     """
     h, n, _, k = rows.shape
     n_alike = 3 * n // C.shape[1]
@@ -320,7 +348,7 @@ def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
     white = np.stack([solve_triangular(a, b, lower=True, check_finite=False) for a, b in zip(L, flat, strict=True)])
     half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
-    return white.reshape(h, 3 * n, k), half_log_det, variance
+    return white.reshape(h, 3 * n, k), half_log_det, variance, np.asarray(L)
 
 
 def _strained(fits: _Fits) -> Matrix:
