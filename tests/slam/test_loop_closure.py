@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poses of windows near where the graph expects them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -11,6 +13,7 @@ from magmatch.slam import loop_closure
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.loop_closure import Rough, log_density, matches
+from magmatch.slam.tie import Searched
 
 
 def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_begin_from(lone, monkeypatch):
@@ -40,6 +43,59 @@ def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(lone):
         of_node = [UPRIGHT_SD, LEVEL_SD, LEVEL_SD]
         expected = multivariate_normal.logpdf([turn, x, y], cov=np.diag(sd[2:5] ** 2 + np.square(of_node)))
         assert match.log_prior == pytest.approx(expected)
+
+
+def test_a_closure_knows_height_and_lean_no_better_than_its_two_nodes_hold_them(lone):
+    """Odometry that rises by centimetres would be contradicted by every closure, if the field shows millimetres."""
+    graph = lone.session._now.graph
+    assert graph.config.is_planar
+    for closure in graph.closures:
+        lean, height = closure.covariance[:2, :2], closure.covariance[5, 5]
+        assert np.linalg.eigvalsh(lean)[0] >= 2 * UPRIGHT_SD**2
+        assert height >= 2 * LEVEL_SD**2
+
+
+@pytest.fixture
+def near(lone):
+    """A window that closes, its base, and where the graph would expect it, roughly."""
+    places = lone.session._now
+    closure = max(places.graph.closures, key=lambda c: c.log_odds)
+    window = places.paths[0].windows[closure.second]
+    T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
+    rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
+    return SimpleNamespace(
+        window=window, base=places.stretch(closure.first, closure.second), rough=rough, node=closure.first
+    )
+
+
+def test_poses_that_are_known_need_no_search(near):
+    searched = matches(near.window, near.base, near.window.config, near.rough)
+    known = [m.T_base_log for m in searched]
+    again = matches(near.window, near.base, near.window.config, near.rough, known)
+    off = again[0].T_base_log.inv() * searched[0].T_base_log
+    assert np.linalg.norm(off.apply(near.window.center) - near.window.center) < 0.02
+    assert again[0].log_odds == pytest.approx(searched[0].log_odds, abs=0.5)
+
+
+def test_each_stretch_refines_only_poses_that_lie_in_its_middle(near):
+    found = [m for node in np.unique(near.base.node) for m in of_node(near, int(node))]
+    (best, *_) = matches(near.window, near.base, near.window.config, near.rough)
+    assert max(m.log_odds for m in found) == pytest.approx(best.log_odds, abs=0.5)
+    assert not of_node(near, 10_000)
+
+
+def of_node(near, node):
+    return matches(near.window, near.base, near.window.config, near.rough, None, node)
+
+
+def test_what_was_searched_holds_what_is_expected_there_more_closely_but_not_elsewhere_or_anywhere(near):
+    T, C, node = near.rough.T_base_log, near.rough.covariance, near.window.T_log_node
+    searched = Searched(near.rough, [])
+    assert searched.holds(near.rough, node)
+    assert searched.holds(Rough(T, C / 4), node)
+    for moved in (RigidTransform.from_translation([0.7, 0, 0]), pose([0, 0, 0.4], [0, 0, 0])):
+        assert not searched.holds(Rough(T * node * moved * node.inv(), C / 4), node)
+    assert not searched.holds(Rough(T, 4 * C), node)
 
 
 FREE, ALIGNED, PLANAR = (

@@ -38,6 +38,10 @@ class Base:
         """Node whose window lies nearest to a point of the base's frame."""
         return int(self.node[int(np.argmin(np.linalg.norm(self.survey.positions - point, axis=1)))])
 
+    def with_noise(self, noise: PathNoise) -> "Base":
+        """The same base, beside other noise of walks."""
+        return replace(self, index=replace(self.index, noise=noise))
+
 
 @dataclass(eq=False, slots=True)
 class BaseMaker:

@@ -166,4 +166,7 @@ class LiveLog:
             places.connect(last, [[]] * (n - len(self._far)) + self._far, path)
         if len(places.graph.closures) >= self._next_learning:
             places.learn_noise()
+            places.learn_drift()
+            places.solve()
+            self._path = places.paths[-1]
             self._next_learning = 2 * len(places.graph.closures)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Loop closure of a window with earlier path: registration's search and evidence, with the graph as prior."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.windows import Window
-from magmatch.typing import Covariance6, Indices
+from magmatch.typing import Covariance6, Indices, Scalars
 
 # Poses nearer than this are one answer: in field lengths, and rad.
 SAME_SHIFT, SAME_TURN = 0.3, 0.1
@@ -31,6 +32,12 @@ class Rough:
 
     T_base_log: RigidTransform
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
+
+    @property
+    def largest_sds(self) -> Scalars:
+        """Of rotation (rad) and of position (m), in the direction least known; (2,)."""
+        C = self.covariance + NODE_COVARIANCE
+        return np.sqrt([np.linalg.eigvalsh(C[k : k + 3, k : k + 3])[-1] for k in (0, 3)])
 
 
 # From nowhere it is the volume of all that is searched, m^3.
@@ -47,15 +54,31 @@ class Match:
     log_prior: float  # density of the prior at the pose, of the components that drift, per m and rad of each
 
 
-def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) -> list[Match]:
-    """Poses of a window in a base, most likely first."""
+def matches(
+    window: Window,
+    base: Base,
+    config: SlamConfig,
+    expected: Expected,
+    known: Sequence[RigidTransform] | None = None,
+    node: int | None = None,
+) -> list[Match]:
+    """Poses of a window in a base, most likely first.
+
+    They are refined from poses that are known, where the base was searched before, else from those of a search; and
+    from the predicted pose. With a node, only from those that lie in its window.
+    """
     index, walk = base.index, window.walk
     prior = _prior(window, base, config, expected)
-    proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
-    # The predicted pose is a starting point too.
-    starts = [c.T_base_target for c in proposed.candidates] + (
-        [] if prior.T_base_target is None else [prior.T_base_target]
-    )
+    T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
+    if known is None:
+        proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
+        starts = [c.T_base_target for c in proposed.candidates]
+    else:
+        starts = [T_base.inv() * T * T_walk for T in known]
+    starts += [] if prior.T_base_target is None else [prior.T_base_target]
+    if node is not None:
+        at = T_walk.inv().apply(window.center)
+        starts = [T for T in starts if base.node_near(T_base.apply(T.apply(at))) == node]
     around = window.around if isinstance(expected, Rough) else None
     weighed = weigh_walk(
         index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, around
@@ -65,7 +88,7 @@ def matches(window: Window, base: Base, config: SlamConfig, expected: Expected) 
     same = SAME_SHIFT * index.length, SAME_TURN
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
-        T = index.base.T_map_model * e.T_base_target * walk.T_survey_walk.inv()
+        T = T_base * e.T_base_target * T_walk.inv()
         odds = log_odds(e.log_evidence, e.misfit, "window")
         found.append(Match(T, M @ e.covariance @ M.T, odds, _log_prior(window, T, prior, expected)))
     return found

@@ -84,7 +84,7 @@ def merge(
         with clock("graph"):
             _lay_out(graph)
             solve(graph)
-    return Session(config, samples, Places(paths, graph), clock.seconds(), seed, is_rigid=True)
+    return Session(config, samples, Places(paths, graph, graph.config), clock.seconds(), seed, is_rigid=True)
 
 
 def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:

@@ -18,6 +18,7 @@ from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import Base, BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
+from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import forget_closures, solve
@@ -27,7 +28,16 @@ from magmatch.slam.numbers import guessed_noise, shared_numbers
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame import log_odds_shared
 from magmatch.slam.steps import Steps
-from magmatch.slam.tie import Candidate, far_candidates, near_candidates, numbers_of, of_numbers, tie
+from magmatch.slam.tie import (
+    Candidate,
+    Searched,
+    far_candidates,
+    near_candidates,
+    nearby,
+    numbers_of,
+    of_numbers,
+    tie,
+)
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Indices, Vector3
@@ -47,6 +57,7 @@ class Places:
 
     paths: list[Path]  # each without its sensor's bias
     graph: PoseGraph
+    stated: SlamConfig
     maker: BaseMaker | None = None  # prepares stretches; None if the field is constant and gives no information
     # List of (bias, sd): of each log's magnetometer, in its own axes, T
     biases: list[tuple[Vector3, Vector3]] = field(default_factory=list)
@@ -55,13 +66,15 @@ class Places:
     steps: Steps = field(default_factory=Steps)  # where intermediate results are stored
     # Candidates of each window where the graph last predicted it
     looked: dict[int, list[Candidate]] = field(default_factory=dict)
+    # Of each window, the stretches that were searched for it
+    searched: dict[int, dict[int, Searched]] = field(default_factory=dict)
     made: dict[tuple[int, int], Base] = field(default_factory=dict)
     far: dict[tuple[int, int], Base] = field(default_factory=dict)
 
     def copied(self) -> "Places":
         """A copy, to continue from without changing this one."""
         maker = None if self.maker is None else replace(self.maker)
-        return Places(list(self.paths), self.graph.copied(), maker, list(self.biases), self.anchors)
+        return Places(list(self.paths), self.graph.copied(), self.stated, maker, list(self.biases), self.anchors)
 
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
@@ -145,11 +158,22 @@ class Places:
 
     def at(self, window: Window, nodes: Indices) -> list[Candidate]:
         """Where a window may lie near some nodes, of those before it, as the graph predicts."""
+        expected = nearby(window, nodes[nodes < window.node], self.graph)
+        searched = self.searched.setdefault(window.node, {})
+        before = {
+            a: searched[a]
+            for a, rough in expected.items()
+            if a in searched and searched[a].holds(rough, window.T_log_node)
+        }
 
         def look() -> list[Candidate]:
-            return near_candidates(window, nodes[nodes < window.node], self.graph, self.stretch)
+            return near_candidates(window, expected, before, self.graph, self.stretch)
 
-        return of_numbers(self.steps(lambda: numbers_of(look())))
+        found = of_numbers(self.steps(lambda: numbers_of(look())))
+        for a, rough in expected.items():
+            where = before[a].expected if a in before else rough
+            searched[a] = Searched(where, [c.match.T_base_log for c in found if c.node == a])
+        return found
 
     def others(self, path: Path) -> list[Path]:
         """Earlier logs that nothing ties to this one."""
@@ -205,8 +229,17 @@ class Places:
             return
         self.maker.noise = most_likely(self.maker.noise, stretches)
         log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
-        self.made.clear()
+        self.made = {key: base.with_noise(self.maker.noise) for key, base in self.made.items()}
         self.far.clear()
+
+    def learn_drift(self) -> None:
+        """Learn how far odometry drifts from how well its closures agree with it."""
+        assert self.maker is not None
+        config = learned_drift(self.graph, self.paths, self.stated)
+        self.maker.config = self.graph.config = config
+        self.paths = [replace(p, windows=tuple(replace(w, config=config) for w in p.windows)) for p in self.paths]
+        self.graph.edges = odometry_graph(self.paths, config).edges
+        log.info("odometry drifts by %.2g m and %.2g deg in 10 m", *config.odometry.sd)
 
     def _repeats(self) -> Iterator[Stretch]:
         windows = {w.node: w for path in self.paths for w in path.windows}
@@ -237,7 +270,7 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
     if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
         # Nothing tells places apart, and the field has no length.
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
-        return Places(paths, odometry_graph(paths, config), None, [NO_BIAS] * len(given))
+        return Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given))
     tell("learning how the field changes")
     numbers, length = shared_numbers(given)
     biases = [sensor_bias(survey, numbers, config) for survey in given]
@@ -245,7 +278,7 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
     n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
     log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
     maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
-    return Places(paths, odometry_graph(paths, config), maker, biases)
+    return Places(paths, odometry_graph(paths, config), config, maker, biases)
 
 
 def find(
@@ -266,9 +299,12 @@ def find(
             with clock("noise"):
                 places.close_near(places.paths)
                 places.learn_noise()
+                places.learn_drift()
                 forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
+                places.learn_drift()
+                places.solve()
     return places
 
 

@@ -14,7 +14,16 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, REACH, PoseGraph
 from magmatch.slam.graph.ties import Closure
-from magmatch.slam.loop_closure import SAME_SHIFT, SAME_TURN, Expected, Match, Rough, log_density, matches
+from magmatch.slam.loop_closure import (
+    NODE_COVARIANCE,
+    SAME_SHIFT,
+    SAME_TURN,
+    Expected,
+    Match,
+    Rough,
+    log_density,
+    matches,
+)
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -55,22 +64,57 @@ def of_numbers(rows: Matrix) -> list[Candidate]:
     return found
 
 
-def near_candidates(window: Window, firsts: Indices, graph: PoseGraph, stretch: Stretch) -> list[Candidate]:
-    """Where a window may lie on stretches about other nodes, as the graph expects it."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Searched:
+    """A stretch that was searched for a window."""
+
+    expected: Rough  # where
+    poses: list[RigidTransform]  # what was found: base's frame from the log's
+
+    def holds(self, now: Rough, T_log_node: RigidTransform) -> bool:
+        """Whether the pose expected now is within what was searched, but for a tail."""
+        off = (self.expected.T_base_log * T_log_node).inv() * now.T_base_log * T_log_node
+        moved = np.linalg.norm([off.rotation.as_rotvec(), off.translation], axis=1)
+        return bool(np.all(moved + (REACH - 1) * now.largest_sds <= REACH * self.expected.largest_sds))
+
+
+def nearby(window: Window, firsts: Indices, graph: PoseGraph) -> dict[int, Rough]:
+    """Nodes that the graph puts a window near, and where it is expected on the stretch about each."""
     b = window.node
     firsts = firsts[(graph.log[firsts] != window.log) | (firsts <= b - APART)]
     if not len(firsts) or not window.keeps_shape:
-        return []
-    half, found = window.config.window_length * window.length / 2, []
+        return {}
+    half, found = window.config.window_length * window.length / 2, {}
     covariances = graph.relative_covariances(firsts, b)
     sd = np.sqrt(np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1])
     is_near = np.linalg.norm(graph.p[firsts] - graph.p[b], axis=1) <= half + window.length + REACH * sd
     for a, C in zip(firsts[is_near], covariances[is_near], strict=True):
         T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
-        rough = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
-        # Neighbouring stretches see the same pose: it is the one's in whose middle it lies.
-        found += [c for c in _candidates(window, stretch(int(a), b), rough, graph.center) if c.node == a]
+        found[int(a)] = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
     return found
+
+
+def near_candidates(
+    window: Window, expected: dict[int, Rough], searched: dict[int, Searched], graph: PoseGraph, stretch: Stretch
+) -> list[Candidate]:
+    """Where a window may lie on stretches about other nodes; what was searched before is not searched again."""
+    found: list[Candidate] = []
+    for a, rough in expected.items():
+        known = searched[a].poses if a in searched else None
+        # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
+        for c in _candidates(window, stretch(a, window.node), rough, graph.center, known, a):
+            if not any(_is_same(c, k, graph, window.length) for k in found):
+                found.append(c)
+    return found
+
+
+def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> bool:
+    """Whether two candidates are one pose beside one pass, which neighbouring stretches led to."""
+    if graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART:
+        return False
+    T_c, T_k = (graph.center(one.node) * one.T_node_window for one in (c, k))
+    shift, turn = transform_error(T_c, T_k, np.zeros(3))
+    return shift <= SAME_SHIFT * length and turn <= SAME_TURN
 
 
 def far_candidates(window: Window, bases: Sequence[Base], graph: PoseGraph) -> list[Candidate]:
@@ -86,9 +130,11 @@ def _candidates(
     base: Base,
     expected: Expected,
     T_base_node: Callable[[int], RigidTransform],
+    known: Sequence[RigidTransform] | None = None,
+    middle: int | None = None,
 ) -> list[Candidate]:
     found = []
-    for match in matches(window, base, window.config, expected):
+    for match in matches(window, base, window.config, expected, known, middle):
         node = base.node_near(match.T_base_log.apply(window.center))
         found.append(Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match))
     return found
@@ -120,8 +166,13 @@ def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph, paths: 
 
 
 def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfig) -> Closure:
-    """A candidate as a factor of the graph: its node and the path beside it are apart by some odometry."""
-    covariance = c.match.covariance + covariance_beside(path, c.node, c.T_node_window, config)
+    """A candidate as a factor of the graph: its node and the path beside it are apart by some odometry.
+
+    The field sees how far a body leans or is above the floor, where the graph has a node upright and level.
+    """
+    off_level = np.diag(np.diag(NODE_COVARIANCE))
+    off_level[config.drifts, config.drifts] = 0.0
+    covariance = c.match.covariance + covariance_beside(path, c.node, c.T_node_window, config) + 2 * off_level
     return Closure(c.node, node, c.T_node_window, covariance, odds)
 
 

@@ -17,8 +17,8 @@ from magmatch.typing import Indices, Matrix, Points, Tensors
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray]:
-    """Information of all poses and constant errors, and the gradient of half their chi^2."""
+def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
+    """Information of all poses and constant errors, the gradient of half their chi^2, and chi^2."""
     size = 6 * len(graph.p) + graph.lasting.size
     e, parts = graph.edges, _alone(graph)
     if len(e.first):
@@ -34,16 +34,18 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray]:
         weight = np.array([c.weight for c in graph.closures]) * (component[i] == component[j])
         cols = np.concatenate([six(i), six(j)], axis=1)
         parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
-    rows, columns, values, v = [], [], [], np.zeros(size)
+    rows, columns, values, v, chi2 = [], [], [], np.zeros(size), 0.0
     for cols, J, P, r in parts:
         H = np.swapaxes(J, 1, 2) @ P @ J
         k = cols.shape[1]
         rows.append(np.repeat(cols, k, axis=1).ravel())
         columns.append(np.tile(cols, (1, k)).ravel())
         values.append(H.ravel())
-        np.add.at(v, cols.ravel(), (np.swapaxes(J, 1, 2) @ (P @ r[:, :, None])).ravel())
+        Pr = P @ r[:, :, None]
+        np.add.at(v, cols.ravel(), (np.swapaxes(J, 1, 2) @ Pr).ravel())
+        chi2 += float((r * Pr[:, :, 0]).sum())
     at = (np.concatenate(rows), np.concatenate(columns))
-    return coo_array((np.concatenate(values), at), shape=(size, size)), v
+    return coo_array((np.concatenate(values), at), shape=(size, size)), v, chi2
 
 
 def _lasting_columns(graph: PoseGraph, logs: Indices) -> np.ndarray:

@@ -26,7 +26,7 @@ def solve(graph: PoseGraph) -> None:
     _bring_to_fixed(graph)
     doubts_from = TRUSTING_STEPS
     for step in range(MOST_STEPS):
-        H, v = normal_equations(graph)
+        H, v, _ = normal_equations(graph)
         xi = -graph.factor(csc_array(H)).solve(v)
         n = len(graph.p)
         turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)

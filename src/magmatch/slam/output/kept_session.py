@@ -25,7 +25,7 @@ from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 
-SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/1", "session of slam"
+SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/2", "session of slam"
 MAX_BYTES = 256 * 1024**2
 
 
@@ -36,7 +36,8 @@ def write_session(session: Session, path: Path) -> None:
         return
     graph, maker = places.graph, places.maker
     content = {
-        "schema": SCHEMA, "config": maker.config.model_dump(mode="json"),
+        "schema": SCHEMA, "stated": places.stated.model_dump(mode="json"),
+        "config": maker.config.model_dump(mode="json"),
         "inputs": [describe_input(s)["sha256"] for s in session.given],
         "seconds": session.seconds, "numbers": asdict(maker.numbers), "noise": asdict(maker.noise),
         "length": maker.length, "biases": [[b, sd] for b, sd in places.biases],
@@ -62,7 +63,7 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
     try:
         given = [by_content.get(sha) for sha in content["inputs"]]
         known = [survey for survey in given if survey is not None]
-        session = Session(SlamConfig.model_validate(content["config"]), known)
+        session = Session(SlamConfig.model_validate(content["stated"]), known)
         if len(known) == len(given):
             session.places, session.seconds = _places(content, known), content["seconds"]
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -74,7 +75,7 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
 
 
 def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
-    config = SlamConfig.model_validate(content["config"])
+    stated, config = (SlamConfig.model_validate(content[key]) for key in ("stated", "config"))
     biases = [(np.array(b), np.array(sd)) for b, sd in content["biases"]]
     unbiased = [without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)]
     paths = cut(unbiased, content["length"], config)
@@ -84,7 +85,7 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     numbers, noise = Hyperparameters(**content["numbers"]), PathNoise(**content["noise"])
     maker = BaseMaker(numbers, noise, content["length"], config)
     anchors = [(Anchor(name, t, np.array(x), sd), log) for name, t, x, sd, log in content["anchors"]]
-    places = Places(paths, graph, maker, biases, anchors)
+    places = Places(paths, graph, stated, maker, biases, anchors)
     places.solve()
     return places
 

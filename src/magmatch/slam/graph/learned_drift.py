@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far odometry really drifts: by the likelihood of its closures, with the stated drift as prior."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import fmin
+from scipy.sparse import csc_array
+
+from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.normal_equations import normal_equations
+from magmatch.slam.graph.odometry import odometry_graph
+from magmatch.slam.graph.pose_graph import SURE, PoseGraph
+from magmatch.slam.windows import Path
+from magmatch.typing import Scalars
+
+# Standard deviation of the stated drift's logarithm: it may be a guess.
+STATED_SPREAD = 1.0
+# Factors nearer than this share of it are one.
+SAME_FACTOR = 0.05
+
+
+def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
+    """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
+
+    The closures' residuals are those of the graph as it stands; each counts by its weight. As few as teach nothing
+    about the noise teach nothing about drift.
+    """
+    if len(graph.closures) < PRIOR_STRETCHES:
+        return stated
+    # Covariances are sums of a part of each.
+    of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
+    of_neither = SURE**2 * np.eye(6)
+    trial = graph.copied()
+
+    def cost(logs: Scalars) -> float:
+        a, b = np.exp(2 * logs)
+        Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
+        trial.edges = replace(graph.edges, covariance=Q)
+        return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
+
+    simplex = STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
+    near = SAME_FACTOR * STATED_SPREAD
+    found = fmin(cost, simplex[0], xtol=near, ftol=near, initial_simplex=simplex, disp=False)
+    return _with_factors(stated, np.exp(found))
+
+
+def log_evidence(graph: PoseGraph) -> float:
+    """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
+    H, v, chi2 = normal_equations(graph)
+    graph.factor(csc_array(H))
+    assert graph._lu is not None
+    log_det = float(np.log(np.abs(graph._lu.U.diagonal())).sum())
+    log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
+    return -0.5 * (chi2 - float(v @ graph._lu.solve(v)) + log_det + log_det_odometry)
+
+
+def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
+    def scaled(sd: tuple[float, float]) -> tuple[float, float]:
+        return float(factors[0] * sd[0]), float(factors[1] * sd[1])
+
+    odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd)})
+    return config.model_copy(
+        update={"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
+    )
