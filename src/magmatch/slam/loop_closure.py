@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.field.values import gradient_of
 from magmatch.geometry import adjoint
 from magmatch.registration.decide.posterior import distinct, log_odds
+from magmatch.registration.prepared.hypotheses import pose_inaccuracy
 from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
@@ -74,7 +75,7 @@ def matches(
         proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
         starts = [c.T_base_target for c in proposed.candidates]
     else:
-        starts = [T_base.inv() * T * T_walk for T in known]
+        starts = [T for T in (T_base.inv() * T * T_walk for T in known) if _is_expected(T, window, prior)]
     starts += [] if prior.T_base_target is None else [prior.T_base_target]
     if node is not None:
         at = T_walk.inv().apply(window.center)
@@ -89,8 +90,10 @@ def matches(
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
         T = T_base * e.T_base_target * T_walk.inv()
-        odds = log_odds(e.log_evidence, e.misfit, "window")
-        found.append(Match(T, M @ e.covariance @ M.T, odds, _log_prior(window, T, prior, expected)))
+        log_prior, log_peak = _log_prior(window, T, prior, expected)
+        # The law is of what the field says; what a neighbour may replace stays exact.
+        odds = log_odds(e.log_evidence - (log_prior - log_peak), e.misfit, "window") + (log_prior - log_peak)
+        found.append(Match(T, M @ e.covariance @ M.T, odds, log_prior))
     return found
 
 
@@ -106,14 +109,29 @@ def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) ->
     return np.asarray(-0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
-def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:
-    """Log density of what the graph predicts: components that drift. The others hold for each window by itself."""
+def _log_prior(
+    window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected
+) -> tuple[float, float]:
+    """Log density of what the graph predicts, at a pose and at its peak: of the components that drift.
+
+    The others hold for each window by itself.
+    """
     if not isinstance(expected, Rough):
         turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
         height = prior.height_range if prior.height is not None else 1.0
-        return float(np.log(height / (expected * turns)) - prior.log_share_inside)
+        anywhere = float(np.log(height / (expected * turns)) - prior.log_share_inside)
+        return anywhere, anywhere
     off = (expected.T_base_log * window.T_log_node).inv() * T_base_log * window.T_log_node
-    return float(log_density(off, expected.covariance + NODE_COVARIANCE, window.config.drifts))
+    offs = RigidTransform.concatenate([off, RigidTransform.identity()])
+    at, peak = log_density(offs, expected.covariance + NODE_COVARIANCE, window.config.drifts)
+    return float(at), float(peak)
+
+
+def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
+    """Whether a pose between model frames is one that a search would have kept."""
+    center = window.walk.positions.mean(axis=0)
+    inaccuracy = pose_inaccuracy(window.length)
+    return bool(prior.admits(T.rotation.as_matrix()[None], T.apply(center)[None], center, inaccuracy)[0])
 
 
 def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:

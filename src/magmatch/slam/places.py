@@ -48,6 +48,8 @@ log = logging.getLogger(__name__)
 MOST_ROUNDS = 4
 # Log odds from which logs share a frame: those of the probability that a registration needs.
 SURE_ODDS = float(logit(DecisionConfig().min_probability))
+# Stretches kept in memory as bases, at about 10 MB each.
+MOST_BASES = 128
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
@@ -68,8 +70,9 @@ class Places:
     looked: dict[int, list[Candidate]] = field(default_factory=dict)
     # Of each window, the stretches that were searched for it
     searched: dict[int, dict[int, Searched]] = field(default_factory=dict)
+    # Stretches as bases; whole logs as bases, with how many closures they were corrected by
     made: dict[tuple[int, int], Base] = field(default_factory=dict)
-    far: dict[tuple[int, int], Base] = field(default_factory=dict)
+    far: dict[int, tuple[int, Base]] = field(default_factory=dict)
 
     def copied(self) -> "Places":
         """A copy, to continue from without changing this one."""
@@ -206,20 +209,26 @@ class Places:
         """A window and its neighbours as a base for a later window, odometry's frame."""
         assert self.maker is not None
         path = self.paths[self.graph.log[node]]
-        last = min(node + 1, before - 1)
-        if (node, last) not in self.made:
-            of = path.nodes[path.number]
-            rows = np.flatnonzero((of >= node - 1) & (of <= last))
-            self.made[node, last] = self.maker.make(path.survey.subset(rows), of[rows])
-        return self.made[node, last]
+        key = node, min(node + 1, before - 1)
+        base = self.made.pop(key, None)
+        if base is None:
+            first, last = np.searchsorted(path.number, np.array([node - 1, key[1] + 1]) - path.first_node)
+            rows = np.arange(first, last)
+            base = self.maker.make(path.survey.subset(rows), path.nodes[path.number[rows]])
+        # The one used last stands last.
+        self.made[key] = base
+        if len(self.made) > MOST_BASES:
+            del self.made[next(iter(self.made))]
+        return base
 
     def whole(self, path: Path) -> Base:
         """A whole log as a base, as the graph has it now."""
         assert self.maker is not None
-        key = path.first_node, len(self.graph.closures)
-        if key not in self.far:
-            self.far[key] = self.maker.make(corrected(path, self.graph), path.nodes[path.number])
-        return self.far[key]
+        n, base = self.far.get(path.first_node, (-1, None))
+        if base is None or n != len(self.graph.closures):
+            base = self.maker.make(corrected(path, self.graph), path.nodes[path.number])
+            self.far[path.first_node] = len(self.graph.closures), base
+        return base
 
     def learn_noise(self) -> None:
         """Learn the noise that does not repeat from closures, and where the graph alone says what is passed again."""

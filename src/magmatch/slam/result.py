@@ -123,9 +123,9 @@ class LogOdometry(TypedDict):
 
 
 class Odometry(TypedDict, total=False):
-    """The assumed drift of the odometry, and its constant errors by log."""
+    """The drift of the odometry, and its constant errors by log."""
 
-    sd: tuple[Number, Number]  # m and degrees, of a walk of 10 m
+    sd: tuple[Number, Number]  # m and degrees, of a walk of 10 m: as stated, or as the closures show it
     logs: dict[str, LogOdometry]
 
 

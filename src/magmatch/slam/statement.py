@@ -53,7 +53,7 @@ def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
 
 
 def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], names: Sequence[str]) -> Odometry:
-    """The assumed drift of the odometry, and each log's constant errors."""
+    """The drift of the odometry, and each log's constant errors."""
     logs = zip(names, graph.lasting.tolist(), biases, strict=True)
     return Odometry(
         sd=graph.config.odometry.sd,
