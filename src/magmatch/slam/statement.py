@@ -58,7 +58,7 @@ def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], 
     return Odometry(
         sd=graph.config.odometry.sd,
         logs={
-            name: LogOdometry(scale=scale, turn_rate=rate, bias=bias.tolist(), bias_sd=sd.tolist())
+            name: LogOdometry(scale=float(np.expm1(scale)), turn_rate=rate, bias=bias.tolist(), bias_sd=sd.tolist())
             for name, (scale, rate), (bias, sd) in logs
         },
     )

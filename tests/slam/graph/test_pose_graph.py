@@ -70,6 +70,26 @@ def test_slopes_of_the_residual_are_those_of_finite_differences():
             np.testing.assert_allclose(slope, J[:, :, k], atol=1e-5)
 
 
+def test_the_gradient_of_half_chi2_is_that_of_finite_differences():
+    rng, small = np.random.default_rng(1), 1e-6
+
+    def graph(xi=None, lasting=None):
+        one = wandered(graph_of(ring(6), LEVEL, logs=[0, 0, 0, 1, 1, 1]), np.random.default_rng(2), size=0.02)
+        one.closures = [between(ring(6), 0, 4), between(ring(6), 1, 2, error=(0.1, 0.0, 0.0))]
+        one.lasting = np.array([[0.1, 0.01], [-0.2, -0.01]])
+        if xi is not None:
+            one.R = one.R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+            one.p = one.p + np.einsum("nij,nj->ni", one.R, xi[:, 3:])
+            one.lasting = one.lasting + lasting
+        return one
+
+    _, v, chi2 = normal_equations(graph())
+    for _ in range(20):
+        step = small * rng.standard_normal(len(v))
+        moved = graph(step[:36].reshape(6, 6), step[36:].reshape(2, 2))
+        assert 0.5 * (normal_equations(moved)[2] - chi2) == pytest.approx(v @ step, rel=0.02, abs=1e-4 * small * 1e3)
+
+
 def test_a_loop_that_was_scaled_and_closed_is_found_again_with_its_scale():
     true = ring(24)
     graph = graph_of(1.03 * true, looseness=0.05)
@@ -78,6 +98,19 @@ def test_a_loop_that_was_scaled_and_closed_is_found_again_with_its_scale():
     moved = graph.p - graph.p[0] + true[0]
     assert np.abs(moved - true).max() < 0.05
     assert graph.lasting[0, 0] == pytest.approx(1 / 1.03 - 1, abs=0.005)
+
+
+def test_noise_in_the_steps_does_not_shrink_the_map():
+    """Loops do not close by chance, and less so the smaller they are: that says nothing of the scale."""
+    rng = np.random.default_rng(0)
+    true = ring(160, laps=4, radius=20.0)
+    noise = 0.1 * rng.standard_normal((len(true) - 1, 3)) * [1, 1, 0]
+    walked = np.concatenate([true[:1], true[0] + np.cumsum(np.diff(true, axis=0) + noise, axis=0)])
+    graph = graph_of(walked)
+    graph.closures = [between(true, k, k + 40) for k in range(120)]
+    solve(graph)
+    assert abs(graph.lasting[0, 0]) < 0.01
+    assert np.linalg.norm(graph.p[20] - graph.p[0]) == pytest.approx(40.0, rel=0.02)
 
 
 def test_a_turn_rate_that_lasts_is_found():

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.geometry import skew
 from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph, six
 from magmatch.slam.graph.ties import N_LASTING
-from magmatch.typing import Indices, Matrix, Points, Tensors
+from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 # Columns, Jacobian, information and residual of many rows alike.
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -22,18 +22,28 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
     size = 6 * len(graph.p) + graph.lasting.size
     e, parts = graph.edges, _alone(graph)
     if len(e.first):
-        turn = np.einsum("eij,ej->ei", e.lasting, graph.lasting[e.log])
-        Z = Rotation.from_rotvec(turn[:, :3]).as_matrix(), e.shift + turn[:, 3:]
+        scale, rate = graph.lasting[e.log].T
+        turned = e.lasting[:, :, 1] * rate[:, None]
+        Z = Rotation.from_rotvec(turned[:, :3]).as_matrix(), np.zeros((len(e.first), 3))
         r, Ji, Jj = residual_between(graph, e.first, e.second, *Z)
+        # What was measured is the real step in the odometry's unit, with noise: were it the measured step, noise and
+        # all, that is scaled, loops that do not close would shrink the map.
+        of_scale = _in_unit(scale, r, Ji, Jj)
+        r[:, 3:] -= e.shift + turned[:, 3:]
         cols = np.concatenate([six(e.first), six(e.second), _lasting_columns(graph, e.log)], axis=1)
-        parts.append((cols, np.concatenate([Ji, Jj, -e.lasting], axis=2), np.linalg.inv(e.covariance), r))
+        J = np.concatenate([Ji, Jj, of_scale, -e.lasting[:, :, 1:]], axis=2)
+        parts.append((cols, J, np.linalg.inv(e.covariance), r))
     if graph.closures:
         i, j, r, Ji, Jj, P = closure_rows(graph)
         # What ties two components no more pulls at neither.
         component = graph.component()
         weight = np.array([c.weight for c in graph.closures]) * (component[i] == component[j])
-        cols = np.concatenate([six(i), six(j)], axis=1)
-        parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
+        # In the odometry's unit too, or else what it leaves of each closure would shrink the map.
+        logs = graph.log[np.stack([i, j], axis=1)]
+        of_both = np.repeat(_in_unit(graph.lasting[logs, 0].mean(axis=1), r, Ji, Jj) / 2, 2, axis=2)
+        scales = 6 * len(graph.p) + N_LASTING * logs
+        cols = np.concatenate([six(i), six(j), scales], axis=1)
+        parts.append((cols, np.concatenate([Ji, Jj, of_both], axis=2), P * weight[:, None, None], r))
     rows, columns, values, v, chi2 = [], [], [], np.zeros(size), 0.0
     for cols, J, P, r in parts:
         H = np.swapaxes(J, 1, 2) @ P @ J
@@ -46,6 +56,18 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
         chi2 += float((r * Pr[:, :, 0]).sum())
     at = (np.concatenate(rows), np.concatenate(columns))
     return coo_array((np.concatenate(values), at), shape=(size, size)), v, chi2
+
+
+def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:
+    """Change residuals of position and their slopes to a unit of ``exp(log_scale)`` m; gives the slope with that log.
+
+    r is (e, 6), and its slopes with both nodes are (e, 6, 6); the slope is (e, 6, 1).
+    """
+    unit = np.exp(-log_scale)[:, None]
+    r[:, 3:] *= unit
+    Ji[:, 3:] *= unit[:, :, None]
+    Jj[:, 3:] *= unit[:, :, None]
+    return -(r * [0, 0, 0, 1, 1, 1])[:, :, None]
 
 
 def _lasting_columns(graph: PoseGraph, logs: Indices) -> np.ndarray:

@@ -43,7 +43,7 @@ class PoseGraph:
     log: Indices = field(default_factory=lambda: np.zeros(0, np.int64))  # (n,): of each node
     edges: Edges = field(default_factory=Edges.none)
     closures: list[Closure] = field(default_factory=list)
-    # (logs, 2): estimated scale (a share) and turn rate (rad/m) of each log's odometry
+    # (logs, 2): estimated log of the scale of each log's odometry, and its turn rate (rad/m)
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
     _H: csc_array | None = None
