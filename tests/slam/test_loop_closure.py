@@ -68,19 +68,6 @@ def near(lone):
     )
 
 
-def test_what_a_pose_weighs_without_its_prior_is_the_same_wherever_it_was_expected(near):
-    """Else a neighbour that predicts the pose would undo more, or less, than the prior said."""
-    T, node, found = near.rough.T_base_log, near.window.T_log_node, []
-    for shift in (0.0, 0.3, 0.5):
-        moved = node * RigidTransform.from_translation([shift, 0, 0]) * node.inv()
-        (best, *_) = matches(near.window, near.base, near.window.config, Rough(T * moved, near.rough.covariance))
-        assert np.linalg.norm((T.inv() * best.T_base_log).apply(near.window.center) - near.window.center) < 0.1
-        found.append((best.log_odds - best.log_prior, best.log_prior))
-    (without, with_it) = np.ptp(found, axis=0)
-    assert with_it > 2
-    assert without < 0.25
-
-
 def test_poses_that_are_no_longer_expected_are_not_weighed(near):
     known = [m.T_base_log for m in matches(near.window, near.base, near.window.config, near.rough)]
     node = near.window.T_log_node

@@ -90,10 +90,8 @@ def matches(
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
         T = T_base * e.T_base_target * T_walk.inv()
-        log_prior, log_peak = _log_prior(window, T, prior, expected)
-        # The law is of what the field says; what a neighbour may replace stays exact.
-        odds = log_odds(e.log_evidence - (log_prior - log_peak), e.misfit, "window") + (log_prior - log_peak)
-        found.append(Match(T, M @ e.covariance @ M.T, odds, log_prior))
+        odds = log_odds(e.log_evidence, e.misfit, "window")
+        found.append(Match(T, M @ e.covariance @ M.T, odds, _log_prior(window, T, prior, expected)))
     return found
 
 
@@ -109,22 +107,14 @@ def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) ->
     return np.asarray(-0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
-def _log_prior(
-    window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected
-) -> tuple[float, float]:
-    """Log density of what the graph predicts, at a pose and at its peak: of the components that drift.
-
-    The others hold for each window by itself.
-    """
+def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:
+    """Log density of what the graph predicts: components that drift. The others hold for each window by itself."""
     if not isinstance(expected, Rough):
         turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
         height = prior.height_range if prior.height is not None else 1.0
-        anywhere = float(np.log(height / (expected * turns)) - prior.log_share_inside)
-        return anywhere, anywhere
+        return float(np.log(height / (expected * turns)) - prior.log_share_inside)
     off = (expected.T_base_log * window.T_log_node).inv() * T_base_log * window.T_log_node
-    offs = RigidTransform.concatenate([off, RigidTransform.identity()])
-    at, peak = log_density(offs, expected.covariance + NODE_COVARIANCE, window.config.drifts)
-    return float(at), float(peak)
+    return float(log_density(off, expected.covariance + NODE_COVARIANCE, window.config.drifts))
 
 
 def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:

@@ -48,6 +48,8 @@ log = logging.getLogger(__name__)
 MOST_ROUNDS = 4
 # Log odds from which logs share a frame: those of the probability that a registration needs.
 SURE_ODDS = float(logit(DecisionConfig().min_probability))
+# Closures that noise and drift are learned from before the search proper: a tenth is left to what was guessed.
+ENOUGH = 9 * PRIOR_STRETCHES
 # Stretches kept in memory as bases, at about 10 MB each.
 MOST_BASES = 128
 NO_BIAS = (np.zeros(3), np.zeros(3))
@@ -103,8 +105,8 @@ class Places:
             if not (self.close_near(paths) + self.close_far(paths)):
                 break
 
-    def close_near(self, paths: Sequence[Path]) -> int:
-        """Search for closures where the graph predicts them; returns how many were found.
+    def close_near(self, paths: Sequence[Path], enough: float = np.inf) -> int:
+        """Search for closures where the graph predicts them, until there are enough; returns how many were found.
 
         A few windows at a time: what they close is known when the graph predicts those that follow.
         """
@@ -115,6 +117,8 @@ class Places:
                 candidates.append(self.near(w))
                 if len(candidates) % n == 0 or w is path.windows[-1]:
                     found += self.tie(replace(path, windows=path.windows[: len(candidates)]), candidates)
+                    if found >= enough:
+                        return found
         return found
 
     def close_far(self, paths: Sequence[Path]) -> int:
@@ -306,7 +310,7 @@ def find(
         places.solve()
         if places.maker is not None:
             with clock("noise"):
-                places.close_near(places.paths)
+                places.close_near(places.paths, ENOUGH)
                 places.learn_noise()
                 places.learn_drift()
                 forget_closures(places.graph)

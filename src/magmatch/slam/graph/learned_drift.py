@@ -10,7 +10,7 @@ from scipy.sparse import csc_array
 
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.normal_equations import normal_equations
+from magmatch.slam.graph.normal_equations import hold_scale, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.windows import Path
@@ -50,6 +50,7 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
 def log_evidence(graph: PoseGraph) -> float:
     """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
     H, v, chi2 = normal_equations(graph)
+    H, v = hold_scale(graph, H, v)
     graph.factor(csc_array(H))
     assert graph._lu is not None
     log_det = float(np.log(np.abs(graph._lu.U.diagonal())).sum())

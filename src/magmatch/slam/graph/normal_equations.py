@@ -38,12 +38,8 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
         # What ties two components no more pulls at neither.
         component = graph.component()
         weight = np.array([c.weight for c in graph.closures]) * (component[i] == component[j])
-        # In the odometry's unit too, or else what it leaves of each closure would shrink the map.
-        logs = graph.log[np.stack([i, j], axis=1)]
-        of_both = np.repeat(_in_unit(graph.lasting[logs, 0].mean(axis=1), r, Ji, Jj) / 2, 2, axis=2)
-        scales = 6 * len(graph.p) + N_LASTING * logs
-        cols = np.concatenate([six(i), six(j), scales], axis=1)
-        parts.append((cols, np.concatenate([Ji, Jj, of_both], axis=2), P * weight[:, None, None], r))
+        cols = np.concatenate([six(i), six(j)], axis=1)
+        parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
     rows, columns, values, v, chi2 = [], [], [], np.zeros(size), 0.0
     for cols, J, P, r in parts:
         H = np.swapaxes(J, 1, 2) @ P @ J
@@ -56,6 +52,25 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
         chi2 += float((r * Pr[:, :, 0]).sum())
     at = (np.concatenate(rows), np.concatenate(columns))
     return coo_array((np.concatenate(values), at), shape=(size, size)), v, chi2
+
+
+def hold_scale(graph: PoseGraph, H: coo_array, v: np.ndarray) -> tuple[coo_array, np.ndarray]:
+    """The same equations with the mean scale of each component held, unless fixed points tell it.
+
+    Revisits show no scale, only that of one log relative to another's. Without this, a map shrinks or grows by what
+    covariances of closures or of odometry are too small.
+    """
+    component = graph.component()
+    fixed = [] if graph.fixed is None else component[graph.fixed.one].tolist()
+    of_logs = component[np.unique(graph.log, return_index=True)[1]]
+    names = [name for name in np.unique(of_logs) if name not in fixed]
+    J = np.zeros((len(names), len(v)))
+    for row, name in zip(J, names, strict=True):
+        logs = np.flatnonzero(of_logs == name)
+        row[_lasting_columns(graph, logs)[:, 0]] = 1 / len(logs)
+    held = J @ np.concatenate([np.zeros(6 * len(graph.p)), graph.lasting.ravel()])
+    A = coo_array(J)
+    return (H + A.T @ A / SURE**2).tocoo(), v + J.T @ held / SURE**2
 
 
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
-from magmatch.slam.graph.normal_equations import closure_rows, normal_equations
+from magmatch.slam.graph.normal_equations import closure_rows, hold_scale, normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 from magmatch.slam.graph.ties import N_LASTING
 
@@ -26,7 +26,7 @@ def solve(graph: PoseGraph) -> None:
     _bring_to_fixed(graph)
     doubts_from = TRUSTING_STEPS
     for step in range(MOST_STEPS):
-        H, v, _ = normal_equations(graph)
+        H, v = hold_scale(graph, *normal_equations(graph)[:2])
         xi = -graph.factor(csc_array(H)).solve(v)
         n = len(graph.p)
         turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
@@ -42,6 +42,8 @@ def solve(graph: PoseGraph) -> None:
             _doubt(graph)
         if np.abs(xi).max() < SMALL and (step > doubts_from + 1 or not graph.closures):
             break
+    # How well the scale is known is no less for that.
+    graph.factor(csc_array(normal_equations(graph)[0]))
     _bring_home(graph)
 
 
