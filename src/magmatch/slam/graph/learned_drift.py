@@ -51,11 +51,10 @@ def log_evidence(graph: PoseGraph) -> float:
     """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
     H, v, chi2 = normal_equations(graph)
     H, v = hold_scale(graph, H, v)
-    graph.factor(csc_array(H))
-    assert graph._lu is not None
-    log_det = float(np.log(np.abs(graph._lu.U.diagonal())).sum())
+    lu = graph.factor(csc_array(H))
+    log_det = float(np.log(np.abs(lu.U.diagonal())).sum())
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
-    return -0.5 * (chi2 - float(v @ graph._lu.solve(v)) + log_det + log_det_odometry)
+    return -0.5 * (chi2 - float(v @ lu.solve(v)) + log_det + log_det_odometry)
 
 
 def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
