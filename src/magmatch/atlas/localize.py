@@ -106,7 +106,7 @@ def _compare_map(
     tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
         bases = (atlas.load(entry).base for entry in atlas.entries)
-        votes = count_agreement(bases, strategy.prepared, atlas.config, seed)
+        votes = count_agreement(bases, strategy.prepared, seed)
     return strategy.target, _best_of(atlas, shortlist(atlas.entries, votes), strategy, clock)
 
 

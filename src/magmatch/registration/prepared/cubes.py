@@ -23,6 +23,12 @@ def cube_keys(points: Points, side: float) -> Indices:
     return keys
 
 
+def even_choice(n: int, limit: int) -> Indices:
+    """Rows of n, at most as many as the limit and evenly spread, the first and the last among them."""
+    rows: Indices = np.unique(np.linspace(0, n - 1, min(n, limit)).astype(np.int64))
+    return rows
+
+
 def thin(points: Points, distance: float, limit: int = MOST_POINTS) -> Indices:
     """Rows of the first point in each cube: an even choice whatever the order of the points."""
     while True:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.compiled import compiled_ahead
-from magmatch.registration.prepared.cubes import FEW_POINTS
+from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
 from magmatch.registration.prepared.pose_prior import MOST_DRAWN, UP, PosePrior
 from magmatch.registration.prepared.raster import RASTER, Raster, find_cell
 from magmatch.typing import Points, Scalars, Tensors
@@ -44,7 +44,7 @@ def spread_inside(
     known = np.argwhere(raster.sd >= 0)
     if prior.T_base_target is not None or not len(known) or not len(points):
         return prior
-    chosen = points[np.unique(np.linspace(0, len(points) - 1, FEW_POINTS).astype(np.int64))]
+    chosen = points[even_choice(len(points), FEW_POINTS)]
     turns, uniform, normal = _draws()
     R = _turns(prior, turns, uniform[:, 0], normal)
     rows = (uniform[:, 1] * len(chosen)).astype(np.int64)

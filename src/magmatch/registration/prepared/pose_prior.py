@@ -96,7 +96,7 @@ class PosePrior:
     gravity_sd: float = ATTITUDE_SD
     height: float | None = None
     height_sd: float = PosePriorConfig().height_sd
-    height_range: float = 1.0
+    height_range: float = np.nan
     log_share_inside: float = 0.0
 
     @property
