@@ -120,7 +120,7 @@ def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers(
     model = NullModel(cells, field, strong * np.eye(2), np.full(2, noise), 0.0)
     residual = np.array([[1e-7, 0, 0], [0, -1e-7, 0]])
     found = model.log_ratio(residual, np.zeros(2), np.arange(2))
-    strengths, unexplained = np.geomspace(1e-3, 10, 17), np.geomspace(1e-4, 1, 17)
+    strengths = unexplained = np.geomspace(1e-4, 10, 21)
     # Modes of equal cells: any two that are orthogonal; their sum of squares is what counts.
     b2, r2 = (((v / np.sqrt(noise)) ** 2).sum(axis=1) for v in (field, residual))
     k_all = strong / noise * strengths[:, None] + 1
