@@ -9,7 +9,8 @@ import pytest
 
 from magmatch.cli.main import main
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.simulate import simulate, write_pair
+from magmatch.simulation.simulate import simulate
+from magmatch.simulation.write_pair import write_pair
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from magmatch.registration.weigh.cells import (
     null_models_of,
 )
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
-from magmatch.registration.weigh.evidence import weigh_pose
+from magmatch.registration.weigh.evidence import Change, weigh_pose
 from magmatch.registration.weigh.map_covariance import map_covariance
 
 RNG = np.random.default_rng(0)
@@ -88,7 +88,7 @@ def test_a_settled_pose_is_as_wide_as_cells_or_maps_show_and_drifts_with_the_sur
 
 
 def test_beside_a_change_the_maps_are_not_counted_once_more():
-    pair, strategy, best = settled(1e-6, is_beside_change=True)
+    pair, strategy, best = settled(1e-6, change=Change(np.zeros((300, 3)), np.arange(9), 0.7, 0.0))
     final, _ = strategy.settle(pair, best)
     expected = in_survey_axes(best.covariance + drift_covariance(best.pose))
     np.testing.assert_allclose(final.covariance, expected, rtol=1e-6, atol=1e-15)

@@ -15,7 +15,8 @@ from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import SCENARIOS, build_scene
 from magmatch.simulation.scene import Streams
-from magmatch.simulation.simulate import simulate, write_pair
+from magmatch.simulation.simulate import simulate
+from magmatch.simulation.write_pair import write_pair
 
 PATHS = ("table", "table-robot", "corridor", "office-hand-held", "office-robot")
 

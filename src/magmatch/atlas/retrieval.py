@@ -15,12 +15,10 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.features.pairs import pair_invariants
-from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, pose_inaccuracy
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
-    InvariantSearchConfig,
     choose_anchors,
     frame_hypotheses,
     judging_samples,
@@ -106,18 +104,14 @@ def _weights(distance2: Matrix) -> Matrix:
     return np.asarray(np.exp(-distance2 / DISTANCE2))
 
 
-def count_agreement(
-    bases: Iterable[PreparedMap], target: PreparedMap, config: RegistrationConfig, seed: int
-) -> Scalars:
+def count_agreement(bases: Iterable[PreparedMap], target: PreparedMap, seed: int) -> Scalars:
     """Score of the best of a few poses of a target, in each of many maps."""
-    return np.array([_best_score(base, target, config.invariants, np.random.default_rng(seed)) for base in bases])
+    return np.array([_best_score(base, target, np.random.default_rng(seed)) for base in bases])
 
 
-def _best_score(
-    base: PreparedMap, target: PreparedMap, config: InvariantSearchConfig, rng: np.random.Generator
-) -> float:
+def _best_score(base: PreparedMap, target: PreparedMap, rng: np.random.Generator) -> float:
     anchors = choose_anchors(target, N_ANCHORS, rng)
-    neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS, config.whitening_floor)
+    neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS)
     poses = frame_hypotheses(base, target, anchors, neighbours)
     judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
     sd = pose_inaccuracy(common_length(base, target))

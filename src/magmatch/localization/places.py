@@ -8,7 +8,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from magmatch.atlas.atlas import Atlas, AtlasEntry
-from magmatch.atlas.localize import shortlist
+from magmatch.atlas.best_of import shortlist
 from magmatch.atlas.retrieval import count_votes
 from magmatch.data.checks import CONSTANT_FIELD
 from magmatch.data.survey import Survey

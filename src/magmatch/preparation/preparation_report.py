@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`PreparationReport`: what was done to a log, step by step, with figures before and after."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -9,7 +9,11 @@ from pydantic import GetPydanticSchema
 from pydantic_core.core_schema import no_info_after_validator_function
 from typing_extensions import TypedDict
 
+from magmatch._version import __version__
 from magmatch.data.document import TypedDocument
+from magmatch.data.fingerprint import hash_survey
+from magmatch.data.survey import Survey
+from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 
 # off: not checked. unchanged: checked, nothing to do. applied: the survey was changed. flagged: found, not changed.
@@ -74,6 +78,15 @@ class PreparationReport(TypedDocument):
     def to_dict(self) -> dict[str, Any]:
         """What was done, ready for JSON; of the sensor what holds for any of its logs."""
         return TypedDocument.to_dict(self) | {"sensor": self.sensor.as_dict()}
+
+
+def report_on(
+    survey: Survey, left: Survey, steps: Sequence[StepReport], sensor: SensorModel, config: PreparationConfig
+) -> PreparationReport:
+    """What was done to a survey, of which another is left."""
+    n_samples, settings = (len(survey), len(left)), config.model_dump(mode="json")
+    inputs = ({"name": survey.name, "sha256": hash_survey(survey)},)
+    return PreparationReport(survey.name, n_samples, tuple(steps), settings, sensor, inputs, __version__)
 
 
 def _change(step: StepReport) -> str:

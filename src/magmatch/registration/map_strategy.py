@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The target as a map: poses are found by invariants, refined against both maps and weighed by independent cells."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,10 +21,9 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_map
-from magmatch.registration.weigh.covariance import drift_covariance, enclosing
 from magmatch.registration.weigh.evidence import PoseEvidence, overlap_weight
-from magmatch.registration.weigh.map_covariance import map_covariance
 from magmatch.registration.weigh.rank import rank_poses
+from magmatch.registration.weigh.settled import settled, with_prior
 
 MapPair = Pair[PreparedMap, PreparedMap]
 WeighedMap = Weighed[PreparedMap, PreparedMap, PoseEvidence]
@@ -77,26 +76,13 @@ class MapStrategy:
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:
         """Combine what its cells show with the pose prior."""
+        pose = with_prior(pose, pair.prior)
         estimate = pair.estimate(pose)
-        if pose.covariance is not None and not pair.prior.is_flat:
-            T, covariance = pair.prior.combined(pose.T_base_target, pose.center, pose.covariance)
-            pose = replace(pose, pose=replace(pose.pose, T_base_target=T), covariance=covariance)
-            estimate = pair.estimate(pose)
         return estimate, support_of_map(pair.base, pair.target, pose, estimate.T_base_target)
 
     def settle(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:
-        """Widen the covariance by the maps' uncertainty between their samples, and by the surveys' drift.
-
-        Far from a map's samples its error is nearly uniform: the pose follows it, and no residual shows it. If
-        residuals do show it, both covariances describe the same error, so the larger is used, not the sum.
-        """
-        assert pose.covariance is not None  # otherwise it is not probable
-        covariance = pose.covariance
-        # Where a change was estimated, its covariance already covers this.
-        if not pose.is_beside_change:
-            of_maps = map_covariance(pair.base, pair.target, pose.pose, self.config.refinement, self.seed)
-            covariance = enclosing(covariance, of_maps)
-        return self.state(pair, replace(pose, covariance=covariance + drift_covariance(pose.pose)))
+        """Widen the covariance by what residuals do not show."""
+        return self.state(pair, settled(pair.base, pair.target, pose, self.config.refinement, self.seed))
 
     def bend(self, pair: MapPair, pose: PoseEvidence) -> Bend | None:
         """The difference between the poses of the path's halves; where a change was estimated, it may bend them."""

@@ -75,7 +75,7 @@ def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side
     model = _models(sensor).get(side)
     if model is None or survey.orientations is None:
         return survey
-    from magmatch.preparation.prepare import apply_model
+    from magmatch.preparation.sensor_estimate import apply_model
     from magmatch.preparation.sensor_log import SensorLog
 
     return apply_model(survey, SensorLog.of(survey, None), model, {}, is_changed=False)[0]

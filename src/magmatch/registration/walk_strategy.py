@@ -10,6 +10,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
+from magmatch.registration.as_maps import weigh_as_maps
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
@@ -19,7 +20,7 @@ from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.pose_prior import pose_prior
 from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.prepared.walk import Walk, walk_of
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
@@ -59,22 +60,14 @@ class WalkStrategy:
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
     def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> Weighed[Any, Any, Any]:
-        """Generalised least squares, with the covariance of residuals learned from this base's own stretches.
-
-        If the base passed each place once, it cannot be learned and is a guess, and so is the evidence. The poses
-        are then weighed as those of two maps instead, whose errors beside their own paths have opposite signs.
-        """
+        """Generalised least squares, with the covariance of residuals learned from this base's own stretches."""
         starts, walks = [c.T_base_target for c in found.candidates], pair.base
         config = self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, starts, walks.noise, walks.length, pair.prior, config)
         if walks.noise.is_learned or not ranked:
             return Weighed(self, pair, found, ranked)
-        tell("weighing the walk's poses from both sides")
-        mapped = self.mapped()
-        as_maps = mapped.pair_with(walks.base, pair.prior.volume)
-        to_model = pair.T_target_model.inv() * as_maps.T_target_model
-        poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
-        return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
+        # A base that passed each place once only lets it be guessed, and so is the evidence.
+        return weigh_as_maps(self.mapped(), pair, found, ranked)
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
@@ -83,12 +76,10 @@ class WalkStrategy:
         estimate = pair.estimate(whole)
         return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)
 
-    def settle(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
-        """Return the pose as weighed: along a path, nothing remains to be widened."""
-        return self.state(pair, pose)
+    # Along a path, nothing remains to be widened.
+    settle = state
 
     def bend(self, pair: WalkPair, pose: LineEvidence) -> Bend | None:
         """The difference between the halves' poses along the path."""
-        walks, config = pair.base, self.config.walks.evidence
-        T, noise = pose.T_base_target, walks.noise
-        return bend_of_walk(walks.base, pair.target, T, noise, walks.length, pair.prior, config)
+        walks, config, T = pair.base, self.config.walks.evidence, pose.T_base_target
+        return bend_of_walk(walks.base, pair.target, T, walks.noise, walks.length, pair.prior, config)

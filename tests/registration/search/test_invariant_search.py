@@ -40,10 +40,10 @@ def test_frames_of_one_point_seen_twice_are_aligned_by_the_turn_between(pair):
 
 
 def test_a_point_is_most_like_itself_seen_from_elsewhere(pair):
-    found = similar_points(*pair, np.arange(0, 200, 3), 4, 0.1)
+    found = similar_points(*pair, np.arange(0, 200, 3), 4)
     assert found.shape == (67, 4)
     assert (found[:, 0] == np.arange(0, 200, 3)).all()
-    assert similar_points(*pair, np.arange(5), 999, 0.1).shape == (5, 200)
+    assert similar_points(*pair, np.arange(5), 999).shape == (5, 200)
 
 
 def test_invariants_count_by_how_well_they_are_known(pair):
@@ -58,7 +58,7 @@ def test_invariants_count_by_how_well_they_are_known(pair):
         known[:, 2] = sd
         bad = replace(target, invariants=shuffled, invariant_sd=known)
         for one, other, side in ((base, bad, "target"), (bad, base, "base")):
-            found = similar_points(one, other, np.arange(200), 1, 0.01)
+            found = similar_points(one, other, np.arange(200), 1)
             right[side, sd > 0] = (found[:, 0] == np.arange(200)).mean()
     assert min(right["target", True], right["base", True]) > 0.9
     assert max(right["target", False], right["base", False]) < 0.5

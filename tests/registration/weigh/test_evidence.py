@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from hand_made import box, prepared_map, seen_from, some_field, turn_about
 from magmatch.geometry import rotation_matrix
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.cells import (
@@ -247,9 +247,9 @@ def test_cells_are_counted_by_what_stands_out_agrees_and_disagrees(pair):
     found = weigh_pose(base, replace(target, sample_field=field), pose_at(base, target), nulls, PRIOR)
     r2 = size**2
     V = np.maximum(null.noise + SD**2, np.median(r2) / chi2.median(3))
-    stands_out = n2 > 9 * V
+    stands_out = n2 > FAR2 * V
     assert found.n_informative == stands_out.sum() > 5
-    assert found.n_good == (stands_out & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()
+    assert found.n_good == (stands_out & (r2 < FAR2 * V)).sum()
     assert found.misfit == pytest.approx(np.sqrt(np.mean(r2 / (3 * (null.noise + SD**2)))), rel=1e-4)
 
 

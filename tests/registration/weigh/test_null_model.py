@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from magmatch.registration.weigh.null_model import (
-    LENGTHSCALES,
-    ROUGHNESS,
-    STRENGTHS,
+    FACTORS,
+    ROUGH_SHARE,
     CellMeans,
     NullModel,
     UnrelatedField,
@@ -78,7 +77,7 @@ def test_the_most_likely_field_is_chosen_by_its_density_about_its_most_likely_co
     K = rational_quadratic(cells.centers, 0.9, 3e-11)
     field = 4e-5 + np.linalg.cholesky(K) @ rng.standard_normal((14, 3))
     variance, tried = field.var(axis=0).mean(), {}
-    for factor, strength, rough in product(LENGTHSCALES, STRENGTHS, ROUGHNESS):
+    for factor, strength, rough in product(FACTORS, FACTORS, [0.0, *(ROUGH_SHARE * FACTORS)]):
         C = rational_quadratic(cells.centers, factor * 0.6, strength**2 * variance)
         total = C + np.diag(noise + rough**2 * variance)
         weights = np.linalg.solve(total, np.ones(14))
@@ -121,7 +120,7 @@ def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers(
     model = NullModel(cells, field, strong * np.eye(2), np.full(2, noise), 0.0)
     residual = np.array([[1e-7, 0, 0], [0, -1e-7, 0]])
     found = model.log_ratio(residual, np.zeros(2), np.arange(2))
-    strengths, unexplained = np.geomspace(1e-3, 10, 17), np.geomspace(1e-4, 1, 17)
+    strengths = unexplained = np.geomspace(1e-4, 10, 21)
     # Modes of equal cells: any two that are orthogonal; their sum of squares is what counts.
     b2, r2 = (((v / np.sqrt(noise)) ** 2).sum(axis=1) for v in (field, residual))
     k_all = strong / noise * strengths[:, None] + 1

@@ -8,16 +8,13 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import rotate_vectors, rotation_matrix, transform_points
 from magmatch.registration.decide.fitness import mean_misalignment
+from magmatch.registration.prepared.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.sensors import TIED_SD
 from magmatch.registration.result import Links, Sensor
 from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.line_evidence import LineEvidence
-
-N_LINKS = 200  # enough for a picture
-# Squared residual over its expected value below which a sample counts as explained.
-EXPLAINED = 12.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -85,7 +82,6 @@ def _links_of_map(target: PreparedMap, T_base_target: RigidTransform, best: Pose
     if not best.pose.blocks:
         return Links(np.zeros((0, 3)), np.zeros((0, 3)))
     forward = best.pose.blocks[0]
-    rows = np.flatnonzero(forward.residual2 < EXPLAINED)
-    rows = rows[np.linspace(0, len(rows) - 1, min(N_LINKS, len(rows))).astype(int)]
+    rows = np.flatnonzero(forward.residual2 < FAR2)
     p_target = transform_points(forward.positions[rows], target.T_map_model)
     return Links(transform_points(p_target, T_base_target), p_target)

@@ -8,7 +8,7 @@ from magmatch.typing import Indices, Matrix, Points
 # Three lattice coordinates are packed into one integer, so many values a side (the hash of a larger place may
 # collide, which only merges two far cubes).
 _SIDE = int(np.cbrt(np.iinfo(np.int64).max))
-# Points or samples that stand for a survey: at most, for ranking a few poses, and for judging thousands.
+# Points, samples or poses that stand for all there are: at most, for ranking a few poses, and for judging thousands.
 MOST_POINTS, RANKING_POINTS, FEW_POINTS = 4000, 600, 60
 # Share of the correlation length at which a field is sampled.
 SAMPLING = 0.25
@@ -21,6 +21,12 @@ def cube_keys(points: Points, side: float) -> Indices:
     i, j, k = (np.floor(points / side).astype(np.int64).T + _SIDE // 2) % _SIDE
     keys: Indices = (i * _SIDE + j) * _SIDE + k
     return keys
+
+
+def even_choice(n: int, limit: int) -> Indices:
+    """Rows of n, at most as many as the limit and evenly spread, the first and the last among them."""
+    rows: Indices = np.unique(np.linspace(0, n - 1, min(n, limit)).astype(np.int64))
+    return rows
 
 
 def thin(points: Points, distance: float, limit: int = MOST_POINTS) -> Indices:

@@ -15,14 +15,12 @@ from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
 from magmatch.field.values import FieldFunction, gradient_norm, gradient_of
 from magmatch.geometry import path_walked
-from magmatch.registration.prepared.cubes import MOST_POINTS
+from magmatch.registration.prepared.cubes import FEW_POINTS, MOST_POINTS, even_choice
 from magmatch.registration.prepared.pose_prior import RARE
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 # Positions of dead reckoning wander: about their own mean, their correlation length is this share of the path.
 CORRELATION_SHARE = 0.1
-# Stretches of one position error, per correlation length.
-STRETCHES_PER_LENGTH = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,10 +52,10 @@ class Drift:
             return cls(pose_sd, 0.0, np.zeros(len(positions), dtype=np.int64), np.zeros((1, 1)))
         lasting_sd = float(np.sqrt(max(pose_sd**2 - white_variance(positions, survey.field, posterior), 0.0)))
         walked = path_walked(positions)
-        side = walked[-1] * CORRELATION_SHARE / STRETCHES_PER_LENGTH
+        side = walked[-1] / FEW_POINTS
         stretch = (walked / side).astype(np.int64)
         ends = np.arange(stretch[-1] + 1, dtype=np.float64)[:, None]
-        return cls(pose_sd, lasting_sd, stretch, np.exp(-cdist(ends, ends) / STRETCHES_PER_LENGTH))
+        return cls(pose_sd, lasting_sd, stretch, np.exp(-cdist(ends, ends) / (CORRELATION_SHARE * FEW_POINTS)))
 
     def together(self, other: "Drift") -> "Drift":
         """Errors of these samples and of those that they are compared with, as if correlated along this path."""
@@ -85,8 +83,7 @@ def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
 
 def white_variance(positions: Points, field: Vectors, posterior: FieldFunction) -> float:
     """Variance of position errors that neighbours on a path do not share, if it is significant."""
-    n = len(positions) - 1
-    first = np.unique(np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(np.int64))
+    first = even_choice(len(positions) - 1, MOST_POINTS)
     # Most samples are in two pairs.
     rows, places = np.unique(np.concatenate([first, first + 1]), return_inverse=True)
     values, (one, other) = posterior.evaluate(positions[rows], order=1), places.reshape(2, -1)

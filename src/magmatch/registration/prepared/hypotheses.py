@@ -15,6 +15,8 @@ POSE_TURN, POSE_SHIFT = 0.1, 0.2
 SAME_POSE_SDS = 2.0
 # Share of samples that may match nothing under a right pose (moved furniture, a passing lift).
 OUTLIER_SHARE = 0.3
+# Poses that are refined before the others, or further.
+N_REFINED = 4
 
 
 def pose_inaccuracy(length: float) -> tuple[float, float]:

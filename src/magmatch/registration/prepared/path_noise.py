@@ -19,7 +19,7 @@ from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import FEW_POINTS, SAMPLING
+from magmatch.registration.prepared.cubes import FEW_POINTS, SAMPLING, even_choice
 from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
 from magmatch.registration.prepared.prepared_map import N_DRAWS
 from magmatch.registration.prepared.walk import MIN_BINS, bin_along_path, bin_means
@@ -166,8 +166,7 @@ def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generat
     found = []
     for is_left_out in folds_of(number):
         found += _predict(field_map, samples, is_left_out, number, length, rng)
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(len(found), FEW_POINTS)).astype(np.int64))
-    return [found[k] for k in chosen]
+    return [found[k] for k in even_choice(len(found), FEW_POINTS)]
 
 
 def _predict(

@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
 from magmatch.geometry import perturbation, rotation_matrix, skew
+from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS
 from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
@@ -25,9 +26,7 @@ RARE = 0.01
 FAR2 = float(chdtri(3, RARE))
 # Standard deviation of the vertical in a survey's frame, rad: a good accelerometer at rest, a robot's floor.
 ATTITUDE_SD = 0.01
-# Poses drawn about a rough one: number for each pose that the search resolves, within bounds; and factor on the
-# number of neighbours tried if a prior rules most of them out.
-N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
+# Factor on the number of neighbours tried if a prior rules most of them out.
 MORE_NEIGHBOURS = 4
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -96,7 +95,7 @@ class PosePrior:
     gravity_sd: float = ATTITUDE_SD
     height: float | None = None
     height_sd: float = PosePriorConfig().height_sd
-    height_range: float = 1.0
+    height_range: float = np.nan
     log_share_inside: float = 0.0
 
     @property
@@ -276,8 +275,7 @@ class PosePrior:
             return 0
         scale = np.repeat(slack, 3)
         power = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
-        places = N_PER_PLACE * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
-        return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
+        return int(np.clip(np.prod(np.sqrt(np.maximum(power, 1.0))), RANKING_POINTS, MOST_POINTS))
 
     def narrow(
         self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS
+from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, even_choice
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
@@ -119,7 +119,7 @@ def bin_means(values: np.ndarray, rows: Indices) -> np.ndarray:
 
 def line_share(positions: Points, radius: float) -> float:
     """Share of the samples whose neighbours within a radius are collinear."""
-    some = positions[np.unique(np.linspace(0, len(positions) - 1, min(len(positions), FEW_POINTS)).astype(np.int64))]
+    some = positions[even_choice(len(positions), FEW_POINTS)]
     is_line = []
     for near in cKDTree(positions).query_ball_point(some, radius):
         offset = positions[near] - positions[near].mean(axis=0)

@@ -13,16 +13,19 @@ from pydantic import Field
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.checks import MIN_SAMPLES
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import (
+    CLOSE,
     MAX_SHIFT,
     MAX_TURN,
-    MIN_SAMPLES,
+    MOST_STEPS,
     Lookup,
     RefinedPose,
     ResidualBlock,
@@ -31,19 +34,15 @@ from magmatch.registration.refine.refinement import (
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
-# Steps end when one moves the estimate by less than this many of its standard deviations.
-CLOSE = 0.1
-# Least prior variance of a charge, as a share of what all start with.
-FAINTEST = 1e-10
+# Distance of the charges from the samples, in correlation lengths.
+DISTANCE = 0.6
 # Charges whose prior variance has fallen below this share of the strongest one's are left out from then on.
 FADED = 1e-5
 # Factor on the pose's covariance because the same data selected the remaining charges (measured).
 SELECTION_INFLATION = 16.0
-# Updates of the strengths of a field unrelated to the base, and prior standard deviation of its constant, T.
-N_NULL = 20
-CONSTANT_SD = 1e-4
 # Updates of the charges' strengths per step of the pose.
 N_STRENGTHS = 4
+EPS = float(np.finfo(float).eps)
 
 
 class ChangeConfig(Settings):
@@ -53,21 +52,12 @@ class ChangeConfig(Settings):
     # Misfit of the best pose's cells above which something may have moved, and below which a change must bring it;
     # right poses without changes stay below it.
     max_misfit: float = Field(default=2.0, ge=0)
-    # Largest residual variance with a change, in units of the stated one; above it, the change is no explanation.
-    max_noise: float = Field(default=1.1, ge=1)
-    # Poses that are tried, the least evidence of the agreeing cells for a pose to be tried (nats; other places reach
-    # 31), and the rounds within which each must converge on the cells that agree with it; otherwise it is wrong.
+    # Poses that are tried.
     n_candidates: int = Field(default=2, ge=1)
-    min_agreement: float = 35.0
-    n_rounds: int = Field(default=6, ge=1)
     # Samples compared, and maximum number of charges for the change: with half as many of both, the target's own
     # field is described so badly that wrong poses win.
     n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
     n_charges: int = Field(default=400, ge=100)
-    # Distance of the charges from the samples, in correlation lengths.
-    distance: float = Field(default=0.6, gt=0)
-    # Maximum number of steps of the pose in a round.
-    n_steps: int = Field(default=10, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -162,7 +152,7 @@ def refine_beside_changes(
     k = 6 + len(pose.sensor_sd)
     lookup = _look_up(base, samples, pose)
     estimate = _solve(lookup, samples, gram, pose, prior)
-    for _ in range(config.n_steps):
+    for _ in range(MOST_STEPS):
         xi = estimate.values[:k] / max(1.0, float(np.abs(estimate.values[:6] / longest).max()))
         pose = replace(
             pose,
@@ -196,7 +186,7 @@ def _choose_samples(
         return None
     y, map_sd = target.samples[rows], map_sd[rows]
     weight = np.repeat(1 / (target.noise_sd**2 + map_sd**2), 3)
-    distance = config.distance * common_length(base, target)
+    distance = DISTANCE * common_length(base, target)
     shell = lay_shell(y, distance, distance / 2, config.n_charges)
     # From component-major rows to a row per sample and component.
     charges = np.moveaxis(shell.design(y).reshape(3, len(y), -1), 0, 1).reshape(3 * len(y), -1)
@@ -260,7 +250,7 @@ def _update(
     noise = max(1.0, residual2 / max(n_rows - k - float(determined.sum()), 1.0))
     # Between the slow, certain update of expectation maximisation and MacKay's fixed point.
     more_likely = np.sqrt(weights2 / determined * (weights2 + spread))
-    return z, C, np.maximum(more_likely, FAINTEST * more_likely.max(initial=0.0)), noise
+    return z, C, np.maximum(more_likely, EPS * more_likely.max(initial=0.0)), noise
 
 
 def _log_likelihood(
@@ -289,7 +279,7 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
     v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
     before, noise, power = np.eye(3) / CONSTANT_SD**2, 4.0, float(b @ Wb)
     strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))
-    for _ in range(N_NULL):
+    for _ in range(MOST_STEPS * N_STRENGTHS):
         lasting = np.concatenate([[True] * 3, strengths > FADED * strengths.max()])
         A, v, strengths = A[np.ix_(lasting, lasting)], v[lasting], strengths[lasting[3:]]
         _, _, strengths, noise = _update(A, v, np.zeros_like(v), before, strengths, noise, power, len(b))

@@ -16,21 +16,22 @@ from pydantic import Field
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.checks import MIN_SAMPLES
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, rotate_vectors, skew, transform_points
 from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
-from magmatch.registration.prepared.hypotheses import POSE_SHIFT, POSE_TURN
+from magmatch.registration.prepared.hypotheses import N_REFINED, POSE_SHIFT, POSE_TURN
 from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
-# Fewest samples for a direction of comparison to be used.
-MIN_SAMPLES = 20
 # Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
+# Steps end when one moves the estimate by less than this many of its standard deviations, or after so many.
+CLOSE, MOST_STEPS = 0.1, 10
 # Longest step, rad and in correlation lengths: as far as a hypothesis may be off.
 MAX_TURN, MAX_SHIFT = POSE_TURN, POSE_SHIFT
 
@@ -42,12 +43,9 @@ class RefinementConfig(Settings):
     n_samples: int = Field(default=MOST_POINTS, ge=MIN_SAMPLES)
     # Samples while candidates are only ranked.
     n_ranking_samples: int = Field(default=RANKING_POINTS, ge=MIN_SAMPLES)
-    # Most Newton steps; they end when one moves the estimate by less than this many of its standard deviations.
-    n_steps: int = Field(default=10, ge=1)
-    tolerance: float = Field(default=0.01, gt=0)
-    # Best candidates to refine and compare, and more of them while none has this much evidence, nats.
-    n_candidates: int = Field(default=4, ge=1)
-    n_more_candidates: int = Field(default=4, ge=0)
+    n_steps: int = Field(default=MOST_STEPS, ge=1)
+    # Best candidates to refine and compare; the others too if none of these has this much evidence, nats.
+    n_candidates: int = Field(default=N_REFINED, ge=1)
     clear_log_evidence: float = 50.0
     # What may differ between the two magnetometers.
     sensor: SensorConfig = Field(default_factory=SensorConfig)
@@ -172,7 +170,7 @@ def refine(
         v[6:] -= sensor.parameters / sd**2
         xi = _step(A, v, sd, lengthscale)
         T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], np.sqrt(FAR2) * sd)
-        if float(xi @ A @ xi) < config.tolerance**2:
+        if float(xi @ A @ xi) < CLOSE**2:
             break
     known = prior.rows(T, center)[0]
     return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows))

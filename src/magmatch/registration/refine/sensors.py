@@ -13,15 +13,16 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.settings import Settings
 from magmatch.typing import Matrix, Vectors
 
 SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 
-# Strength of a field, T, in which an error of scale is as large as the bias that goes with it.
-SCALED_FIELD = 1e-4
-# Prior standard deviation of what must not differ.
-TIED_SD = 1e-12
+# Gain in log evidence (nats) that a freer model must bring: sensors that differ, or something that moved.
+MIN_GAIN = 15.0
+# Prior standard deviation of what must not differ, T: rounding.
+TIED_SD = float(np.sqrt(np.finfo(float).eps)) * CONSTANT_SD
 
 
 class SensorConfig(Settings):
@@ -33,7 +34,7 @@ class SensorConfig(Settings):
     # Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
     bias_levels: tuple[float, ...] = (0.05e-6, 3e-6)
     # Gain in log evidence (nats) required for a wider level.
-    min_gain: float = Field(default=15.0, ge=0)
+    min_gain: float = Field(default=MIN_GAIN, ge=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -123,4 +124,5 @@ def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
         return np.full(n_parameters, TIED_SD)
     level = min(level, len(config.bias_levels) - 1)
     bias = config.bias_levels[level]
-    return np.concatenate([np.full(3, bias), np.full(n_parameters - 3, bias / SCALED_FIELD)])
+    # In the strongest field, an error of scale is as large as the bias that goes with it.
+    return np.concatenate([np.full(3, bias), np.full(n_parameters - 3, bias / CONSTANT_SD)])

@@ -14,15 +14,14 @@ from magmatch.registration.search.scoring import EVIDENCE, Evidence, expected_va
 from magmatch.threads import side_by_side, slices
 from magmatch.typing import Scalars
 
-# Pose error allowed, as a share of a candidate's own: at the last step for all, and for the best; and its factor per
-# step.
-COARSE, FINE, SHRINKING = 0.25, 0.01, 0.7
+# Factor on the pose error allowed: of a stage, and of a step.
+OF_A_STAGE, OF_A_STEP = 0.25, 0.7
 
 
-def schedule(first: float, last: float, sd: tuple[float, float]) -> np.ndarray:
-    """Pose error allowed (rad, m) at each step, from one share of a candidate's own to another."""
-    n = int(np.ceil(np.log(last / first) / np.log(SHRINKING)))
-    return np.outer(np.geomspace(first, last, n + 1), sd)
+def schedule(stage: int, sd: tuple[float, float]) -> np.ndarray:
+    """Pose error allowed (rad, m) at each step of a stage; before the first, a candidate's own."""
+    n = int(np.ceil(np.log(OF_A_STAGE) / np.log(OF_A_STEP)))
+    return np.outer(np.geomspace(OF_A_STAGE**stage, OF_A_STAGE ** (stage + 1), n + 1), sd)
 
 
 class Room(NamedTuple):

@@ -10,11 +10,11 @@ from magmatch.compiled import compiled_ahead
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import FEW_POINTS, RANKING_POINTS
+from magmatch.registration.prepared.cubes import FEW_POINTS, RANKING_POINTS, SAMPLING
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import N_DRAWS, PreparedMap, common_length
-from magmatch.registration.search.annealing import COARSE, FINE, anneal_poses, schedule
+from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import N_CANDIDATES, Candidate, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.settings import Settings
@@ -35,8 +35,6 @@ class InvariantSearchConfig(Settings):
     n_fine: int = Field(default=40, ge=1)
     # Distinct poses handed on.
     n_candidates: int = Field(default=N_CANDIDATES, ge=1)
-    # Floor of the invariants' whitening, as a share of their spread over both maps.
-    whitening_floor: float = Field(default=0.1, gt=0)
     # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
     n_draws: int = Field(default=N_DRAWS, ge=2)
 
@@ -51,7 +49,7 @@ def invariant_search(
     """Find the poses under which the base's field explains the target's samples best."""
     anchors = choose_anchors(target, config.n_anchors, rng)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
-    neighbours = similar_points(base, target, anchors, n_neighbours, config.whitening_floor)
+    neighbours = similar_points(base, target, anchors, n_neighbours)
     tell(f"scoring {neighbours.size} hypotheses")
     evidence = weigh_samples(base, target)
     poses = frame_hypotheses(base, target, anchors, neighbours)
@@ -68,12 +66,12 @@ def invariant_search(
     poses = poses.subset(best)
 
     tell("refining the best hypotheses")
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, COARSE, sd), OUTLIER_SHARE)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
     keep = distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_fine)
     poses = poses.subset(keep)
     common = rng.permutation(len(target.samples))[:RANKING_POINTS]
     rows = np.tile(common, (len(anchors), 1))
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(COARSE, FINE, sd), OUTLIER_SHARE)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
     keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
@@ -103,10 +101,10 @@ def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator
     return rng.choice(len(g2), n, replace=False, p=share / share.sum()).astype(np.int64)
 
 
-def similar_points(
-    base: PreparedMap, target: PreparedMap, anchors: Indices, n_neighbours: int, whitening_floor: float
-) -> Indices:
+def similar_points(base: PreparedMap, target: PreparedMap, anchors: Indices, n_neighbours: int) -> Indices:
     """Base points whose invariants are nearest to those of each anchor, whitened by their uncertainty.
+
+    Points stand half of `SAMPLING` apart, where invariants differ by that share of their spread over both maps.
 
     Returns
     -------
@@ -118,7 +116,7 @@ def similar_points(
     scale = np.sqrt(
         np.median(base.invariant_sd, axis=0) ** 2
         + np.median(target.invariant_sd, axis=0) ** 2
-        + (whitening_floor * spread) ** 2
+        + (SAMPLING / 2 * spread) ** 2
         + np.finfo(float).tiny
     )
     k = min(n_neighbours, len(base.points))

@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, SAMPLING, thin
+from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, SAMPLING, even_choice, thin
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.search.annealing import COARSE, anneal_poses, schedule
+from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import N_CANDIDATES, Candidate, SearchResult
 from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
@@ -114,13 +114,12 @@ def pair_search(
     if not len(poses.rotations):
         return SearchResult()
     evidence = _evidence(base, table, walk)
-    some = np.unique(np.linspace(0, len(walk) - 1, min(FEW_POINTS, len(walk))).astype(np.int64))
-    rows = np.tile(some, (len(i), 1))
+    rows = np.tile(even_choice(len(walk), FEW_POINTS), (len(i), 1))
     tell(f"scoring {len(poses.rotations)} hypotheses")
     scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
     # So that one corridor does not fill the list.
     poses = poses.subset(distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse))
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, COARSE, sd), OUTLIER_SHARE)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
     keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)

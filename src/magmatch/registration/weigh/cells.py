@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Cells of two surveys: what each says on its own, and how far the other's map explains it under a pose."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,17 +11,24 @@ from scipy.special import gammaln
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.prepared.cubes import cube_keys
 from magmatch.registration.prepared.drift import field_variance
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.null_model import CellMeans, NullModel, UnrelatedField, average_cells
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
+
+def _shares_left() -> Iterator[float]:
+    share = 1.0
+    while share >= OUTLIER_SHARE:
+        yield share
+        share -= OUTLIER_SHARE / 2
+
+
 # Neighbouring samples share the map's error; a cell mean is never better than this share of the noise variance.
 CORRELATED_NOISE_SHARE = 0.1
-# Share of a cell's samples that must lie inside the other map for it to count.
-WHOLE = 0.99
-# Tried shares of cells that have not changed.
-UNCHANGED_SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.28)
+# Tried shares of cells that have not changed, in steps of half of what may match nothing, and no less than that.
+UNCHANGED_SHARES = tuple(_shares_left())
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -134,7 +141,7 @@ def compare_cells(
     cells = null_model.cells
     expected, sd, G, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
     residual = rotate_vectors(field, T_base_target) - expected
-    rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] > WHOLE)
+    rows = np.flatnonzero(cells.mean(is_known[:, None].astype(np.float64))[:, 0] == 1.0)
     return CellComparison.of(cells, rows, residual, (sd, G, is_known), base, target)
 
 
@@ -145,7 +152,7 @@ def compare_back(
     T = pose.T_base_target
     expected, sd, G, is_known = target.raster.lookup(transform_points(base.samples, T.inv()))
     cubes = nulls.base_cubes
-    inside = (np.bincount(cubes, is_known) / np.bincount(cubes) > WHOLE)[cubes]
+    inside = (np.bincount(cubes, is_known) == np.bincount(cubes))[cubes]
     field = base.sample_field[inside]
     residual = field - rotate_vectors(pose.sensor.correct(expected[inside]), T)
     null_model = nulls.of_base(base.samples[inside], field)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.cells import NullModels, compare_back, compare_cells
@@ -33,15 +33,15 @@ class PoseEvidence:
         the penalty for the search over all poses.
     attainable : float, nats
         The same, if the base explained all cells perfectly.
+    price : float, nats
+        The penalty alone, below 0.
     residual : float
         Robust normalised rms residual over the overlap.
     misfit : float
         Normalised rms of the cells' mean residuals, the larger of both surveys': about 1 when noise and the other
         map's spread explain them.
-    unchanged : float
-        Share of the cells in the overlap that are used for all figures but `overlap`; the others have changed.
-    is_beside_change : bool
-        Whether a change of the field was estimated with the pose; cells and residual then refer to what it leaves.
+    change : Change or None
+        What was estimated to have changed; all figures but `overlap` then refer to the cells that it leaves.
     """
 
     pose: RefinedPose
@@ -51,10 +51,10 @@ class PoseEvidence:
     n_good: int
     log_evidence: float
     attainable: float
+    price: float
     residual: float
     misfit: float
-    unchanged: float = 1.0
-    is_beside_change: bool = False
+    change: "Change | None" = None
 
     @property
     def kind(self) -> Kind:
@@ -70,6 +70,16 @@ class PoseEvidence:
     def center(self) -> Vector3:
         """Point about which the covariance is stated, m, target's model frame."""
         return self.pose.center
+
+    @property
+    def is_beside_change(self) -> bool:
+        """Whether a change of the field was estimated with the pose."""
+        return self.change is not None
+
+    @property
+    def unchanged(self) -> float:
+        """Share of the cells in the overlap that are used; the others have changed."""
+        return 1.0 if self.change is None else self.change.unchanged
 
     @property
     def good_share(self) -> float:
@@ -147,7 +157,7 @@ def weigh_pose(
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
-        return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, np.inf, np.inf)
+        return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, -np.inf, np.inf, np.inf)
 
     rows = seen.rows if change is None else change.rows
     sides = [(null_model, seen, rows)]
@@ -164,7 +174,7 @@ def weigh_pose(
     n2 = ((null_model.field[rows] - null_model.field.mean(axis=0)) ** 2).sum(axis=1)
     # The variance stated by noise and map, or that of the residuals: their sum would count one error twice.
     V = np.maximum(variance, np.median(r2) / MEDIAN_CHI2_3)
-    is_informative = n2 > 9 * V
+    is_informative = n2 > FAR2 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
     log_prior = prior.log_density(pose.T_base_target, pose.center, covariance)
     price = _search_price(joint, pose.sensor_sd, log_prior) + float(overlap_weight(overlap))
@@ -173,13 +183,13 @@ def weigh_pose(
         covariance,
         overlap,
         int(is_informative.sum()),
-        int((is_informative & (r2 < np.maximum(12 * V, 0.1 * n2))).sum()),
+        int((is_informative & (r2 < FAR2 * V)).sum()),
         float(log_ratio + price),
         float(attainable + price),
+        price,
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
         max(side.misfit(null, r) for null, side, r in sides),
-        1.0 if change is None else change.unchanged,
-        change is not None,
+        change,
     )
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, skew
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
+from magmatch.registration.prepared.hypotheses import N_REFINED, OUTLIER_SHARE
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
@@ -42,7 +42,7 @@ class LineConfig(Settings):
     n_coarse_steps: int = Field(default=5, ge=0)
     n_fine_steps: int = Field(default=2, ge=1)
     # Poses that take the fine steps.
-    n_fine: int = Field(default=4, ge=1)
+    n_fine: int = Field(default=N_REFINED, ge=1)
     # Penalty of a pose for each correlation length of path that it leaves unexplained, nats: outside the base map, as
     # there are many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
     price: float = Field(default=3.0, ge=0)

@@ -14,21 +14,17 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
-from magmatch.registration.prepared.cubes import cube_keys
+from magmatch.registration.prepared.cubes import cube_keys, even_choice
 from magmatch.registration.prepared.walk import MAX_WEIGHED
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
-# Tried lengthscales (in the map's lengthscale) and strengths (in the cells' standard deviation).
-LENGTHSCALES = (0.7, 1.0, 1.5, 2.2, 3.3)
-STRENGTHS = (0.3, 0.6, 1.0, 2.0, 4.0)
-# Rough part of a field that follows no smooth one (jitter of poses), in the cells' standard deviation.
-ROUGHNESS = (0.0, 0.03, 0.06, 0.12, 0.25)
-# Range of the field's variance in an overlap relative to that of the whole survey.
-LOCAL_STRENGTHS = np.geomspace(1e-3, 10.0, 17)
+# Tried lengthscales (in the survey's correlation length) and strengths (in the cells' standard deviation), and this
+# share of each as the strength of a rough part that follows no smooth field (jitter of poses).
+FACTORS, ROUGH_SHARE = np.geomspace(0.5, 4.0, 5), 0.06
+# Tried variances of the field in an overlap, and of what the base leaves unexplained, in that of the whole survey.
+VARIANCES = np.geomspace(1e-4, 10.0, 21)
 # Share of modes that objects moved between the surveys may change, although the pose is right.
 CHANGED_MODES = 0.1
-# Variance of what the base may leave unexplained, as a share of the field's.
-UNEXPLAINED = tuple(float(s) for s in np.geomspace(1e-4, 1.0, 17))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,7 +111,7 @@ class NullModel:
         r2 = ((modes.T @ (W[:, None] * residual)) ** 2).sum(axis=1)
         variance = float(self.field.var(axis=0).mean() * (W**2).mean())
         found = []
-        for share in UNEXPLAINED:
+        for share in VARIANCES:
             v = np.minimum(k, 1.0 + share * variance)
             L = np.minimum(b2, 9 * k) / (2 * k) - np.stack([r2, np.zeros_like(r2)]) / (2 * v) + 1.5 * np.log(k / v)
             L = np.logaddexp(np.log(CHANGED_MODES), np.log1p(-CHANGED_MODES) + L)
@@ -127,15 +123,15 @@ class NullModel:
 
 def _strength_here(power: Scalars, b2: Scalars) -> float:
     """Maximum-likelihood strength of the field in the given cells, as a share of the whole survey's variance."""
-    k = np.maximum(power, 0.0) * LOCAL_STRENGTHS[:, None] + 1.0
+    k = np.maximum(power, 0.0) * VARIANCES[:, None] + 1.0
     log_likelihood = -(b2 / (2 * k) + 1.5 * np.log(k)).sum(axis=1)
-    return float(LOCAL_STRENGTHS[int(np.argmax(log_likelihood))])
+    return float(VARIANCES[int(np.argmax(log_likelihood))])
 
 
 def average_cells(positions: Points, side: float) -> CellMeans:
     """Divide samples into cubic cells; if there are too many, an even choice of them."""
     _, cell, counts = np.unique(cube_keys(positions, side), return_inverse=True, return_counts=True)
-    chosen = np.unique(np.linspace(0, len(counts) - 1, min(len(counts), MAX_WEIGHED)).astype(np.int64))
+    chosen = even_choice(len(counts), MAX_WEIGHED)
     renamed = np.full(len(counts), -1)
     renamed[chosen] = np.arange(len(chosen))
     means = CellMeans(renamed[cell], counts[chosen].astype(np.float64), np.zeros((0, 3)))
@@ -166,7 +162,7 @@ class UnrelatedField:
         variance = max(float(field.var(axis=0).mean()), float(noise.min()))
         tried = [
             cls(factor * lengthscale, strength**2 * variance, roughness**2 * variance)
-            for factor, strength, roughness in product(LENGTHSCALES, STRENGTHS, ROUGHNESS)
+            for factor, strength, roughness in product(FACTORS, FACTORS, (0.0, *(ROUGH_SHARE * FACTORS)))
         ]
         return max(tried, key=lambda f: _with_free_constant(field, f.between(distance2), noise + f.roughness))
 

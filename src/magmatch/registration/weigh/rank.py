@@ -12,14 +12,9 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
 from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
-from magmatch.registration.weigh.cells import (
-    null_models_of,
-)
-from magmatch.registration.weigh.change_search import poses_beside_changes
+from magmatch.registration.weigh.cells import null_models_of
+from magmatch.registration.weigh.change_search import ChangeSearch
 from magmatch.registration.weigh.evidence import PoseEvidence, weigh_pose
-
-# Poses that differ by less, in standard deviations, converged to the same optimum.
-SAME_OPTIMUM_SDS = 0.5
 
 Weigh = Callable[[RigidTransform | RefinedPose, RefinementConfig, int], PoseEvidence]
 
@@ -56,19 +51,18 @@ def rank_poses(
         return ranked
     with_like_sensors = ranked[0].pose
     ranked[0] = _let_sensors_differ(ranked[0], weigh, config.refinement)
-    beside = poses_beside_changes(
-        base, target, starts, ranked[0], with_like_sensors, nulls, prior, config.changes, seed
+    beside = ChangeSearch(base, target, nulls, prior, config.changes, seed).poses(
+        starts, ranked[0], with_like_sensors
     )
     return beside or _finish(ranked, weigh, config.refinement)
 
 
 def _rank_candidates(starts: list[RigidTransform], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
-    """Refine the first candidates, and more if none of them is clear."""
+    """Refine the first candidates, and the others if none of them is clear."""
     ranking, level = settings.for_ranking(), levels_to_try(settings.sensor)[0]
-    n, n_more = settings.n_candidates, settings.n_more_candidates
-    ranked = [weigh(start, ranking, level) for start in starts[:n]]
+    ranked = [weigh(start, ranking, level) for start in starts[: settings.n_candidates]]
     if max((e.log_evidence for e in ranked), default=-np.inf) < settings.clear_log_evidence:
-        ranked += [weigh(start, ranking, level) for start in starts[n : n + n_more]]
+        ranked += [weigh(start, ranking, level) for start in starts[settings.n_candidates :]]
     return sorted(ranked, key=_by_evidence)
 
 
@@ -104,4 +98,4 @@ def _rest_together(one: PoseEvidence, other: PoseEvidence) -> bool:
     if one.covariance is None:
         return False
     step = step_between(one.pose, other.pose)
-    return bool(step @ np.linalg.solve(one.covariance, step) < SAME_OPTIMUM_SDS**2 * len(step))
+    return bool(step @ np.linalg.solve(one.covariance, step) < len(step))

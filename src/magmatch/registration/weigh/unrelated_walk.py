@@ -7,14 +7,11 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from magmatch.registration.prepared.cubes import FEW_POINTS
+from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.weigh.null_model import FACTORS
 from magmatch.typing import Mask, Matrix, Vector3, Vectors
-
-# Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
-LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
-STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,16 +47,15 @@ class UnrelatedWalk:
         around: tuple[Vector3, float] | None = None,
     ) -> "UnrelatedWalk":
         """Try lengthscales and strengths: the most likely ones make its covariance, all of them its likelihood."""
-        n = len(walk)
-        some = np.unique(np.linspace(0, n - 1, min(n, FEW_POINTS)).astype(np.int64))
+        some = even_choice(len(walk), FEW_POINTS)
         d2 = distance[np.ix_(some, some)] ** 2
         spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
         square = float((walk.field**2).sum(axis=1).mean()) / 3
         mean, constant = around or (np.zeros(3), square)
         field = walk.field - mean
-        errors = noise.isotropic(distance, np.zeros(n))
+        errors = noise.isotropic(distance, np.zeros(len(walk)))
         errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
-        tried = [(f * length, s**2 * spread2) for f, s in product(LENGTHSCALES, STRENGTHS)]
+        tried = [(f * length, s**2 * spread2) for f, s in product(FACTORS, (0.0, *FACTORS))]
         few, errors_of_few = field[some], errors[np.ix_(some, some)]
         found = np.array([
             _log_likelihood(few, _covariance(d2, *numbers, constant) + errors_of_few, noise) for numbers in tried

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A whole log, sample by sample as if live."""
+
+import logging
+from collections.abc import Sequence
+
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.arguments import expect_kind
+from magmatch.atlas.atlas import Atlas
+from magmatch.data.checks import require_survey
+from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
+from magmatch.field.map import FieldMap
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.estimate import Estimate
+from magmatch.localization.known_places import Place
+from magmatch.localization.localizer import Localizer
+from magmatch.localization.samples import OdometryJump
+from magmatch.localization.track import Track
+from magmatch.progress import tell
+from magmatch.registration.clock import Clock
+from magmatch.registration.index.map_index import MapIndex
+from magmatch.slam.graph.odometry import lie_level
+from magmatch.threads import one_blas_thread
+
+log = logging.getLogger(__name__)
+
+
+def follow_log(place: Place, walk: Survey, config: LocalizerConfig | None = None) -> Track:
+    """Localise a log; see `localize`."""
+    config = config or LocalizerConfig()
+    expect_kind(config, "config", (LocalizerConfig,))
+    require_survey(walk, name="log")
+    if walk.times is None:
+        msg = f"{walk.name}: expected a log with times, got none; add a column t (s)"
+        raise SurveyError(msg)
+    clock = Clock()
+    if config.is_gravity_aligned and not config.is_planar and _is_level(place, walk):
+        log.info("all poses of map and log lie at one height each: taken as planar")
+        config = config.model_copy(update={"is_planar": True})
+    R = walk.orientations if walk.orientations is not None else Rotation.identity(len(walk))
+    poses, field = RigidTransform.from_components(walk.positions, R), R.inv().apply(walk.field)
+    with one_blas_thread():
+        with clock("map"):
+            localizer = Localizer(place, config)
+        estimates = []
+        with clock("follow"):
+            for n, t in enumerate(walk.times):
+                if n % 1000 == 0:
+                    tell(f"following {walk.name}", n / len(walk))
+                try:
+                    localizer.update(float(t), poses[n], field[n])
+                except OdometryJump as jump:
+                    log.warning("%s: sample %d: %s", walk.name, n, jump)
+                estimates.append(localizer.estimate())
+    return Track(walk, _maps(place, estimates), estimates, config, clock.seconds())
+
+
+def _is_level(place: Place, walk: Survey) -> bool:
+    """Whether the log keeps one height, and the map does; of an atlas nobody looked."""
+    return not isinstance(place, Atlas) and all(lie_level([s]) for s in (walk, _maps(place, [])[0].survey))
+
+
+def _maps(place: Place, estimates: Sequence[Estimate]) -> tuple[FieldMap, ...]:
+    """The map; of an atlas, those in which a pose is stated."""
+    if isinstance(place, Atlas):
+        named = {e.map for e in estimates}
+        return tuple(place.load(entry).field_map for entry in place.entries if entry.name in named)
+    return (place.field_map if isinstance(place, MapIndex) else place,)

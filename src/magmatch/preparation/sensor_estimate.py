@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a log tells about its own sensor: known beforehand, recalibrated by the phone itself, calibrated here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magmatch.arguments import column_of
+from magmatch.data.survey import Survey
+from magmatch.data.trajectory import Trajectory
+from magmatch.errors import SurveyError
+from magmatch.preparation.calibration import Calibration, calibrate
+from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
+from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
+from magmatch.preparation.preparation_report import StepReport
+from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations, recalibration_step
+from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.sensor_model import SensorModel
+from magmatch.typing import Indices, Mask, Scalars, Vectors
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SensorEstimate:
+    """The errors of a log's clock and sensor.
+
+    Attributes
+    ----------
+    known : SensorModel or None
+        Correction known beforehand; `log` has it.
+    log : SensorLog or None
+        None without orientations, with which the sensor's errors turn.
+    cuts : Recalibrations
+        Where the phone recalibrated itself; `log` has them joined.
+    calibration : Calibration or None
+    channels : dict of str to (n,) array
+        Other channels of the log.
+    """
+
+    known: SensorModel | None
+    log: SensorLog | None
+    cuts: Recalibrations
+    calibration: Calibration | None
+    channels: Mapping[str, Scalars]
+
+    @property
+    def model(self) -> SensorModel:
+        """What was estimated."""
+        return SensorModel() if self.calibration is None else self.calibration.model
+
+    @property
+    def whole_model(self) -> SensorModel:
+        """What was estimated, after what was known."""
+        return self.model if self.known is None else self.model.after(self.known)
+
+    def readings(self, survey: Survey) -> Vectors:
+        """As the sensor gave them, but for what was known; the survey's field if there are no orientations."""
+        return survey.field if self.log is None else self.log.readings
+
+    def correct(self, survey: Survey) -> tuple[Survey, Indices]:
+        """Correct a survey; see `apply_model`."""
+        is_changed = self.known is not None or len(self.cuts) > 0
+        every = _with_pieces(self.channels, self.cuts, len(survey))
+        return apply_model(survey, self.log, self.model, every, is_changed=is_changed)
+
+    def steps(self, survey: Survey, config: PreparationConfig) -> list[StepReport]:
+        """What was done, step by step."""
+        joined = [recalibration_step(self.cuts, self.log, self.calibration)] if config.recalibration == "auto" else []
+        found = calibration_steps(survey, self.log, self.calibration, config, self.channels)
+        return [known_sensor_step(self.known), *joined, *found]
+
+
+def estimate_sensor(
+    survey: Survey,
+    trajectory: Trajectory | None,
+    channels: Mapping[str, Scalars],
+    known: SensorModel | None,
+    config: PreparationConfig,
+) -> SensorEstimate:
+    """Take off what is known, join what the phone recalibrated, and calibrate what is left."""
+    channels = {
+        name: column_of(values, f"channel {name}", "any unit", len(survey)) for name, values in channels.items()
+    }
+    if survey.orientations is None:
+        if known is not None:
+            msg = f"{survey.name}: a known correction of the sensor needs orientations to be made"
+            raise SurveyError(msg)
+        return SensorEstimate(None, None, NO_CUTS, None, channels)
+    sensor_log = SensorLog.of(survey, trajectory)
+    if known is not None:
+        sensor_log = replace(sensor_log, readings=known.corrected(sensor_log.readings))
+    cuts = find_recalibrations(sensor_log) if config.recalibration == "auto" else NO_CUTS
+    sensor_log = cuts.joined(sensor_log) if len(cuts) else sensor_log
+    every = _with_pieces(channels, cuts, len(sensor_log))
+    calibration = calibrate(sensor_log, config, every, trusted(sensor_log, config))
+    return SensorEstimate(known, sensor_log, cuts, calibration, channels)
+
+
+def _with_pieces(channels: Mapping[str, Scalars], cuts: Recalibrations, n: int) -> Mapping[str, Scalars]:
+    """A log's channels, and one for each piece between the cuts."""
+    return {**channels, **cuts.channels(n)} if len(cuts) else channels
+
+
+def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
+    """Readings used for estimates: without jumps, repeats or saturation, whatever is done about these later."""
+    readings = sensor_log.readings
+    is_bad = (
+        find_jumps(readings, config.disturbances.spike_threshold)
+        if sensor_log.times is not None
+        else np.zeros(len(readings), dtype=bool)
+    )
+    return np.asarray(~(is_bad | find_repeats(readings) | find_saturation(readings)))
+
+
+def apply_model(
+    survey: Survey, sensor_log: SensorLog | None, model: SensorModel, channels: Mapping[str, Scalars], *,
+    is_changed: bool,
+) -> tuple[Survey, Indices]:  # fmt: skip
+    """Correct all samples of a survey; also gives the rows that still have a pose once their stamps are moved.
+
+    If there is nothing to correct, the same survey is returned. `is_changed`: the log's readings differ from the
+    survey's.
+    """
+    every = np.arange(len(survey))
+    if sensor_log is None or (model.is_identity and not is_changed):
+        return survey, every
+    rows = every if model.time_offset == 0 else np.flatnonzero(sensor_log.covered(model.time_offset))
+    part = sensor_log.subset(rows)
+    positions, orientations = part.at(model.time_offset)
+    field = orientations.apply(model.corrected(part.readings, {k: v[rows] for k, v in channels.items()}))
+    times = None if survey.times is None else survey.times[rows] + model.time_offset
+    return replace(survey, positions=positions, field=field, times=times, orientations=orientations), rows
