@@ -10,9 +10,8 @@ from scipy.stats import multivariate_normal
 
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS
 from magmatch.registration.prepared.hypotheses import Hypotheses
-from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
+from magmatch.registration.prepared.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.register import register
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
 
@@ -175,14 +174,14 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     found = prior.narrow(given, CENTER, (0.01, 0.01), rng)
     R, pb, rows, about_these = found
     assert about_these is anchors
-    assert len(R) == len(pb) == len(rows) == MOST_POINTS + 1
+    assert len(R) == len(pb) == len(rows) == MOST_DRAWN + 1
     np.testing.assert_allclose(R[0], T.rotation.as_matrix(), atol=1e-12)
     moved = found.carry(CENTER)
     np.testing.assert_allclose(moved[1], T.apply(CENTER), atol=1e-9)
     assert prior.admits(R, moved, CENTER, (0.01, 0.01)).mean() > 0.97
     assert set(rows[1:].tolist()) == {0, 1, 2}
     # Fewer are enough for a search that tells fewer apart.
-    assert len(prior.narrow(given.subset(slice(1)), CENTER, (1.0, 1.0), rng)[0]) == RANKING_POINTS + 1
+    assert len(prior.narrow(given.subset(slice(1)), CENTER, (1.0, 1.0), rng)[0]) == FEWEST_DRAWN + 1
     flat = PosePrior(1.0)
     assert flat.narrow(given, CENTER, (0.1, 0.1), rng) is given
 

@@ -17,8 +17,7 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.weigh import line_evidence
 from magmatch.registration.weigh.line_evidence import LineConfig, weigh_walk
-from magmatch.registration.weigh.null_model import FACTORS
-from magmatch.registration.weigh.unrelated_walk import UnrelatedWalk
+from magmatch.registration.weigh.unrelated_walk import LENGTHSCALES, STRENGTHS, UnrelatedWalk
 
 LENGTH, SD = 0.8, 0.1e-6
 FIELD = some_field(3, slope=10e-6, bend=6e-6)
@@ -251,8 +250,8 @@ def test_an_unrelated_walk_is_a_smooth_field_averaged_over_its_numbers(walk, aro
     deviates = np.linspace(-4, 4, 161)
     log_prior = -0.5 * deviates**2
     tried = []
-    for factor in FACTORS:
-        for strength in (0.0, *FACTORS):
+    for factor in LENGTHSCALES:
+        for strength in STRENGTHS:
             K = strength**2 * spread2 / (1 + d**2 / (2 * (factor * LENGTH) ** 2)) + constant + errors
             found = [
                 multivariate_normal(np.zeros(len(d)), 1e12 * np.exp(NOISE.spread * z) * K)

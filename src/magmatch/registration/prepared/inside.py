@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.compiled import compiled_ahead
-from magmatch.registration.prepared.cubes import FEW_POINTS, MOST_POINTS, even_choice
-from magmatch.registration.prepared.pose_prior import UP, PosePrior
+from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
+from magmatch.registration.prepared.pose_prior import MOST_DRAWN, UP, PosePrior
 from magmatch.registration.prepared.raster import RASTER, Raster, find_cell
 from magmatch.typing import Points, Scalars, Tensors
 
@@ -58,15 +58,15 @@ def spread_inside(
     # One further draw counts as entirely inside, so that the sum is never zero.
     inside = np.append(shares[shares > 0], 1.0)
     total = (np.exp(log_weight(inside)) / inside).sum()
-    return replace(prior, log_share_inside=float(np.log(total / (MOST_POINTS + 1))))
+    return replace(prior, log_share_inside=float(np.log(total / (MOST_DRAWN + 1))))
 
 
 @lru_cache(maxsize=1)
 def _draws() -> tuple[Tensors, Points, Points]:
     """Random numbers, the same for all pairs: rotations (n, 3, 3), uniform (n, 6) and normal (n, 3) numbers."""
     rng = np.random.default_rng(0)
-    turns = Rotation.random(MOST_POINTS, random_state=rng).as_matrix()
-    return turns, rng.random((MOST_POINTS, 6)), rng.standard_normal((MOST_POINTS, 3))
+    turns = Rotation.random(MOST_DRAWN, random_state=rng).as_matrix()
+    return turns, rng.random((MOST_DRAWN, 6)), rng.standard_normal((MOST_DRAWN, 3))
 
 
 def _turns(prior: PosePrior, turns: Tensors, heading: Scalars, normal: Points) -> Tensors:

@@ -15,7 +15,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
 from magmatch.geometry import perturbation, rotation_matrix, skew
-from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS
 from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
@@ -26,7 +25,9 @@ RARE = 0.01
 FAR2 = float(chdtri(3, RARE))
 # Standard deviation of the vertical in a survey's frame, rad: a good accelerometer at rest, a robot's floor.
 ATTITUDE_SD = 0.01
-# Factor on the number of neighbours tried if a prior rules most of them out.
+# Poses drawn about a rough one: number for each pose that the search resolves, within bounds; and factor on the
+# number of neighbours tried if a prior rules most of them out.
+N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
 MORE_NEIGHBOURS = 4
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -275,7 +276,8 @@ class PosePrior:
             return 0
         scale = np.repeat(slack, 3)
         power = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
-        return int(np.clip(np.prod(np.sqrt(np.maximum(power, 1.0))), RANKING_POINTS, MOST_POINTS))
+        places = N_PER_PLACE * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
+        return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(
         self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator

@@ -10,8 +10,11 @@ from scipy.linalg import cholesky, solve_triangular
 from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.weigh.null_model import FACTORS
 from magmatch.typing import Mask, Matrix, Vector3, Vectors
+
+# Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
+LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
+STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,7 +58,7 @@ class UnrelatedWalk:
         field = walk.field - mean
         errors = noise.isotropic(distance, np.zeros(len(walk)))
         errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
-        tried = [(f * length, s**2 * spread2) for f, s in product(FACTORS, (0.0, *FACTORS))]
+        tried = [(f * length, s**2 * spread2) for f, s in product(LENGTHSCALES, STRENGTHS)]
         few, errors_of_few = field[some], errors[np.ix_(some, some)]
         found = np.array([
             _log_likelihood(few, _covariance(d2, *numbers, constant) + errors_of_few, noise) for numbers in tried
