@@ -85,7 +85,7 @@ BAD_ROWS = {
     "nothing": (lambda p: None, "None"),
     "a path": (lambda p: "points.csv", "text"),
     "a generator": (lambda p: (row for row in p), "generator"),
-    "mixed frame": (lambda p: column_frame({"x": p[:, 0], "y": "north", "z": 0}), "dtype object"),
+    "mixed frame": (lambda p: column_frame({"x": p[:, 0], "y": "north", "z": 0}), "'north'"),
 }
 ROW_DOORS = {
     "Survey.positions": lambda m, rows: mm.Survey(rows, m.survey.field),
@@ -220,6 +220,21 @@ def test_what_makes_a_survey_is_said(survey, frame):
     assert "Survey(positions, field)" in is_refused(lambda: mm.build_map(survey.positions))
     assert "PRESETS" in is_refused(lambda: mm.register(survey, survey, "paper"))
     assert ".survey" in is_refused(lambda: mm.build_map(mm.build_map(survey, SETTINGS)))
+    assert "build_map makes one map of several" in is_refused(lambda: mm.register([survey, survey], survey))
+    assert "Survey.from_dataframe" in is_refused(lambda: mm.slam(frame))
+    assert "read_survey" in is_refused(lambda: mm.slam("walk.csv"))
+
+
+def test_of_a_survey_for_points_its_positions_are_named(survey, field_map):
+    assert ".positions" in is_refused(lambda: field_map.evaluate(survey))
+
+
+@pytest.mark.parametrize("bad", [None, 3, object()])
+@pytest.mark.parametrize("noun", ["survey", "field_map", "result", "trajectory"])
+def test_what_is_no_path_is_refused_where_something_is_saved(noun, bad, survey, request):
+    poses = mm.Trajectory(survey.times, survey.positions, survey.orientations)
+    saved = poses if noun == "trajectory" else request.getfixturevalue(noun)
+    assert "path" in is_refused(lambda: saved.save(bad))
 
 
 # --- what other programs hold -------------------------------------------------------------------------------------
@@ -277,7 +292,14 @@ BAD_FRAMES = {
     "unit": (lambda f: mm.Survey.from_dataframe(f, "gauss"), "T, mT, uT"),
     "length": (lambda f: mm.Survey.from_dataframe(f, "uT", "km"), "m, cm, mm"),
     "our name": (lambda f: mm.Survey.from_dataframe(f, columns={"east": "x"}), "east"),
-    "their name": (lambda f: mm.Survey.from_dataframe(f, columns={"x": "east"}), "missing x"),
+    "their name": (lambda f: mm.Survey.from_dataframe(f, columns={"x": "east"}), "'east' for x"),
+    "two names for one": (lambda f: mm.Survey.from_dataframe(f, columns={"bx": ["bx", "by"]}), "for bx"),
+    "a list of names": (lambda f: mm.Survey.from_dataframe(f, columns=COLUMNS), "ours to theirs"),
+    "frame of a phone": (lambda f: mm.Survey.from_dataframe(f, field_frame="phone"), "survey, sensor"),
+    "a number for a name": (lambda f: mm.Survey.from_dataframe(f, name=3), "name"),
+    "decimal commas": (lambda f: mm.Survey.from_dataframe(f.assign(by="2,5")), "text such as '2,5'"),
+    "times of day": (lambda f: mm.Survey.from_dataframe(f.assign(t="12:00:01")), "to_datetime"),
+    "one name twice": (lambda f: mm.Survey.from_dataframe(f[[*COLUMNS, "bx"]]), "found 2 of that name"),
     "words": (lambda f: mm.Survey.from_dataframe(f.assign(by="a")), "by"),
     "NaN": (lambda f: mm.Survey.from_dataframe(f.assign(by=np.nan)), "by"),
     "twice": (lambda f: mm.Survey.from_dataframe(f.join(f["x"].rename("X"))[["x", *COLUMNS]]), "x"),
@@ -291,6 +313,16 @@ BAD_FRAMES = {
 def test_frames_that_are_no_survey_are_refused(bad, frame):
     call, words = BAD_FRAMES[bad]
     assert words in is_refused(lambda: call(frame))
+
+
+def test_an_index_that_is_named_as_a_column_is_one(survey, frame):
+    timed = frame.assign(t=survey.times)
+    for index in ("t", ["x", "t"]):
+        taken = mm.Survey.from_dataframe(timed.set_index(index), "uT")
+        np.testing.assert_array_equal(taken.times, survey.times)
+        np.testing.assert_array_equal(taken.positions, survey.positions)
+    plain = mm.Survey.from_dataframe(timed.rename_axis("row"), "uT")
+    np.testing.assert_array_equal(plain.times, survey.times)
 
 
 def test_dataset_states_its_units(survey):

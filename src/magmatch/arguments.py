@@ -19,7 +19,9 @@ _KINDS = {
     "T": "text",
     "U": "text",
 }
+_TO_NUMBERS = "turn it into numbers first (pandas: to_numeric, of times to_datetime)"
 _ADVICE = {
+    **dict.fromkeys("STU", _TO_NUMBERS),
     "c": "take the real part",
     "M": "turn them into seconds: (t - t[0]) / np.timedelta64(1, 's')",
     "m": "divide them by np.timedelta64(1, 's')",
@@ -45,7 +47,13 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
         _refuse(name, expected, f"a {type(values).__name__} that is no table of numbers", "give rows of equal length")
     if array.dtype.kind not in "iuf":
         kind = _KINDS.get(array.dtype.kind, f"{found(values)} of dtype {array.dtype}")
-        _refuse(name, expected, kind, _ADVICE.get(array.dtype.kind, "convert it to float64 first"))
+        advice = _ADVICE.get(array.dtype.kind, "convert it to float64 first")
+        text = next((cell for cell in array.flat if isinstance(cell, str)), None)
+        if hasattr(values, "positions"):
+            advice = "give its .positions"
+        elif text is not None and array.dtype == object:
+            kind, advice = f"text such as {found(text)}", _TO_NUMBERS
+        _refuse(name, expected, kind, advice)
     with np.errstate(over="ignore"):
         return np.asarray(array, dtype=np.float64)
 
@@ -175,9 +183,12 @@ def found(value: Any) -> str:
 
 
 def kind_of(value: Any) -> str:
-    """What a value is, for advice: 'path', 'array' or the name of its class."""
+    """What a value is, for advice: 'path', 'array', 'list of' some class, or the name of its class."""
     if isinstance(value, str | os.PathLike):
         return "path"
+    first = type(value[0]).__name__ if isinstance(value, list | tuple) and value else ""
+    if first == "Survey":
+        return f"list of {first}"
     return "array" if isinstance(value, np.ndarray | list | tuple) else type(value).__name__
 
 

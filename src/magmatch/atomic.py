@@ -18,7 +18,11 @@ CANNOT_FLUSH_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.EACCES, errno.EBADF}
 
 
 def real_path(path: str | Path) -> Path:
-    """Where a path leads, links followed; links that lead in a circle are refused."""
+    """Where a path leads, links followed; links that lead in a circle are refused, and what is no path."""
+    if not isinstance(path, str | os.PathLike):
+        from magmatch.arguments import expect_path  # its numerics are not waited for
+
+        expect_path(path)
     place = Path(os.path.realpath(path))
     if place.is_symlink():
         raise DataFormatError(path, "is a link that leads back to itself, expected a file")

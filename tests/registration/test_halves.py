@@ -15,7 +15,8 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.halves import naming_drift
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.result import Status
+from magmatch.registration.prepared.walk import is_line
+from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.steps import register_once
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
@@ -49,9 +50,24 @@ def answered(base, walk):
 def test_a_walk_that_bends_in_the_middle_is_refused_and_drift_is_named_with_its_size(base):
     answer = answered(base, bent(made(3).target.subset(ROWS), 8.0))
     assert not answer.is_accepted
-    assert "drift" in answer.reason
+    # First, since what a single pose lacks follows from it.
+    assert answer.reason.startswith("the target's positions or orientations drift")
     (turn,) = re.findall(r"(\d+) deg apart where they meet", answer.reason)
     assert abs(int(turn) - 8) <= 1
+
+
+def test_drift_is_named_of_a_path_that_fills_an_area_and_of_no_other_place(base):
+    refused = RegistrationResult(
+        Status.INCONSISTENT, "no", None, alternatives=(Alternative(RigidTransform.identity(), 0.5),)
+    )
+    here, elsewhere = (bent(made(seed).target, 8.0) for seed in (3, 8))
+    assert not is_line(here, base.length)
+    named = naming_drift(refused, base, here, RegistrationConfig())
+    assert named.reason.startswith("the target's positions or orientations drift: its halves fit poses")
+    assert naming_drift(refused, base, elsewhere, RegistrationConfig()) is refused
+    # Samples in no order have no halves.
+    shuffled = here.subset(np.random.default_rng(0).permutation(len(here)))
+    assert naming_drift(refused, base, shuffled, RegistrationConfig()) is refused
 
 
 def test_of_an_answer_beside_a_change_drift_is_named_if_it_explains_the_residuals_better(base):
@@ -86,10 +102,19 @@ def test_a_survey_compared_as_a_map_is_known_no_better_than_its_drift_lets_it():
     assert straight.is_accepted
     assert "drift" not in straight.reason
     assert turned.is_accepted
+    assert turned.reason.startswith("probability")
     # Its halves differ by half of the whole turn.
     (turn,) = re.findall(r"(\d+) deg apart", turned.reason)
     assert abs(int(turn) - 5) <= 1
     assert np.degrees(turned.standard_deviations[0]) > 10.0 / np.sqrt(12) * 0.8
+
+
+def test_where_drift_leaves_a_pose_too_uncertain_it_is_named_first():
+    pair, config = made(3), RegistrationConfig(search="invariants")
+    base, target = prepare_index(build_map(pair.base), config), turning(pair.target, 20.0)
+    refused = register_once(base, target, target, config, 0, Clock())[2]
+    assert refused.status is Status.DEGENERATE
+    assert refused.reason.startswith("the target's positions or orientations drift")
 
 
 def test_drift_is_not_named_of_a_bent_walk_of_another_place(base):

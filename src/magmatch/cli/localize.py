@@ -73,7 +73,7 @@ def localize(
     from magmatch.localization.smooth import smooth as with_hindsight
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
-    check_outputs((out, report), inputs=(place, log, *([config] if config else [])))
+    check_outputs((out,), inputs=(place, log, *([config] if config else [])), page=report)
     if report is not None:
         from magmatch.cli.sessions import require_pictures
 

@@ -80,7 +80,7 @@ def build(
         prior is None and domain is None and config is None and sniff(surveys[0]) == "map" and len(surveys) > 1
     )
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
-    check_outputs((out, report), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])])
+    check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])], page=report)
     if report is not None:
         from magmatch.viz.figures.plotting import require_plotly
 

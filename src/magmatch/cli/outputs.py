@@ -12,10 +12,13 @@ from magmatch.atomic import real_path
 from magmatch.errors import ConfigurationError, DataFormatError
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
-    """Make sure that results can be written to their paths, before any work is done."""
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = (), *, page: Path | None = None) -> None:
+    """Make sure that results and a page can be written to their paths, before any work is done."""
+    if page is not None and page.suffix.lower() not in ("", ".html", ".htm"):
+        msg = f"{page}: a page is HTML, expected a name that ends in .html"
+        raise ConfigurationError(msg)
     taken = {real_path(path): "an input" for path in inputs}
-    for path in outputs:
+    for path in (*outputs, page):
         if path is None:
             continue
         place = real_path(path)

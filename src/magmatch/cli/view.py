@@ -56,7 +56,7 @@ def view(
     from magmatch.data.formats.sniff import sniff
 
     goal = out or (None if live or rerun else Path(files[0].stem + ".html"))
-    check_outputs((goal, rerun), inputs=files)
+    check_outputs((rerun,), inputs=files, page=goal)
     _require(goal, rerun, live=live)
     results = [path for path in files if sniff(path) == "registration"]
     drawn = [read_survey_or_map(path, layouts) for path in files if path not in results]

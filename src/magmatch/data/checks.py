@@ -43,6 +43,7 @@ ADVICE = {
     "DataFrame": "Survey.from_dataframe makes one of it",
     "Dataset": "Survey.from_xarray makes one of it",
     "array": "Survey(positions, field) makes one of arrays",
+    "list of Survey": "build_map makes one map of several",
     "FieldMap": "its samples are in .survey",
     "Recording": "its samples are in .survey()",
     "": "read_survey reads one from a file",

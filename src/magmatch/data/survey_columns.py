@@ -3,10 +3,11 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from magmatch.arguments import found
 from magmatch.data.tables.frames import table_of_frame
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
@@ -19,7 +20,7 @@ from magmatch.data.units import (
     TimeUnit,
     size_of_unit,
 )
-from magmatch.errors import DataFormatError
+from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
 POSITION_COLUMNS = ("x", "y", "z")
@@ -41,6 +42,9 @@ def survey_arguments(
     table: Table, field_unit: FieldUnit, length_unit: LengthUnit, field_frame: FieldFrame
 ) -> dict[str, Any]:
     """Arguments of `Survey`, by name: of a table's columns, times in s."""
+    if field_frame not in get_args(FieldFrame):
+        msg = f"field_frame: expected one of {', '.join(get_args(FieldFrame))}, got {found(field_frame)}"
+        raise ConfigurationError(msg)
     tesla = size_of_unit(field_unit, TESLA_PER_UNIT, "field_unit")
     metre = size_of_unit(length_unit, METRE_PER_UNIT, "length_unit")
     table.require([*POSITION_COLUMNS, *FIELD_COLUMNS])

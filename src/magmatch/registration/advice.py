@@ -23,7 +23,8 @@ def with_advice(
         return answer
     if wrong := diagnosis(surveys) or contradiction(surveys, prior):
         return replace(answer, reason=f"{wrong}; {answer.reason}")
-    if DRIFTS in answer.reason or answer.status not in (Status.INCONSISTENT, Status.AMBIGUOUS):
+    rigid = (Status.INCONSISTENT, Status.AMBIGUOUS, Status.NO_OVERLAP)
+    if DRIFTS in answer.reason or answer.status not in rigid:
         return answer
     remedies = [remedy(surveys, prior)] if answer.status is Status.INCONSISTENT else []
     remedies += of_odometry(surveys)

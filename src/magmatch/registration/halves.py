@@ -8,12 +8,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.field.folds import has_path_order
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.posterior import effective_evidence, needed_evidence
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.map_strategy import MapStrategy
-from magmatch.registration.prepared.walk import Walk, is_line
+from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bend import DRIFTS, REMEDY, weigh_halves
@@ -23,7 +24,7 @@ from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
 def naming_drift(
     answer: RegistrationResult, index: MapIndex, samples: Survey, config: RegistrationConfig
 ) -> RegistrationResult:
-    """A refusal whose reason names drift, if the halves of the walk have different poses.
+    """A refusal whose reason names drift first, if the halves of a path have different poses.
 
     Both halves must have the evidence that an answer needs, and together exceed the evidence of a single pose by as
     much. The evidence of two poses includes two search penalties, so the excess shows that they differ. An answer
@@ -32,7 +33,7 @@ def naming_drift(
     is_explained = answer.is_accepted and answer.evidence.get("unchanged", 1.0) == 1.0
     if is_explained or DRIFTS in answer.reason or answer.best_pose is None or config.search not in ("auto", "pairs"):
         return answer
-    if not is_line(samples, index.length):
+    if not has_path_order(samples.positions):
         return answer
     strategy = WalkStrategy(samples, samples, config, 0, partial(MapStrategy.of, samples, config, 0, Clock()))
     pair = strategy.pair(index)
@@ -56,7 +57,7 @@ def naming_drift(
     apart, turn = np.linalg.norm(between.apply(middle) - middle), np.degrees(between.rotation.magnitude())
     words = f"{DRIFTS}: its halves fit poses {apart:.1f} m and {turn:.0f} deg apart where they meet; {REMEDY}"
     if not answer.is_accepted:
-        return replace(answer, reason=f"{answer.reason}; {words}")
+        return replace(answer, reason=f"{words}; as one rigid piece, {answer.reason}")
     probability = (answer.probability or 0.0) / (1 + np.exp(excess))
     return replace(
         answer,

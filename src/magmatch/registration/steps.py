@@ -15,7 +15,7 @@ from magmatch.registration.halves import naming_drift
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
 from magmatch.registration.published.method import register_published
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.strategies import strategies
 from magmatch.registration.strategy import Weighed
 
@@ -76,6 +76,9 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
         if bend is not None:
-            verdict = replace(verdict, reason=f"{verdict.reason}; {bend}")
+            parts = (verdict.reason, str(bend))
+            # What drift leaves uncertain is no fault of where was surveyed.
+            is_accepted = verdict.status is Status.ACCEPTED
+            verdict = replace(verdict, reason="; ".join(parts if is_accepted else parts[::-1]))
         poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
         return state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length), weighed.found)

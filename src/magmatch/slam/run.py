@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from magmatch.arguments import expect_kind
+from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.progress import Progress
 from magmatch.slam.config import SlamConfig
@@ -48,6 +49,9 @@ def slam(
     DataFormatError, ConfigurationError
         The table holds no fixed points, or one that no log passed; says which and why.
     """
+    # A path or a DataFrame has parts, too, but none that is a log.
+    if isinstance(logs, str) or (hasattr(logs, "columns") and not isinstance(logs, Survey)):
+        require_survey(logs, name="logs")
     config, given = config or SlamConfig(), [logs] if isinstance(logs, Survey) else list(logs)
     expect_kind(config, "config", (SlamConfig,))
     if not given:

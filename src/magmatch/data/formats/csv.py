@@ -13,6 +13,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
 from magmatch.typing import Points
 
@@ -21,8 +22,10 @@ logger = logging.getLogger(__name__)
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
-    known = wanted_columns(layout.column_names())
+    stated = layout.column_names()
+    known = wanted_columns(stated)
     table = read_table(path, known, recover=layout.recover, advise=_advice, texts=(FRAME_COLUMN,))
+    require_stated(path, table.names, stated)
     return survey_of_table(table.renamed(known), layout)
 
 

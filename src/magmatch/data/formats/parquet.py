@@ -17,6 +17,7 @@ from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.text_rows import require_stated
 from magmatch.errors import DataFormatError, import_extra
 from magmatch.typing import Scalars
 
@@ -30,7 +31,9 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     """Read the columns of a survey from a Parquet file."""
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
-        known = wanted_columns(layout.column_names())
+        stated = layout.column_names()
+        require_stated(path, names, stated)
+        known = wanted_columns(stated)
         wanted = {name: known[name.lower()] for name in names if name.lower() in known}
         if len(set(wanted.values())) < len(wanted):
             raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")

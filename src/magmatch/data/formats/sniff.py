@@ -26,6 +26,7 @@ from magmatch.errors import DataFormatError
 FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone"]
 
 _NO_WORKBOOKS = "export the sheet as CSV (phyphox: choose CSV, not Excel, under 'Export Data')"
+_NO_PICKLES = "pickles are never read, since they can run code; export it as CSV"
 # How files begin that people hand over by mistake, what they are, and what to do about it.
 _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"\x1f\x8b", "twice compressed gzip", "decompress it first (gunzip)"),
@@ -39,11 +40,13 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"\xff\xd8\xff", "JPEG picture", "expected samples, not a picture"),
     (b"%PDF", "PDF document", "expected samples, not a document"),
     (b"\xd0\xcf\x11\xe0", "old Excel workbook", _NO_WORKBOOKS),
-    (b"\x80\x04\x95", "Python pickle", "pickles are never read, since they can run code; export it as CSV"),
+    (b"\x80\x04\x95", "Python pickle", _NO_PICKLES),
+    (b"\x80\x05\x95", "Python pickle", _NO_PICKLES),
     (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
     (b"<!DOCTYPE", "web page", "download the raw file instead"),
     (b"<!doctype", "web page", "download the raw file instead"),
     (b"<html", "web page", "download the raw file instead"),
+    (b"<table", "web page", "export it as CSV"),
     (b"<?xml", "XML document", "export it as CSV"),
 )
 # A ROS 2 bag may also be a folder of such files.

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from magmatch.arguments import column_of, found, require_finite
+from magmatch.arguments import column_of, expect_kind, found, require_finite
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
+from magmatch.data.tables.text_rows import require_stated
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
@@ -21,14 +22,21 @@ def table_of_frame(
 
     `texts` are columns of words, the same in all rows.
     """
+    expect_kind(name, "name", (str,))
+    _expect_names(theirs)
     if not hasattr(df, "columns") or not hasattr(df, "__getitem__"):
         msg = f"df: expected a DataFrame, got {found(df)}; Survey(positions, field) takes arrays"
         raise TypeError(msg)
     if unknown := [ours for ours in theirs if ours not in known]:
         msg = f"columns: expected pairs {{ours: theirs}} with ours of {', '.join(known)}, got '{unknown[0]}'"
         raise ConfigurationError(msg)
-    there = {str(column).lower(): column for column in df.columns}
     wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
+    # Of pandas: an index that is named as a column is one, such as the times.
+    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns)
+    if any(str(level).lower() in wanted.values() for level in levels):
+        df = df.reset_index(allow_duplicates=True)
+    there = {str(column).lower(): column for column in df.columns}
+    require_stated(name, tuple(map(str, df.columns)), {wanted[ours]: ours for ours in theirs})
     columns = {ours: _numbers(df[there[key]], ours, name, len(df)) for ours, key in wanted.items() if key in there}
     # A missing cell equals nothing, not even itself.
     said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
@@ -44,6 +52,7 @@ def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[
     if not hasattr(dataset, "data_vars"):
         msg = f"dataset: expected an xarray Dataset, got {found(dataset)}; DataArray.to_dataset makes one"
         raise TypeError(msg)
+    _expect_names(theirs)
     units: dict[str, str] = {}
     for group in (("x", "y", "z"), ("bx", "by", "bz"), ("t",)):
         there = (dataset.variables.get(theirs.get(ours, ours)) for ours in group)
@@ -58,6 +67,10 @@ def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[
     return dataset.to_dataframe().reset_index(), units
 
 
+def _expect_names(theirs: Any) -> None:
+    expect_kind(theirs, "columns", (Mapping,), "give a dict of ours to theirs, such as {'x': 'east'}")
+
+
 def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
     """A column as finite float64; dates as seconds since 1970."""
     try:
@@ -65,6 +78,9 @@ def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
             dates = np.asarray(column, dtype="datetime64[ns]")
             require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
             return seconds_of(dates.astype(np.int64).tolist())
+        if np.ndim(column) == 2:
+            msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
+            raise ValueError(msg)  # noqa: TRY301
         return column_of(column, ours, "any unit", n)
     except ValueError as error:
         raise DataFormatError(name, str(error)) from None

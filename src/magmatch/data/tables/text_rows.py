@@ -108,6 +108,14 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(name or "(unnamed)" for name in shown) + (", ..." if len(names) > len(shown) else "")
 
 
+def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, str]) -> None:
+    """Raise DataFormatError unless all columns that were named, {theirs, lower case: ours}, are there."""
+    there = {name.lower() for name in names}
+    for theirs, ours in stated.items():
+        if theirs not in there:
+            raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
+
+
 def _is_number(text: str) -> bool:
     """Whether a cell reads as a number (which may be nan or inf)."""
     try:
