@@ -64,6 +64,8 @@ REQUESTS = {
     "a word twice": ("/localize?field_unit=T&field_unit=uT", table(9), {}, POST, 422),
     "a path of ours as trajectory": ("/localize?trajectory=/etc/passwd", table(9), {}, POST, 422),
     "a path of ours as extrinsic": ("/localize?extrinsic=/etc/passwd", table(9), {}, POST, 422),
+    "a word of the other path": ("/register?smooth=1", table(9), {}, POST, 422),
+    "another word of the other path": ("/localize?seed=1", table(9), {}, POST, 422),
     "unknown unit": ("/localize?field_unit=pound", table(9), {}, POST, 422),
     "unknown frame": ("/localize?field_frame=moon", table(9), {}, POST, 422),
     "a switch that is none": ("/localize?smooth=perhaps", table(9), {}, POST, 422),
@@ -100,6 +102,12 @@ REQUESTS = {
     "a gzip bomb": ("/localize", gzip.compress(b"0" * 3_000_000), GZIP, POST, 413),
     "a form": ("/localize", table(9), {"Content-Type": "multipart/form-data; boundary=x"}, POST, 415),
 }  # fmt: skip
+
+
+def test_the_openapi_document_knows_every_status(door):
+    paths = json.loads(door.ask("/openapi.json")[2])["paths"]
+    told = {status for methods in paths.values() for one in methods.values() for status in one["responses"]}
+    assert {str(status) for *_, status in REQUESTS.values()} <= told
 
 
 def is_a_sentence_of_its_own(message):

@@ -49,6 +49,16 @@ def test_a_walk_is_watched_from_search_to_pose(door, browser, walking, width, he
     assert paper == ("rgb(255, 255, 255)" if theme == "light" else "rgb(20, 24, 29)")
 
 
+def test_bodies_are_told_before_the_map_comes_and_it_comes_once_it_can(door, browser, walking):
+    browser.call("Network.setBlockedURLs", urls=["*/maps/hall.map"])
+    browser.open(door.url)
+    browser.wait_for(f"{STATUSES}.some(s => s.startsWith('localized'))")
+    assert browser.evaluate(COLOURS) < 10
+    assert door.ask("/maps/hall.map")[0] == 200
+    browser.call("Network.setBlockedURLs", urls=[])
+    browser.wait_for(f"{COLOURS} > 50")
+
+
 def test_a_window_without_room_for_the_map_is_no_error(door, browser, walking):
     browser.open(door.url)
     browser.wait_for(f"{STATUSES}.some(s => s.startsWith('localized'))")

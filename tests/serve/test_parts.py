@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Limits, keys, kept states and listings of maps, each alone."""
 
+import asyncio
 import ctypes
 import os
 import pickle
@@ -18,7 +19,8 @@ from magmatch.serve.bodies.tracker import Tracker, load_places
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key
-from magmatch.serve.logs.work import LogQuestion, picture_of, work_on_log
+from magmatch.serve.logs.work import WhereOfLog, picture_of, read_question, work_on_log
+from magmatch.serve.logs.workers import LogWorkers
 from magmatch.serve.messages import write_sample
 from magmatch.serve.refusals import RefusedError
 
@@ -168,6 +170,34 @@ def test_maps_that_vanished_are_not_a_client_s_fault_and_break_no_worker(hall, t
     assert str(tmp_path) not in told.message
 
 
+def test_what_is_short_waits_for_no_log(tmp_path):
+    async def seven():
+        workers = LogWorkers(ServeConfig(states=tmp_path, log_workers=1))
+        logs = [asyncio.ensure_future(workers.run(time.sleep, 3600)) for _ in range(3)]
+        try:
+            return await workers.run_short(int, "7")
+        finally:
+            for log in logs:
+                log.cancel()
+            await asyncio.gather(*logs, return_exceptions=True)
+            workers.close()
+
+    assert asyncio.run(seven()) == 7
+
+
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_a_registration_is_told_of_the_vertical(hall, tmp_path, is_folder):
+    place = hall.map
+    if is_folder:
+        place = tmp_path / "maps"
+        place.mkdir()
+        shutil.copy(hall.map, place)
+    hall.walk(2)[0].save(tmp_path / "log.csv")
+    question = read_question("register", [("planar", "1")])
+    found = work_on_log(place, look_at(place), tmp_path / "log.csv", question, ServeConfig(states=tmp_path))
+    assert found["config"]["prior"]["is_planar"]
+
+
 def resident():
     """Bytes of memory that this process holds."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -180,8 +210,6 @@ def test_what_a_log_needed_is_given_back_after_it(hall, tmp_path):
     # Some stay: the heap cannot shrink from its end.
     pieces = pieces[::64]
     (tmp_path / "log").write_text("t,x\n1,2\n")
-    found = work_on_log(
-        "localize", hall.map, look_at(hall.map), tmp_path / "log", LogQuestion(), ServeConfig(states=tmp_path)
-    )
+    found = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", WhereOfLog(), ServeConfig(states=tmp_path))
     assert found.status == 422
     assert (len(pieces), full - resident() > 150e6) == (63, True)

@@ -70,16 +70,16 @@ async def _picture(service: Service, request: Request) -> Response:
 
 async def _log(service: Service, verb: Verb, request: Request) -> Response:
     """Let a worker answer a question of a log."""
-    question = read_question(request.query_params.multi_items())
-    served = service.catalogue.served
-    with TemporaryDirectory(prefix=checkpoints.UPLOAD, dir=service.config.states) as folder:
+    question = read_question(verb, request.query_params.multi_items())
+    served, logs = service.catalogue.served, service.workers
+    with logs.room(), TemporaryDirectory(prefix=checkpoints.UPLOAD, dir=service.config.states) as folder:
         upload = Path(folder) / "log"
         await receive_log(request, upload, service.config)
         # A cluster does not see this folder, and nobody's token is its business.
         is_here = service.config.dask is None
         work, sent = (work_on_log, upload) if is_here else (work_on_sent_log, upload.read_bytes())
         config = service.config.model_copy(update={"token": None})
-        document = await service.workers.run(work, verb, service.place, served, sent, question, config)
+        document = await logs.run(work, service.place, served, sent, question, config)
     service.metrics.logs.labels(verb).inc()
     return JSONResponse(document)
 

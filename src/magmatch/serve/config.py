@@ -48,13 +48,13 @@ class ServeConfig(Settings):
     max_log: int = Field(default=200_000, ge=1)
     max_upload_time: float = Field(default=60.0, gt=0)
     max_work_time: float = Field(default=600.0, gt=0)
-    # Logs that wait or are worked on; requests a minute and address, and connections a minute and address.
+    # Logs that come, wait or are worked on; requests a minute and address, and connections a minute and address.
     max_logs: int = Field(default=8, ge=1)
     max_requests: float = Field(default=600.0, gt=0)
     max_connects: float = Field(default=1200.0, gt=0)
     # Messages of a client that could not be read before it is sent away; one a second is forgiven.
     max_mistakes: int = Field(default=50, ge=1)
-    # Seconds until a client has to have introduced itself, and until it has to have taken an answer.
+    # Seconds until a client has to have introduced itself, sent a request, or taken something of an answer.
     patience: float = Field(default=10.0, gt=0)
     # Seconds between two looks at the folder of maps, and between two pictures of the page.
     look_every: float = Field(default=2.0, gt=0)

@@ -36,8 +36,7 @@ class Live:
         self._came: deque[float] = deque()
         self._something, self._room = asyncio.Event(), asyncio.Event()
         self._room.set()
-        self._is_over = self._is_replaced = self._is_sending = False
-        self._n_sent = 0
+        self._is_over = self._is_replaced = False
         self.client, self.key = "", ""
 
     async def hello(self) -> Hello:
@@ -69,7 +68,7 @@ class Live:
         }  # fmt: skip
         await self._socket.send_json(welcome)
         tracker.on_death.add(self._tracker_died)
-        tasks = [asyncio.create_task(one) for one in (self._write(), self._read(tracker), self._look())]
+        tasks = [asyncio.create_task(one) for one in (self._write(), self._read(tracker))]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for one in done:
@@ -131,12 +130,10 @@ class Live:
         """Send answers."""
         socket, outbox, came = self._socket, self._outbox, self._came
         while True:
-            self._is_sending = False
             if not outbox:
                 self._something.clear()
                 await self._something.wait()
-            answer, self._is_sending = outbox.popleft(), True
-            self._n_sent += 1
+            answer = outbox.popleft()
             if isinstance(answer, RefusedError):
                 self._metrics.refused.labels(answer.status).inc()
                 if self._is_over:
@@ -150,14 +147,6 @@ class Live:
                 self._metrics.wait.observe(monotonic() - came.popleft())
                 self._metrics.messages.inc()
             self._room.set()
-
-    async def _look(self) -> None:
-        """Send a client away that takes no answer for long; to time each answer would cost as much as to send it."""
-        patience, n = self._config.patience, -1
-        while not (self._is_sending and n == self._n_sent):
-            n = self._n_sent
-            await asyncio.sleep(patience)
-        raise RefusedError(408, f"took no answer for {patience:g} s")
 
 
 async def close(socket: WebSocket, why: RefusedError) -> None:

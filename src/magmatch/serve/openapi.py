@@ -11,13 +11,15 @@ from magmatch._version import __version__
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.localization.result import LocalizationResult
 from magmatch.registration.result import RegistrationResult
-from magmatch.serve.logs.work import FILES, LogQuestion
+from magmatch.serve.logs.work import FILES, QUESTIONS, Verb
 from magmatch.serve.messages import Hello, Sample, Samples
 
 REFUSALS = {
     400: "The request cannot be read",
     401: "The token is missing or wrong",
     403: "Pages of this origin may not ask",
+    404: "Nothing is at this path, or no such map",
+    405: "The path takes another method",
     408: "The body came too slowly",
     413: "The body, what it unpacks to or the log is too long",
     415: "A body of this coding is not read",
@@ -37,18 +39,16 @@ LIVE = (
 @cache
 def openapi() -> dict[str, Any]:
     """The document."""
-    log = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
-    where = [_parameter(name, LogQuestion) for name in LogQuestion.model_fields if name != "format"]
-    where += [_parameter(name, SurveyFormat) for name in SurveyFormat.model_fields if name not in FILES]
-    body = {"requestBody": {"required": True, **log}, "parameters": where}
     document: dict[str, Any] = {
         "openapi": "3.1.0",
         "info": {"title": "magmatch", "version": __version__, "description": "Where bodies are in a magnetic map."},
         "paths": {
             "/localize": {
-                "post": {"summary": "Where a log's body was in the map", **body} | _answers("Localization")
+                "post": {"summary": "Where a log's body was in the map"} | _log("localize") | _answers("Localization")
             },
-            "/register": {"post": {"summary": "A survey's pose in the map", **body} | _answers("Registration")},
+            "/register": {
+                "post": {"summary": "A survey's pose in the map"} | _log("register") | _answers("Registration")
+            },
             "/maps": {"get": {"summary": "The maps that are served, and their version"} | _answers()},
             "/maps/{name}": {
                 "get": {
@@ -79,6 +79,15 @@ def openapi() -> dict[str, Any]:
         "properties": {"type": {"const": "error"}, "status": {"type": "integer"}, "message": {"type": "string"}},
     }
     return document
+
+
+def _log(verb: Verb) -> dict[str, Any]:
+    """A log as the body, and the words of the query."""
+    body = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    question = QUESTIONS[verb]
+    words = [_parameter(name, question) for name in question.model_fields if name != "format"]
+    words += [_parameter(name, SurveyFormat) for name in SurveyFormat.model_fields if name not in FILES]
+    return {"requestBody": {"required": True, "content": body}, "parameters": words}
 
 
 def _parameter(name: str, model: Any) -> dict[str, Any]:

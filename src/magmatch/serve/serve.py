@@ -5,19 +5,16 @@ import asyncio
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import uvicorn
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from magmatch.errors import ConfigurationError
 from magmatch.localization.known_places import open_place
 from magmatch.serve.app import build_app
 from magmatch.serve.config import ServeConfig
+from magmatch.serve.connections import Wire, cut_off
 from magmatch.serve.service import Service
 
-# Bytes that are read of a WebSocket at once: of one that floods, so much is parsed before others have their turn.
-MAX_READ = 8192
 # Bytes of a request's head.
 MAX_HEAD = 16_384
 BACKLOG = 512
@@ -34,7 +31,7 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     open_place(Path(place))
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
-        build_app(service), http="h11", loop="asyncio", ws=_Wire, ws_max_size=config.max_message,
+        build_app(service), http="h11", loop="asyncio", ws=Wire, ws_max_size=config.max_message,
         ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="off", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5, backlog=BACKLOG,
     )  # fmt: skip
@@ -43,34 +40,24 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
         server.run(sockets=[listening])
 
 
-class _Wire(WebSocketsSansIOProtocol):
-    """Reads little at a time; asyncio's transports would read 256 KiB, thousands of samples."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        transport.max_size = MAX_READ  # type: ignore[attr-defined]
-        super().connection_made(transport)
-
-    async def send(self, message: Any) -> None:
-        """A refusal is an answer, too: uvicorn would log an error and send 500 after it."""
-        await super().send(message)
-        self.handshake_complete = self.handshake_complete or self.close_sent
-
-
 class _Server(uvicorn.Server):
     """Begins and ends with the service, whose faults are told by whoever runs this; says when it is ready."""
 
     def __init__(self, config: uvicorn.Config, service: Service, on_start: Callable[[], None]) -> None:
         super().__init__(config)
         self._running, self._on_start = service.running(), on_start
+        self._patience = service.config.patience
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await self._running.__aenter__()
         await super().startup(sockets)
+        self._cutting = asyncio.create_task(cut_off(self.server_state.connections, self._patience))
         if self.started:
             self._on_start()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await super().shutdown(sockets)
+        self._cutting.cancel()
         await self._running.__aexit__(None, None, None)
 
 

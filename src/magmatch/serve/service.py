@@ -83,7 +83,7 @@ class Service:
             raise RefusedError(404, f"no map is called '{name[:60]}'")
         key = (self.catalogue.served, name)
         if key not in self._pictures:
-            made = await self.workers.run(picture_of, self.place, *key)
+            made = await self.workers.run_short(picture_of, self.place, *key)
             while len(self._pictures) >= MAX_PICTURES:
                 self._pictures.pop(next(iter(self._pictures)))
             self._pictures[key] = made

@@ -30,6 +30,8 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import Place, open_place
 from magmatch.localization.localize import localize
 from magmatch.localization.smooth import smooth as with_hindsight
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.serve.catalogue import Listing
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.refusals import RefusedError, without_paths
@@ -45,22 +47,38 @@ _one_at_a_time = threading.Lock()
 
 
 class LogQuestion(BaseModel):
-    """What is asked of a log, and how it is to be read: the words of a query."""
+    """How a log is to be read: words of a query."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: SurveyFormat = Field(default_factory=SurveyFormat)
+
+
+class WhereOfLog(LogQuestion):
+    """What is asked of a log that is localized."""
 
     smooth: bool = Field(default=False, description="With hindsight, instead of as it was known live.")
     planar: bool = Field(default=False, description="All poses lie on one floor.")
     no_gravity: bool = Field(default=False, description="z of the log is not up.")
-    seed: int = Field(default=0, ge=0, lt=2**32, description="Of a registration.")
-    format: SurveyFormat = Field(default_factory=SurveyFormat)
 
 
-def read_question(words: list[tuple[str, str]]) -> LogQuestion:
+class PoseOfLog(LogQuestion):
+    """What is asked of a log that is registered."""
+
+    gravity_aligned: bool = Field(default=False, description="z points up in the log and in the map.")
+    planar: bool = Field(default=False, description="As gravity_aligned, with a common height.")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="Same log and map: same answer.")
+
+
+QUESTIONS: dict[Verb, type[LogQuestion]] = {"localize": WhereOfLog, "register": PoseOfLog}
+
+
+def read_question(verb: Verb, words: list[tuple[str, str]]) -> LogQuestion:
     """Read the query of a request."""
+    kind = QUESTIONS[verb]
     given: dict[str, Any] = {}
     layout: dict[str, str] = {}
-    own = set(LogQuestion.model_fields) - {"format"}
+    own = set(kind.model_fields) - {"format"}
     formats = set(SurveyFormat.model_fields) - FILES
     for name, value in words:
         if name not in own | formats or name in given | layout:
@@ -69,11 +87,11 @@ def read_question(words: list[tuple[str, str]]) -> LogQuestion:
             raise RefusedError(422, f"found '{name[:40]}' {fault}; expected each at most once of {expected}")
         (given if name in own else layout)[name] = value
     try:
-        found = LogQuestion.model_validate(given | {"format": SurveyFormat.model_validate(layout)})
+        found = kind.model_validate(given | {"format": SurveyFormat.model_validate(layout)})
     except ValidationError as error:
         place, fault = first_fault(error)
         raise RefusedError(422, f"{place}: {fault}") from None
-    if found.planar and found.no_gravity:
+    if isinstance(found, WhereOfLog) and found.planar and found.no_gravity:
         raise RefusedError(422, "planar: expected z up, as one floor needs, found no_gravity")
     return found
 
@@ -94,12 +112,12 @@ def _end_with_service() -> None:
 
 
 def work_on_log(
-    verb: Verb, place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig
+    place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig
 ) -> dict[str, Any] | RefusedError:
     """Answer a question of a log; what cannot be done is an answer, too."""
     try:
         with _ended_after(config.max_work_time):
-            return _answer(verb, place, served, upload, question, config)
+            return _answer(place, served, upload, question, config)
     except RefusedError as refused:
         return refused
     except TimeoutError:
@@ -121,29 +139,36 @@ def work_on_log(
 
 
 def work_on_sent_log(
-    verb: Verb, place: Path, served: Listing, content: bytes, question: LogQuestion, config: ServeConfig
+    place: Path, served: Listing, content: bytes, question: LogQuestion, config: ServeConfig
 ) -> dict[str, Any] | RefusedError:
     """Do the same on a machine that does not see the file; one at a time, whose maps no other thread changes."""
     with TemporaryDirectory(prefix="magmatch-") as folder, _one_at_a_time:
         upload = Path(folder) / "log"
         upload.write_bytes(content)
-        return work_on_log(verb, place, served, upload, question, config)
+        return work_on_log(place, served, upload, question, config)
 
 
-def _answer(
-    verb: Verb, place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig
-) -> dict[str, Any]:
+def _answer(place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig) -> dict[str, Any]:
     _refuse_bombs(upload, config.max_unpacked)
     survey = read_survey(upload, question.format)
     if len(survey) > config.max_log:
         raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
     survey, known = replace(survey, name="log"), _place(place, served)
-    if verb == "register":
-        return register(known, survey, seed=question.seed).to_dict()
+    if isinstance(question, PoseOfLog):
+        return _registered(known, survey, question)
+    assert isinstance(question, WhereOfLog)
     return _localized(known, survey, question, config.localizer)
 
 
-def _localized(known: Place, survey: Survey, question: LogQuestion, config: LocalizerConfig) -> dict[str, Any]:
+def _registered(known: Place, survey: Survey, question: PoseOfLog) -> dict[str, Any]:
+    prior = PosePriorConfig(is_gravity_aligned=question.gravity_aligned, is_planar=question.planar)
+    config = RegistrationConfig(prior=prior)
+    if isinstance(known, Atlas):
+        return register(replace(known, config=config), survey, seed=question.seed).to_dict()
+    return register(known, survey, config, seed=question.seed).to_dict()
+
+
+def _localized(known: Place, survey: Survey, question: WhereOfLog, config: LocalizerConfig) -> dict[str, Any]:
     settings = config.model_copy(update=of_vertical(planar=question.planar, no_gravity=question.no_gravity))
     track = with_hindsight(known, survey, settings) if question.smooth else localize(known, survey, settings)
     document = track.result().to_dict()

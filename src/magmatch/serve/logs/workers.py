@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Processes that work on whole logs: those of this machine, or a Dask cluster's."""
+"""Processes that work on whole logs, those of this machine or a Dask cluster's, and draw maps beside them."""
 
 import asyncio
 import logging
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any
 
 from magmatch.errors import ConfigurationError, import_extra
@@ -21,34 +22,55 @@ CONNECT_WITHIN = 5.0
 
 
 class LogWorkers:
-    """Runs functions elsewhere; so many at most wait or run."""
+    """Runs functions elsewhere: long ones of logs, of which so many at most come, wait or run, and short ones."""
 
     def __init__(self, config: ServeConfig) -> None:
         self._config, self._n = config, 0
-        self._pool: Pool | Cluster = Pool(config) if config.dask is None else Cluster(config, config.dask)
+        self._here = Pool(config)
+        self._cluster = None if config.dask is None else Cluster(config, config.dask)
+        # Short ones find a process that no log has; where none works on logs here, all are for them.
+        self._turns = asyncio.Semaphore(config.log_workers)
 
-    async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Result of a function; a `RefusedError` where there is no room, or where that is the result."""
+    @contextmanager
+    def room(self) -> Iterator[None]:
+        """Hold one of the places for logs, or refuse the log."""
         if self._n >= self._config.max_logs:
-            raise RefusedError(503, f"{self._n} logs wait already; try again later", retry_after=30)
+            raise RefusedError(503, f"{self._n} logs come or wait already; try again later", retry_after=30)
         self._n += 1
         try:
-            found = await self._pool.run(function, *arguments)
-        except asyncio.CancelledError:  # the server does so, and would answer 500
-            raise RefusedError(503, "the service ends; send the log to the next one", retry_after=5) from None
+            yield
         finally:
             self._n -= 1
-        if isinstance(found, RefusedError):
-            raise found
-        return found
+
+    async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Result of a function of a log; raises it where that is a `RefusedError`."""
+        try:
+            if self._cluster is not None:
+                return _or_raised(await self._cluster.run(function, *arguments))
+            async with self._turns:
+                return _or_raised(await self._here.run(function, *arguments))
+        except asyncio.CancelledError:  # the server does so, and would answer 500
+            raise RefusedError(503, "the service ends; send the log to the next one", retry_after=5) from None
+
+    async def run_short(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Result of a function that waits for no log."""
+        return _or_raised(await self._here.run(function, *arguments))
 
     def close(self) -> None:
         """End all work."""
-        self._pool.close()
+        self._here.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+
+def _or_raised(found: Any) -> Any:
+    if isinstance(found, RefusedError):
+        raise found
+    return found
 
 
 class Pool:
-    """Processes of this machine."""
+    """Processes of this machine, each started when it is needed: those for logs, and one more."""
 
     def __init__(self, config: ServeConfig) -> None:
         self._config = config
@@ -56,7 +78,7 @@ class Pool:
 
     def _begin(self) -> Executor:
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self._config.log_workers, context, initializer=begin_worker)
+        return ProcessPoolExecutor(self._config.log_workers + 1, context, initializer=begin_worker)
 
     async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Result of a function; others take the place of processes that died, and try once more."""

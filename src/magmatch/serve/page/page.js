@@ -36,12 +36,23 @@ const loadMaps = async () => {
   names = listed.maps.map(m => m.name);
   const before = $("maps").value;
   $("maps").replaceChildren(...names.map(name => new Option(name, name)));
-  await show(names.includes(before) ? before : names[0]);
+  show(names.includes(before) ? before : names[0]);
 };
 
+// Nobody waits for a picture; one that does not come is asked for again, while its map is chosen.
 const show = async name => {
   $("maps").value = name;
-  picture = await ask(`/maps/${encodeURIComponent(name)}`);
+  if (picture && picture.name !== name) { picture = null; draw(); }
+  const asked = version;
+  let found;
+  try {
+    found = await ask(`/maps/${encodeURIComponent(name)}`);
+  } catch (error) {
+    setTimeout(() => { if ($("maps").value === name && asked === version) show(name); }, 3000);
+    return;
+  }
+  if ($("maps").value !== name || asked !== version) return;
+  picture = found;
   const known = picture.field_ut.flat().filter(v => v !== null).sort((a, b) => a - b);
   const low = known[Math.floor(0.02 * known.length)] ?? 0, high = known[Math.floor(0.98 * (known.length - 1))] ?? 1;
   $("low").textContent = low.toFixed(1); $("high").textContent = high.toFixed(1);
@@ -93,7 +104,7 @@ const remember = body => {
   // The map of whoever is found first, until another is chosen.
   if (!hasChosenMap && names.length > 1 && names.includes(body.map) && $("maps").value !== body.map) {
     hasChosenMap = true;
-    show(body.map).catch(error => say(error.message));
+    show(body.map);
   }
 };
 
@@ -133,8 +144,12 @@ const draw = () => {
   canvas.width = Math.round(box.width * ratio); canvas.height = Math.round(box.height * ratio);
   const pen = canvas.getContext("2d");
   pen.scale(ratio, ratio);
-  if (!picture) return;
   const style = getComputedStyle(document.documentElement), of = name => style.getPropertyValue(`--${name}`).trim();
+  if (!picture) {
+    pen.fillStyle = of("quiet"); pen.font = "16px system-ui, sans-serif"; pen.textAlign = "center";
+    pen.fillText("The map is being drawn", box.width / 2, box.height / 2);
+    return;
+  }
   const [x0, x1] = picture.x, [y0, y1] = picture.y, margin = 18;
   const scale = Math.min((box.width - 2 * margin) / (x1 - x0), (box.height - 2 * margin) / (y1 - y0));
   if (scale <= 0) return; // no room within the margins
@@ -197,7 +212,7 @@ const drawRuler = (pen, box, scale, ink) => {
   pen.font = "13px system-ui, sans-serif"; pen.fillText(`${length} m`, 12, box.height - 13);
 };
 
-$("maps").onchange = () => { hasChosenMap = true; show($("maps").value).catch(error => say(error.message)); };
+$("maps").onchange = () => { hasChosenMap = true; show($("maps").value); };
 $("door").onsubmit = event => { event.preventDefault(); token = $("token").value.trim(); begin(); };
 $("here").textContent = location.origin;
 addEventListener("resize", draw);
