@@ -17,7 +17,7 @@ class OdometryConfig(Settings):
     # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
     sd: tuple[float, float] = (0.3, 4.0)
     # Error of the length of each step, as a share; and of the turn rate (deg per 10 m).
-    scale_sd: float = Field(default=0.02, ge=0)
+    scale_sd: float = Field(default=0.05, ge=0)
     turn_sd: float = Field(default=2.0, ge=0)
 
     @property
