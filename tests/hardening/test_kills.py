@@ -19,7 +19,7 @@ ELSEWHERE = {
     "data/datasets.py": "a cache, checked by SHA-256 whenever it is used",
     "viz/viewers/rerun_recording.py": "a picture; its bytes differ each time",
     "slam/output/g2o.py": "one of the files of a session's folder, which is moved into place once it is whole",
-    "simulation/simulate.py": "made again from a seed; the truth is written last",
+    "simulation/write_pair.py": "made again from a seed; the truth is written last",
 }
 IN_CATALOGUE = {
     "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",

@@ -8,7 +8,7 @@ place twice.
 """
 
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -120,7 +120,7 @@ class PathNoise:
         return np.asarray(C + np.kron(self.isotropic(distance, map_sd), np.eye(3)))
 
 
-@cache
+@lru_cache(maxsize=64)
 def _log_factors(spread: float) -> tuple[Scalars, Scalars]:
     deviates = np.linspace(-4, 4, 161)
     log_prior = -0.5 * deviates**2
