@@ -29,6 +29,9 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
+# Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. So much do errors
+# of simulated closures correlate where they share a window.
+COMMON = 1 / 3
 # The base about a node, of path before another.
 Stretch = Callable[[int, int], Base]
 
@@ -173,7 +176,7 @@ def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfi
     off_level = np.diag(np.diag(NODE_COVARIANCE))
     off_level[config.drifts, config.drifts] = 0.0
     covariance = c.match.covariance + covariance_beside(path, c.node, c.T_node_window, config) + 2 * off_level
-    return Closure(c.node, node, c.T_node_window, covariance, odds)
+    return Closure(c.node, node, c.T_node_window, covariance, odds, common=COMMON)
 
 
 def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indices:

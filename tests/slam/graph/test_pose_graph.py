@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import lasting_errors
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.graph.normal_equations import normal_equations, residual_between
+from magmatch.slam.graph.normal_equations import counted, normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.ties import Closure, Edges
@@ -234,3 +234,16 @@ def test_logs_are_tied_from_whatever_headings_they_had():
     solve(graph)
     assert all(c.is_kept for c in graph.closures)
     np.testing.assert_allclose(graph.p, true, atol=0.02)
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_closures_that_share_windows_are_as_sure_as_the_errors_that_they_have_in_common_allow(n):
+    own = 0.3  # of a unit variance; a window's own error is in all closures of that window
+    pairs = np.array([(i, j) for j in range(n) for i in range(j)])
+    A = np.zeros((len(pairs), n))
+    A[np.arange(len(pairs)), pairs[:, 0]], A[np.arange(len(pairs)), pairs[:, 1]] = -1, 1
+    exact = np.linalg.pinv(A[:, 1:].T @ np.linalg.inv(own * A @ A.T + (1 - 2 * own) * np.eye(len(pairs))) @ A[:, 1:])
+    graph = graph_of(ring(n))
+    graph.closures = [replace(between(graph.p, i, j), common=own) for i, j in pairs.tolist()]
+    approximate = np.linalg.inv(A[:, 1:].T @ np.diag(counted(graph)) @ A[:, 1:])
+    np.testing.assert_allclose(approximate, exact, rtol=1e-9)

@@ -37,7 +37,7 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
         i, j, r, Ji, Jj, P = closure_rows(graph)
         # What ties two components no more pulls at neither.
         component = graph.component()
-        weight = np.array([c.weight for c in graph.closures]) * (component[i] == component[j])
+        weight = counted(graph) * (component[i] == component[j])
         cols = np.concatenate([six(i), six(j)], axis=1)
         parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
     rows, columns, values, v, chi2 = [], [], [], np.zeros(size), 0.0
@@ -52,6 +52,19 @@ def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
         chi2 += float((r * Pr[:, :, 0]).sum())
     at = (np.concatenate(rows), np.concatenate(columns))
     return coo_array((np.concatenate(values), at), shape=(size, size)), v, chi2
+
+
+def counted(graph: PoseGraph) -> Scalars:
+    """How much of each closure's information counts: its weight, less what closures of its windows have in common.
+
+    Where n windows are all tied to one another, covariances that are larger by (n - 2) times their common share give
+    all relative poses the covariance that is exact.
+    """
+    first, second = (np.array([getattr(c, name) for c in graph.closures], np.int64) for name in ("first", "second"))
+    weight, common = (np.array([getattr(c, name) for c in graph.closures]) for name in ("weight", "common"))
+    ties = np.bincount(first, weight, len(graph.p)) + np.bincount(second, weight, len(graph.p))
+    others = np.maximum((ties[first] + ties[second]) / 2 - 1, 0.0)
+    return np.asarray(weight / (1 + common * others))
 
 
 def hold_scale(graph: PoseGraph, H: coo_array, v: np.ndarray) -> tuple[coo_array, np.ndarray]:

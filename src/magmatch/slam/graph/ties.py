@@ -57,6 +57,7 @@ class Closure:
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the second node, rotation first (rad, m)
     log_odds: float  # that it is right, from the field alone
     weight: float = 1.0  # probability that it is right, given the graph
+    common: float = 0.0  # share of the covariance that is one window's own, so that its other closures have it too
 
     @property
     def is_kept(self) -> bool:

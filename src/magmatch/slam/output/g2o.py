@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
 from magmatch.registration.to_other_programs import g2o_edge, g2o_vertex
+from magmatch.slam.graph.normal_equations import counted
 from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
 from magmatch.slam.graph.ties import FixedPoints
 
@@ -16,8 +17,8 @@ from magmatch.slam.graph.ties import FixedPoints
 def write_graph(graph: PoseGraph, path: str | Path) -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
-    The information of a closure is multiplied by its weight. Unconnected logs share no frame, but their vertices are
-    in the same file. Fixed points are vertices after the nodes.
+    The information of a closure is multiplied by how much of it counts. Unconnected logs share no frame, but their
+    vertices are in the same file. Fixed points are vertices after the nodes.
     """
     lines = ["# magmatch: information of (translation, quaternion's vector part) of Z^-1 T_true"]
     lines += [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]
@@ -25,9 +26,9 @@ def write_graph(graph: PoseGraph, path: str | Path) -> None:
         # Odometry keeps its axes from node to node: errors in the first's are errors in the second's.
         lines.append(g2o_edge(k, k + 1, *graph.odometry(k)))
     lines += [
-        g2o_edge(c.first, c.second, c.T_first_second, c.covariance / c.weight)
-        for c in graph.closures
-        if c.weight > np.finfo(float).eps
+        g2o_edge(c.first, c.second, c.T_first_second, c.covariance / weight)
+        for c, weight in zip(graph.closures, counted(graph).tolist(), strict=True)
+        if weight > np.finfo(float).eps
     ]
     if graph.fixed is not None:
         lines += _fixed(graph, graph.fixed)
