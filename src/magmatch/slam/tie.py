@@ -29,8 +29,8 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
-# Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. So much do errors
-# of simulated closures correlate where they share a window.
+# Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
+# simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
 # The base about a node, of path before another.
 Stretch = Callable[[int, int], Base]
