@@ -23,10 +23,10 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
-    (found, *_) = matches(window, places.stretch(closure.first, closure.second), window.config, rough)
+    (found, *_) = matches(window, places.stretch(closure.first), window.config, rough)
     assert np.linalg.norm(found.T_base_log.apply(window.center) - T.apply(window.center)) < 0.1
     assert found.log_odds > 0
-    assert not matches(window, places.stretch(closure.first, closure.second), window.config, 100.0)
+    assert not matches(window, places.stretch(closure.first), window.config, 100.0)
 
 
 def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(lone):
@@ -37,7 +37,7 @@ def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(lone):
     T_expected = places.graph.center(closure.first) * closure.T_first_second
     sd = np.array([0.001, 0.001, 0.1, 0.2, 0.2, 0.001])
     rough = Rough(T_expected * window.T_log_node.inv(), np.diag(sd**2))
-    for match in matches(window, places.stretch(closure.first, closure.second), window.config, rough):
+    for match in matches(window, places.stretch(closure.first), window.config, rough):
         off = T_expected.inv() * match.T_base_log * window.T_log_node
         turn, (x, y, _) = off.rotation.as_rotvec()[2], off.translation
         of_node = [UPRIGHT_SD, LEVEL_SD, LEVEL_SD]
@@ -64,7 +64,7 @@ def near(lone):
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
     return SimpleNamespace(
-        window=window, base=places.stretch(closure.first, closure.second), rough=rough, node=closure.first
+        window=window, base=places.stretch(closure.first), rough=rough, node=closure.first
     )
 
 

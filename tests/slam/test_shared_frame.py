@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.slam.graph.solve import forget_closures
+from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closure import Match
 from magmatch.slam.shared_frame import log_odds_shared
 from magmatch.slam.tie import Candidate
@@ -33,7 +34,8 @@ def tied(three):
 
     def odds(of_windows):
         found = [[] if x is None else [candidate(x)] for x in of_windows]
-        return log_odds_shared(b, [a], found, {b.first_node: NOWHERE}, three.session.graph)
+        graph = three.session.graph
+        return log_odds_shared(b.windows, corrected(a, graph).positions, found, {b.first_node: NOWHERE}, graph)
 
     return odds, len(b.windows)
 

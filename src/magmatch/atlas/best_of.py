@@ -13,10 +13,6 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategy import Strategy, Weighed
-from magmatch.typing import Scalars
-
-# Maps that are searched in full: at least and at most so many, and those with this share of the most votes.
-MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 4, 8, 0.5
 
 
 def best_of(
@@ -39,13 +35,6 @@ def best_of(
         best = replace(weighed[entry], elsewhere=elsewhere)
         answers[entry] = settle_and_decide(best, atlas.config.decision, clock)
     return _with_alternatives(answers)
-
-
-def shortlist(entries: tuple[AtlasEntry, ...], votes: Scalars) -> list[AtlasEntry]:
-    """Maps for a full search, most likely first: always a few, and those nearly as likely as the first."""
-    order = np.argsort(-votes, kind="stable")[:MAX_SHORTLIST]
-    enough = SHORTLIST_SHARE * votes[order[0]]
-    return [entries[k] for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
 
 
 def _best_elsewhere(weighed: Mapping[AtlasEntry, Weighed[Any, Any, Any]]) -> dict[AtlasEntry, float]:

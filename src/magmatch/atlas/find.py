@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 
 from magmatch.atlas.atlas import Atlas
-from magmatch.atlas.best_of import best_of, shortlist
-from magmatch.atlas.retrieval import count_agreement, count_votes
+from magmatch.atlas.best_of import best_of
+from magmatch.atlas.retrieval import count_agreement, count_votes, shortlist
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
@@ -23,7 +23,7 @@ def find_walk(atlas: Atlas, target: Survey | FieldMap, survey: Survey, seed: int
     tell(f"asking {len(atlas.entries)} maps")
     with clock("votes"):
         votes = count_votes([entry.table for entry in atlas.entries], survey, atlas.config.walks.search, seed)
-    likely = shortlist(atlas.entries, votes)
+    likely = [atlas.entries[k] for k in shortlist(votes)]
     # The same bins for all maps, so that none is judged by more of them.
     length = float(np.median([entry.table.length for entry in likely]))
     mapped = cache(lambda: MapStrategy.of(target, atlas.config, seed, clock))
@@ -55,4 +55,4 @@ def _compare_map(
     with clock("votes"):
         bases = (atlas.load(entry).base for entry in atlas.entries)
         votes = count_agreement(bases, strategy.prepared, seed)
-    return strategy.target, best_of(atlas, shortlist(atlas.entries, votes), strategy, clock)
+    return strategy.target, best_of(atlas, [atlas.entries[k] for k in shortlist(votes)], strategy, clock)

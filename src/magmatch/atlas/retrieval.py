@@ -33,6 +33,8 @@ from magmatch.registration.search.pair_search import (
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
 
+# Maps that are searched in full: at least and at most so many, and those with this share of the most votes.
+MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 4, 8, 0.5
 # Maps that are asked for poses, at most: a folder ten times larger than that costs little more.
 MAX_ASKED = 300
 # Pairs of the walk that vote, and base pairs that each is tried on.
@@ -45,6 +47,13 @@ SAME_ROTATION, SAME_PLACE = 0.2, 0.65
 DISTANCE2 = 8.0
 # Maps whose correlation lengths differ by less than this factor share one binning of the walk.
 SHARED_LENGTH = 1.15
+
+
+def shortlist(votes: Scalars) -> list[int]:
+    """Maps for a full search, most likely first: always a few, and those nearly as likely as the first."""
+    order = np.argsort(-votes, kind="stable")[:MAX_SHORTLIST].tolist()
+    enough = SHORTLIST_SHARE * votes[order[0]]
+    return [k for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
 
 
 def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:

@@ -8,8 +8,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from magmatch.atlas.atlas import Atlas, AtlasEntry
-from magmatch.atlas.best_of import shortlist
-from magmatch.atlas.retrieval import count_votes
+from magmatch.atlas.retrieval import count_votes, shortlist
 from magmatch.data.checks import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
@@ -96,7 +95,7 @@ class Places:
         if self._voting is None or not self._voting.done():
             return
         votes, self._voting = self._voting.result(), None
-        voted = shortlist(atlas.entries, votes)
+        voted = [atlas.entries[k] for k in shortlist(votes)]
         self._keep_likely(voted)
         self._awaited = [entry for entry in voted if entry not in self.likely]
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Stretches of path as bases for windows: a small map of each, prepared for the search."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,12 +13,17 @@ from magmatch.field.map import FieldMap
 from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.prepared_map import prepare
-from magmatch.registration.search.pair_search import tabulate_pairs
+from magmatch.registration.search.pair_search import PairTable, tabulate_pairs
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.windows import Path
 from magmatch.typing import Indices, Vector3
 
 # Posterior samples that give a base's spread.
 N_DRAWS = 6
+# Stretches kept in memory as bases, at about 10 MB each.
+MOST_BASES = 128
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,12 +50,50 @@ class Base:
 
 @dataclass(eq=False, slots=True)
 class BaseMaker:
-    """Makes bases with given hyperparameters, which all logs of a place share."""
+    """Makes bases with given hyperparameters, which all logs of a place share, and keeps those used last."""
 
     numbers: Hyperparameters
     noise: PathNoise
     length: float  # m: over which the field changes
     config: SlamConfig
+    # By node, and the pairs of points of each that was ever made; whole logs with how many closures corrected them.
+    _made: dict[int, Base] = field(default_factory=dict, init=False)
+    _tables: dict[int, PairTable] = field(default_factory=dict, init=False)
+    _whole: dict[int, tuple[int, Base]] = field(default_factory=dict, init=False)
+
+    def stretch(self, path: Path, node: int) -> Base:
+        """A window and its neighbours, odometry's frame."""
+        base = self._made.pop(node, None)
+        if base is None:
+            first, last = np.searchsorted(path.number, np.array([node - 1, node + 2]) - path.first_node)
+            rows = np.arange(first, last)
+            base = self.make(path.survey.subset(rows), path.nodes[path.number[rows]])
+            self._tables[node] = base.index.table
+        # The one used last stands last.
+        self._made[node] = base
+        if len(self._made) > MOST_BASES:
+            del self._made[next(iter(self._made))]
+        return base
+
+    def table(self, path: Path, node: int) -> PairTable:
+        """Pairs of points of a stretch."""
+        if node not in self._tables:
+            self.stretch(path, node)
+        return self._tables[node]
+
+    def whole(self, path: Path, graph: PoseGraph) -> Base:
+        """A whole log, as the graph has it now."""
+        n, base = self._whole.get(path.first_node, (-1, None))
+        if base is None or n != len(graph.closures):
+            base = self.make(corrected(path, graph), path.nodes[path.number])
+            self._whole[path.first_node] = len(graph.closures), base
+        return base
+
+    def learn(self, noise: PathNoise) -> None:
+        """Take other noise of walks, for bases that were made too."""
+        self.noise = noise
+        self._made = {node: base.with_noise(noise) for node, base in self._made.items()}
+        self._whole.clear()
 
     def make(self, survey: Survey, node: Indices) -> Base:
         """Map a stretch and list its pairs of points."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logit
 
+from magmatch.atlas.retrieval import count_votes, shortlist
 from magmatch.data.checks import CONSTANT_FIELD, extent
 from magmatch.data.survey import Survey
 from magmatch.progress import counted, tell
@@ -22,6 +23,7 @@ from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import forget_closures, solve
+from magmatch.slam.graph.ties import Closure
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closure import SAME_SHIFT, residuals
 from magmatch.slam.numbers import guessed_noise, shared_numbers
@@ -31,6 +33,8 @@ from magmatch.slam.steps import Steps
 from magmatch.slam.tie import (
     Candidate,
     Searched,
+    earlier_passes,
+    expected_beside,
     far_candidates,
     near_candidates,
     nearby,
@@ -46,12 +50,14 @@ log = logging.getLogger(__name__)
 
 # Closures make others possible: maximum number of rounds of search.
 MOST_ROUNDS = 4
-# Log odds from which logs share a frame: those of the probability that a registration needs.
-SURE_ODDS = float(logit(DecisionConfig().min_probability))
+# Probability that a registration needs, and its log odds: so sure must be what teaches noise and drift, and that logs
+# share a frame.
+SURE = DecisionConfig().min_probability
+SURE_ODDS = float(logit(SURE))
 # Closures that noise and drift are learned from before the search proper: a tenth is left to what was guessed.
 ENOUGH = 9 * PRIOR_STRETCHES
-# Stretches kept in memory as bases, at about 10 MB each.
-MOST_BASES = 128
+# Stretches that a window is searched for in, if it is expected on no more; of more, those that it votes for.
+MOST_EXPECTED = 24
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
@@ -72,9 +78,6 @@ class Places:
     looked: dict[int, list[Candidate]] = field(default_factory=dict)
     # Of each window, the stretches that were searched for it
     searched: dict[int, dict[int, Searched]] = field(default_factory=dict)
-    # Stretches as bases; whole logs as bases, with how many closures they were corrected by
-    made: dict[tuple[int, int], Base] = field(default_factory=dict)
-    far: dict[int, tuple[int, Base]] = field(default_factory=dict)
 
     def copied(self) -> "Places":
         """A copy, to continue from without changing this one."""
@@ -105,8 +108,10 @@ class Places:
             if not (self.close_near(paths) + self.close_far(paths)):
                 break
 
-    def close_near(self, paths: Sequence[Path], enough: float = np.inf) -> int:
+    def close_near(self, paths: Sequence[Path], enough: float = np.inf, least: float | None = None) -> int:
         """Search for closures where the graph predicts them, until there are enough; returns how many were found.
+
+        With ``least``, such a probability or more counts instead of `SlamConfig.min_probability`.
 
         A few windows at a time: what they close is known when the graph predicts those that follow.
         """
@@ -116,7 +121,7 @@ class Places:
             for w in counted(f"looking for closures of {path.survey.name}", path.windows):
                 candidates.append(self.near(w))
                 if len(candidates) % n == 0 or w is path.windows[-1]:
-                    found += self.tie(replace(path, windows=path.windows[: len(candidates)]), candidates)
+                    found += self.tie(replace(path, windows=path.windows[: len(candidates)]), candidates, least=least)
                     if found >= enough:
                         return found
         return found
@@ -138,23 +143,34 @@ class Places:
         """
         whole, component, found = whole or path, self.graph.component(), 0
         proposed = tie(path, candidates, self.graph, self.paths)
-        log_prior = {w.node: c[0].match.log_prior for w, c in zip(path.windows, candidates, strict=True) if c}
         for one in sorted({int(component[c.first]) for c in proposed}):
             closures = [c for c in proposed if component[c.first] == one]
-            before, self.graph = self.graph, self.graph.copied()
-            self.graph.closures += closures
-            solve(self.graph)
             nodes = np.flatnonzero(component == one)
-            near = [self.at(w, nodes) for w in whole.windows]
-            others = [p for p in self.paths if component[p.first_node] == one]
-            priors = {c.second: log_prior[c.second] for c in closures}
-            odds = log_odds_shared(whole, others, near, priors, self.graph)
-            log.info("%s in the frame of %s: log odds %.1f", whole.survey.name, others[0].survey.name, odds)
-            if odds >= SURE_ODDS:
+            near = self.confirm(whole.windows, nodes, closures, _log_priors(path, candidates, closures))
+            if near is not None:
                 found += len(closures) + self.tie(whole, near, {c.second for c in self.graph.closures})
-            else:
-                self.graph = before
         return found
+
+    def confirm(
+        self, windows: Sequence[Window], nodes: Indices, closures: list[Closure], log_prior: dict[int, float]
+    ) -> list[list[Candidate]] | None:
+        """Add closures from nowhere with some nodes if windows say so; gives where these then lie, None if not.
+
+        ``log_prior``: for each window that proposes a closure, the density of the prior that it was found with.
+        """
+        before, self.graph = self.graph, self.graph.copied()
+        self.graph.closures += closures
+        solve(self.graph)
+        near = [self.at(w, nodes) for w in windows]
+        known = np.concatenate([
+            corrected(p, self.graph).positions[np.isin(p.nodes, nodes)[p.number]] for p in self.paths
+        ])  # fmt: skip
+        odds = log_odds_shared(windows, known, near, log_prior, self.graph)
+        log.info("windows %d to %d on known path: log odds %.1f", windows[0].node, windows[-1].node, odds)
+        if odds >= SURE_ODDS:
+            return near
+        self.graph = before
+        return None
 
     def near(self, window: Window) -> list[Candidate]:
         """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
@@ -165,7 +181,11 @@ class Places:
 
     def at(self, window: Window, nodes: Indices) -> list[Candidate]:
         """Where a window may lie near some nodes, of those before it, as the graph predicts."""
-        expected = nearby(window, nodes[nodes < window.node], self.graph)
+        nodes = nearby(window, nodes, self.graph)
+        if len(nodes) > MOST_EXPECTED:
+            among = nodes
+            nodes = self.steps(lambda: self.likely(window, among)[None])[0].astype(np.int64)
+        expected = expected_beside(window, nodes, self.graph)
         searched = self.searched.setdefault(window.node, {})
         before = {
             a: searched[a]
@@ -182,6 +202,13 @@ class Places:
             searched[a] = Searched(where, [c.match.T_base_log for c in found if c.node == a])
         return found
 
+    def likely(self, window: Window, nodes: Indices) -> Indices:
+        """Of nodes on whose stretches a window may lie, those that its pairs of points vote for."""
+        assert self.maker is not None
+        tables = [self.maker.table(self.path(node), node) for node in nodes.tolist()]
+        votes = count_votes(tables, window.survey, self.graph.config.search, 0)
+        return nodes[shortlist(votes)]
+
     def others(self, path: Path) -> list[Path]:
         """Earlier logs that nothing ties to this one."""
         component = self.graph.component()
@@ -192,47 +219,55 @@ class Places:
         """Where a window may lie on other logs, without a prior."""
 
         def look() -> list[Candidate]:
-            bases = [self.whole(other) for other in self.others(path)]
+            assert self.maker is not None
+            bases = [self.maker.whole(other, self.graph) for other in self.others(path)]
             return far_candidates(window, bases, self.graph)
 
         return of_numbers(self.steps(lambda: numbers_of(look())))
 
-    def tie(self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = ()) -> int:
+    def tie(
+        self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float | None = None
+    ) -> int:
         """Add certain closures, one a pass, except those of some windows, and solve; returns how many were found."""
         closures = [
             c
-            for c in tie(path, candidates, self.graph, self.paths)
+            for c in tie(path, candidates, self.graph, self.paths, least)
             if c.second not in but and not self.graph.is_tied(np.array([c.first]), c.second).any()
         ]
+        lost = [c for c in closures if self.is_lost(path.windows[c.second - path.windows[0].node])]
+        closures = [c for c in closures if c not in lost]
         self.graph.closures += closures
         if closures:
             solve(self.graph)
-        return len(closures)
+        return len(closures) + self.find_lost(path, candidates, lost)
 
-    def stretch(self, node: int, before: int) -> Base:
-        """A window and its neighbours as a base for a later window, odometry's frame."""
-        assert self.maker is not None
-        path = self.paths[self.graph.log[node]]
-        key = node, min(node + 1, before - 1)
-        base = self.made.pop(key, None)
-        if base is None:
-            first, last = np.searchsorted(path.number, np.array([node - 1, key[1] + 1]) - path.first_node)
-            rows = np.arange(first, last)
-            base = self.maker.make(path.survey.subset(rows), path.nodes[path.number[rows]])
-        # The one used last stands last.
-        self.made[key] = base
-        if len(self.made) > MOST_BASES:
-            del self.made[next(iter(self.made))]
-        return base
+    def find_lost(self, path: Path, candidates: list[list[Candidate]], closures: list[Closure]) -> int:
+        """Add closures of a log's last windows that may lie anywhere, if all of those say so; returns how many."""
+        n, last = 2 * self.graph.config.run_length, path.windows[-1].node
+        windows = [w for w in path.windows if w.node > last - n]
+        closures = [c for c in closures if c.second > last - n]
+        if not closures:
+            return 0
+        near = self.confirm(windows, self.known_to(windows[0]), closures, _log_priors(path, candidates, closures))
+        return 0 if near is None else len(closures)
 
-    def whole(self, path: Path) -> Base:
-        """A whole log as a base, as the graph has it now."""
+    def known_to(self, window: Window) -> Indices:
+        """Earlier nodes that share a window's frame."""
+        component = self.graph.component()
+        return earlier_passes(window, np.flatnonzero(component == component[window.node]), self.graph)
+
+    def is_lost(self, window: Window) -> bool:
+        """Whether a window is expected on so many stretches that it may as well be anywhere."""
+        return len(nearby(window, self.known_to(window), self.graph)) > MOST_EXPECTED
+
+    def stretch(self, node: int) -> Base:
+        """A window and its neighbours as a base for later windows, odometry's frame."""
         assert self.maker is not None
-        n, base = self.far.get(path.first_node, (-1, None))
-        if base is None or n != len(self.graph.closures):
-            base = self.maker.make(corrected(path, self.graph), path.nodes[path.number])
-            self.far[path.first_node] = len(self.graph.closures), base
-        return base
+        return self.maker.stretch(self.path(node), node)
+
+    def path(self, node: int) -> Path:
+        """The log that a node lies on."""
+        return self.paths[int(self.graph.log[node])]
 
     def learn_noise(self) -> None:
         """Learn the noise that does not repeat from closures, and where the graph alone says what is passed again."""
@@ -240,10 +275,8 @@ class Places:
         stretches = [s for s in self._repeats() if len(s.positions) >= MIN_BINS]
         if len(stretches) < PRIOR_STRETCHES:
             return
-        self.maker.noise = most_likely(self.maker.noise, stretches)
+        self.maker.learn(most_likely(self.maker.noise, stretches))
         log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
-        self.made = {key: base.with_noise(self.maker.noise) for key, base in self.made.items()}
-        self.far.clear()
 
     def learn_drift(self) -> None:
         """Learn how far odometry drifts from how well its closures agree with it."""
@@ -267,7 +300,13 @@ class Places:
         for (first, second), T in pairs.items():
             window = windows[second]
             T_base_log = self.graph.center(first) * T * window.T_log_node.inv()
-            yield residuals(window, self.stretch(first, second), T_base_log)
+            yield residuals(window, self.stretch(first), T_base_log)
+
+
+def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Closure]) -> dict[int, float]:
+    """Of each window that proposes a closure, the density of the prior at its pose."""
+    found = {c.second: candidates[c.second - path.windows[0].node] for c in closures}
+    return {c.second: next(k.match.log_prior for k in found[c.second] if k.node == c.first) for c in closures}
 
 
 def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
@@ -310,7 +349,7 @@ def find(
         places.solve()
         if places.maker is not None:
             with clock("noise"):
-                places.close_near(places.paths, ENOUGH)
+                places.close_near(places.paths, ENOUGH, SURE)
                 places.learn_noise()
                 places.learn_drift()
                 forget_closures(places.graph)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether two logs share a frame: all windows that a tie between them puts beside known path have a say.
+"""Whether a tie from nowhere holds: all windows that it puts beside known path have a say.
 
+It ties two logs, or one whose drift has grown so large that it may be anywhere.
 Those that proposed the tie are the best of many windows and places. The others were not chosen: of a right tie most
 find their place where it says, of a wrong one none does.
 """
@@ -11,30 +12,31 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.tie import Candidate
-from magmatch.slam.windows import Path
+from magmatch.slam.windows import Window
+from magmatch.typing import Points
 
 # Poses drawn, to see how likely a window is on known path.
 N_DRAWS = 64
 
 
 def log_odds_shared(
-    path: Path,
-    others: Sequence[Path],
+    windows: Sequence[Window],
+    known: Points,
     found: Sequence[Sequence[Candidate]],
     log_prior: dict[int, float],
     graph: PoseGraph,
 ) -> float:
-    """Log odds that a log shares the frame of others over that it is unconnected.
+    """Log odds that windows share the frame of known path over that they are unconnected.
 
     Parameters
     ----------
-    path : Path
-        The log, tied to the others in the graph.
-    others : sequence of Path
+    windows : sequence of Window
+        Tied to the known path in the graph.
+    known : (n, 3) array, m
+        Points of the known path, in the frame of the component.
     found : sequence of sequences of Candidate
-        For each of its windows: where it lies on the others' path, given the tie.
+        For each window: where it lies on the known path, given the tie.
     log_prior : dict
         For the nodes that proposed the tie, the density of the prior that they were found with, from nowhere.
     graph : PoseGraph
@@ -45,25 +47,24 @@ def log_odds_shared(
         Nats. One window pays for the transform, whose prior is that of nowhere; the others are predicted by it.
     """
     matches = (max((c.match for c in some), key=lambda m: m.log_odds, default=None) for some in found)
-    best = {w.node: m for w, m in zip(path.windows, matches, strict=True) if m is not None}
+    best = {w.node: m for w, m in zip(windows, matches, strict=True) if m is not None}
     free = {node: best[node].log_odds - best[node].log_prior + log_prior[node] for node in best if node in log_prior}
     if not free:
         return -np.inf
     first = max(free, key=lambda node: free[node])
     rest = [node for node in best if node != first]
-    chance = graph.config.keeps_on * _chances_on_path(rest, first, others, graph)
+    chance = graph.config.keeps_on * _chances_on_path(rest, first, known, windows[0].length, graph)
     odds = np.array([best[node].log_odds for node in rest])
     return float(free[first] + np.logaddexp(np.log1p(-chance), np.log(np.maximum(chance, 1e-300)) + odds).sum())
 
 
-def _chances_on_path(nodes: Sequence[int], tied: int, others: Sequence[Path], graph: PoseGraph) -> np.ndarray:
-    """How likely each node is within a field length of others' path, as the graph has it from a node that is tied."""
-    known = cKDTree(np.concatenate([corrected(other, graph).positions for other in others]))
-    length, draws = others[0].windows[0].length, np.random.default_rng(0).standard_normal((N_DRAWS, 3))
+def _chances_on_path(nodes: Sequence[int], tied: int, known: Points, length: float, graph: PoseGraph) -> np.ndarray:
+    """How likely each node is within a field length of known path, as the graph has it from a node that is tied."""
+    tree, draws = cKDTree(known), np.random.default_rng(0).standard_normal((N_DRAWS, 3))
     chances = []
     for node in nodes:
         C = graph.relative_covariances(np.array([tied]), node)[0][3:, 3:]
         w, V = np.linalg.eigh(C)
         points = graph.p[node] + (draws * np.sqrt(np.maximum(w, 0.0))) @ (graph.R[node] @ V).T
-        chances.append(float(np.mean(known.query(points)[0] < length)))
+        chances.append(float(np.mean(tree.query(points)[0] < length)))
     return np.array(chances)

@@ -32,8 +32,8 @@ MOST_CANDIDATES = 12
 # Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
 # simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
-# The base about a node, of path before another.
-Stretch = Callable[[int, int], Base]
+# The base about a node.
+Stretch = Callable[[int], Base]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,19 +81,29 @@ class Searched:
         return bool(np.all(moved + (REACH - 1) * now.largest_sds <= REACH * self.expected.largest_sds))
 
 
-def nearby(window: Window, firsts: Indices, graph: PoseGraph) -> dict[int, Rough]:
-    """Nodes that the graph puts a window near, and where it is expected on the stretch about each."""
-    b = window.node
-    firsts = firsts[(graph.log[firsts] != window.log) | (firsts <= b - APART)]
+def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
+    """Of some nodes those before a window that do not adjoin it."""
+    is_other = (graph.log[nodes] != window.log) | (nodes <= window.node - APART)
+    return np.asarray(nodes[is_other & (nodes < window.node)])
+
+
+def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
+    """Which of some nodes, on earlier passes, the graph puts a window near."""
+    firsts = earlier_passes(window, nodes, graph)
     if not len(firsts) or not window.keeps_shape:
-        return {}
-    half, found = window.config.window_length * window.length / 2, {}
-    covariances = graph.relative_covariances(firsts, b)
-    sd = np.sqrt(np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1])
-    is_near = np.linalg.norm(graph.p[firsts] - graph.p[b], axis=1) <= half + window.length + REACH * sd
-    for a, C in zip(firsts[is_near], covariances[is_near], strict=True):
-        T_a_b = graph.pose(int(a)).inv() * graph.pose(b)
-        found[int(a)] = Rough(graph.center(int(a)) * T_a_b * window.T_log_node.inv(), C)
+        return firsts[:0]
+    half = window.config.window_length * window.length / 2
+    sd = np.sqrt(np.linalg.eigvalsh(graph.relative_covariances(firsts, window.node)[:, 3:, 3:])[:, -1])
+    apart = np.linalg.norm(graph.p[firsts] - graph.p[window.node], axis=1)
+    return np.asarray(firsts[apart <= half + window.length + REACH * sd])
+
+
+def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:
+    """Where the graph expects a window on the stretch about each of some nodes."""
+    b, found = window.node, {}
+    for a, C in zip(nodes.tolist(), graph.relative_covariances(nodes, b), strict=True):
+        T_a_b = graph.pose(a).inv() * graph.pose(b)
+        found[a] = Rough(graph.center(a) * T_a_b * window.T_log_node.inv(), C)
     return found
 
 
@@ -105,7 +115,7 @@ def near_candidates(
     for a, rough in expected.items():
         known = searched[a].poses if a in searched else None
         # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
-        for c in _candidates(window, stretch(a, window.node), rough, graph.center, known, a):
+        for c in _candidates(window, stretch(a), rough, graph.center, known, a):
             if not any(_is_same(c, k, graph, window.length) for k in found):
                 found.append(c)
     return found
@@ -143,9 +153,16 @@ def _candidates(
     return found
 
 
-def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph, paths: Sequence[Path]) -> list[Closure]:
-    """Closures that are sure, of a log's windows in their order, with nodes of any log."""
+def tie(
+    path: Path,
+    candidates: list[list[Candidate]],
+    graph: PoseGraph,
+    paths: Sequence[Path],
+    least: float | None = None,
+) -> list[Closure]:
+    """Closures of a log's windows, in their order, with nodes of any log: those of some probability or more."""
     config = graph.config
+    least = config.min_probability if least is None else least
     candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
     placed = [
         [
@@ -161,7 +178,7 @@ def tie(path: Path, candidates: list[list[Candidate]], graph: PoseGraph, paths: 
         # A third pass of a place is near both earlier passes: two nodes, but one answer.
         same = _same_answer(at, p, window.length)
         probability = float(p[same].sum())
-        if probability >= config.min_probability:
+        if probability >= least:
             odds = float(np.log(probability / max(1 - probability, 1e-12)))
             one_a_pass = _one_a_pass([found[k] for k in same], graph)
             closures += [_closure(c, window.node, paths[graph.log[c.node]], odds, config) for c in one_a_pass]

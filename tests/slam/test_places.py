@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A log that may be anywhere on its earlier path: where it is searched for, and what it must show to be tied there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.slam.graph.solve import forget_closures
+
+# Log densities of a prior that knows a place to some hundred metres.
+NOWHERE = -14.0
+
+
+@pytest.fixture
+def closed(lone):
+    """The log without closures, and those that it had."""
+    places = lone.session.places.copied()
+    closures = [replace(c, weight=1.0) for c in places.graph.closures if c.is_kept]
+    forget_closures(places.graph)
+    return places, closures
+
+
+def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(closed):
+    places, closures = closed
+    windows, hits = places.paths[0].windows, 0
+    for c in closures:
+        nodes = places.known_to(windows[c.second])
+        voted = places.likely(windows[c.second], nodes)
+        assert set(voted) <= set(nodes)
+        hits += np.abs(voted - c.first).min() <= 1
+    assert hits >= 0.8 * len(closures)
+
+
+def confirm(places, closures):
+    windows = places.paths[0].windows
+    return places.confirm(windows, places.paths[0].nodes, closures, {c.second: NOWHERE for c in closures})
+
+
+def test_a_tie_that_all_windows_speak_for_is_kept(closed):
+    places, closures = closed
+    best = max(closures, key=lambda c: c.log_odds)
+    assert confirm(places, [best]) is not None
+    assert len(places.graph.closures) == 1
+
+
+def test_a_tie_that_the_windows_beside_it_contradict_leaves_the_graph_as_it_was(closed):
+    places, closures = closed
+    best = max(closures, key=lambda c: c.log_odds)
+    ahead = RigidTransform.from_translation([2.5 * places.maker.length, 0.0, 0.0])
+    before = places.graph.p.copy()
+    assert confirm(places, [replace(best, T_first_second=best.T_first_second * ahead)]) is None
+    assert not places.graph.closures
+    np.testing.assert_array_equal(places.graph.p, before)
