@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A live log: windows are completed as samples arrive, and closures of each are then searched for."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -156,7 +155,7 @@ class LiveLog:
     def _look(self, path: Path, places: Places) -> None:
         """Search for the last window, and weigh its candidates by those of the windows before it."""
         n = min(self.config.run_length, len(path.windows))
-        last = replace(path, windows=path.windows[-n:], first_node=path.windows[-n].node)
+        last = path.only(slice(-n, None))
         window = path.windows[-1]
         tied = {c.second for c in places.graph.closures}
         self._near = [*self._near, places.near(window)][-n:]

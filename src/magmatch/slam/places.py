@@ -113,7 +113,8 @@ class Places:
 
         With ``least``, such a probability or more counts instead of `SlamConfig.min_probability`.
 
-        A few windows at a time: what they close is known when the graph predicts those that follow.
+        A few windows at a time: what they close is known when the graph predicts those that follow. Windows long past
+        were weighed by what the graph knew then, so they have no more say.
         """
         found, n = 0, self.graph.config.run_length
         for path in paths:
@@ -121,7 +122,8 @@ class Places:
             for w in counted(f"looking for closures of {path.survey.name}", path.windows):
                 candidates.append(self.near(w))
                 if len(candidates) % n == 0 or w is path.windows[-1]:
-                    found += self.tie(replace(path, windows=path.windows[: len(candidates)]), candidates, least=least)
+                    last = path.only(slice(max(len(candidates) - 2 * n, 0), len(candidates)))
+                    found += self.tie(last, candidates[-2 * n :], least=least)
                     if found >= enough:
                         return found
         return found
@@ -234,7 +236,7 @@ class Places:
             for c in tie(path, candidates, self.graph, self.paths, least)
             if c.second not in but and not self.graph.is_tied(np.array([c.first]), c.second).any()
         ]
-        lost = [c for c in closures if self.is_lost(path.windows[c.second - path.windows[0].node])]
+        lost = [c for c in closures if self.is_lost(c)]
         closures = [c for c in closures if c not in lost]
         self.graph.closures += closures
         if closures:
@@ -243,22 +245,22 @@ class Places:
 
     def find_lost(self, path: Path, candidates: list[list[Candidate]], closures: list[Closure]) -> int:
         """Add closures of a log's last windows that may lie anywhere, if all of those say so; returns how many."""
-        n, last = 2 * self.graph.config.run_length, path.windows[-1].node
-        windows = [w for w in path.windows if w.node > last - n]
-        closures = [c for c in closures if c.second > last - n]
         if not closures:
             return 0
-        near = self.confirm(windows, self.known_to(windows[0]), closures, _log_priors(path, candidates, closures))
-        return 0 if near is None else len(closures)
+        nodes, log_prior = self.known_to(path.windows[0]), _log_priors(path, candidates, closures)
+        return 0 if self.confirm(path.windows, nodes, closures, log_prior) is None else len(closures)
 
     def known_to(self, window: Window) -> Indices:
         """Earlier nodes that share a window's frame."""
         component = self.graph.component()
         return earlier_passes(window, np.flatnonzero(component == component[window.node]), self.graph)
 
-    def is_lost(self, window: Window) -> bool:
-        """Whether a window is expected on so many stretches that it may as well be anywhere."""
-        return len(nearby(window, self.known_to(window), self.graph)) > MOST_EXPECTED
+    def is_lost(self, closure: Closure) -> bool:
+        """Whether the graph does not know which stretch a closure's window lies on."""
+        assert self.maker is not None
+        C = self.graph.relative_covariances(np.array([closure.first]), closure.second)[0]
+        half = self.graph.config.window_length * self.maker.length / 2
+        return bool(np.linalg.eigvalsh(C[3:, 3:])[-1] > half**2)
 
     def stretch(self, node: int) -> Base:
         """A window and its neighbours as a base for later windows, odometry's frame."""
@@ -305,7 +307,7 @@ class Places:
 
 def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Closure]) -> dict[int, float]:
     """Of each window that proposes a closure, the density of the prior at its pose."""
-    found = {c.second: candidates[c.second - path.windows[0].node] for c in closures}
+    found = {c.second: candidates[c.second - path.first_node] for c in closures}
     return {c.second: next(k.match.log_prior for k in found[c.second] if k.node == c.first) for c in closures}
 
 

@@ -2,7 +2,7 @@
 """A log divided into windows: stretches of path over which odometry is nearly rigid, each a node of the graph."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -99,6 +99,11 @@ class Path:
     def centers(self) -> Points:
         """Origins of the nodes, odometry's frame."""
         return np.stack([w.center for w in self.windows])
+
+    def only(self, some: slice) -> "Path":
+        """The same log with some of its windows alone."""
+        windows = self.windows[some]
+        return replace(self, windows=windows, first_node=windows[0].node)
 
 
 def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int = 0, first: int = 0) -> list[Path]:
