@@ -10,7 +10,7 @@ from scipy.sparse import csc_array
 
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.normal_equations import hold_scale, normal_equations
+from magmatch.slam.graph.normal_equations import LEAST_LASTING, hold_scale, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.windows import Path
@@ -25,6 +25,8 @@ SAME_FACTOR = 0.05
 def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
     """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
 
+    The heading's factor is that of its lasting turn rate too: revisits early in a walk show little of the latter, and
+    what they leave open would turn all that follows.
     The closures' residuals are those of the graph as it stands; each counts by its weight. As few as teach nothing
     about the noise teach nothing about drift.
     """
@@ -38,7 +40,7 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     def cost(logs: Scalars) -> float:
         a, b = np.exp(2 * logs)
         Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
-        trial.edges = replace(graph.edges, covariance=Q)
+        trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
         return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
 
     simplex = STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -54,14 +56,16 @@ def log_evidence(graph: PoseGraph) -> float:
     lu = graph.factor(csc_array(H))
     log_det = float(np.log(np.abs(lu.U.diagonal())).sum())
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
-    return -0.5 * (chi2 - float(v @ lu.solve(v)) + log_det + log_det_odometry)
+    log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
+    return -0.5 * (chi2 - float(v @ lu.solve(v)) + log_det + log_det_odometry + log_det_lasting)
 
 
 def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
     def scaled(sd: tuple[float, float]) -> tuple[float, float]:
         return float(factors[0] * sd[0]), float(factors[1] * sd[1])
 
-    odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd)})
+    turn_sd = float(factors[1] * config.odometry.turn_sd)
+    odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd), "turn_sd": turn_sd})
     return config.model_copy(
         update={"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
     )

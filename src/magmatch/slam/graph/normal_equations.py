@@ -13,6 +13,8 @@ from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, Pos
 from magmatch.slam.graph.ties import N_LASTING
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
+# Least standard deviation of a lasting error, so that the equations can be solved where it is stated as 0.
+LEAST_LASTING = 1e-9
 # Columns, Jacobian, information and residual of many rows alike.
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -125,7 +127,7 @@ def _alone(graph: PoseGraph) -> list[Part]:
         f, columns = graph.fixed, np.concatenate([six(graph.fixed.one), six(graph.fixed.other)], axis=1)
         seen, J = graph.seen_at_fixed()
         found.append((columns, J, np.eye(3) / f.sd[:, None, None] ** 2, seen - f.position))
-    sd, k = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], 1e-9), len(graph.lasting)
+    sd, k = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], LEAST_LASTING), len(graph.lasting)
     columns = _lasting_columns(graph, np.arange(k))
     found.append((columns, _alike(np.eye(2), k), _alike(np.diag(sd**-2), k), graph.lasting))
     return found
