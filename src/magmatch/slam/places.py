@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logit
 
-from magmatch.atlas.retrieval import count_votes, shortlist
+from magmatch.atlas.retrieval import MAX_SHORTLIST, count_votes, shortlist
 from magmatch.data.checks import CONSTANT_FIELD, extent
 from magmatch.data.survey import Survey
 from magmatch.progress import counted, tell
@@ -56,8 +56,6 @@ SURE = DecisionConfig().min_probability
 SURE_ODDS = float(logit(SURE))
 # Closures that noise and drift are learned from before the search proper: a tenth is left to what was guessed.
 ENOUGH = 9 * PRIOR_STRETCHES
-# Stretches that a window is searched for in, if it is expected on no more; of more, those that it votes for.
-MOST_EXPECTED = 24
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
@@ -184,7 +182,7 @@ class Places:
     def at(self, window: Window, nodes: Indices) -> list[Candidate]:
         """Where a window may lie near some nodes, of those before it, as the graph predicts."""
         nodes = nearby(window, nodes, self.graph)
-        if len(nodes) > MOST_EXPECTED:
+        if len(nodes) > MAX_SHORTLIST:
             among = nodes
             nodes = self.steps(lambda: self.likely(window, among)[None])[0].astype(np.int64)
         expected = expected_beside(window, nodes, self.graph)

@@ -50,7 +50,7 @@ class Window:
         mean, variance = self.log_field
         return mean @ rotation_matrix(self.walk.T_survey_walk), variance
 
-    @property
+    @cached_property
     def T_middle_node(self) -> RigidTransform:
         """Middle of the walk, in the walk's axes, from the node."""
         walk = self.walk
