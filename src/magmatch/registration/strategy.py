@@ -13,9 +13,12 @@ from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.inside import spread_inside
+from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.bend import Bend
+from magmatch.registration.weigh.evidence import overlap_weight
 from magmatch.registration.weigh.hypothesis import Hypothesis
 
 BaseSide = TypeVar("BaseSide")
@@ -46,6 +49,17 @@ class Pair(Generic[BaseSide, TargetSide]):
     def estimate(self, pose: Hypothesis) -> Estimate:
         """A pose of this pair in the surveys' frames."""
         return Estimate.of(pose, self.T_base_model, self.T_target_model)
+
+
+MapPair = Pair[PreparedMap, PreparedMap]
+
+
+def pair_maps(base: PreparedMap, target: PreparedMap, known: PosePriorConfig, volume: float) -> MapPair:
+    """Two prepared maps; the prior covers a volume, m^3."""
+    frames = base.T_map_model, target.T_map_model
+    prior = pose_prior(known, *frames, volume, height_range(base))
+    prior = spread_inside(prior, base.raster, target.points, overlap_weight)
+    return Pair(base, target, prior, common_length(base, target), *frames)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -74,6 +74,11 @@ class MapIndex:
         return self.base.correlation_length
 
     @property
+    def volume(self) -> float:
+        """Volume of the region that the map knows, m^3."""
+        return self.base.raster.volume
+
+    @property
     def field_map(self) -> FieldMap:
         """The map itself."""
         return self.base.field_map
@@ -107,7 +112,7 @@ class MapIndex:
                 "spacing": float(raster.spacing),
                 "shape": list(raster.sd.shape),
             },
-            "volume": raster.volume,
+            "volume": self.volume,
             "n_draws": len(draws),
         }
         if self.is_whole:

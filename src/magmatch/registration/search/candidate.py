@@ -47,3 +47,8 @@ class SearchResult:
     n_correspondences: int = 0
     n_inliers: int = 0
     links: Links = field(default_factory=lambda: Links(np.zeros((0, 3)), np.zeros((0, 3))))
+
+    @property
+    def poses(self) -> list[RigidTransform]:
+        """The candidates' poses, best first."""
+        return [candidate.T_base_target for candidate in self.candidates]

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.progress import tell
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig
@@ -40,6 +41,7 @@ def rank_poses(
     seed: int,
 ) -> list[PoseEvidence]:
     """Refine candidates and order them by their evidence, best first."""
+    tell("refining the best poses")
     nulls = null_models_of(base, target)
 
     def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
