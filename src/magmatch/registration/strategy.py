@@ -29,20 +29,13 @@ Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair(Generic[BaseSide, TargetSide]):
-    """Base and target prepared for a strategy, and the pose prior.
-
-    Attributes
-    ----------
-    length : float, m
-        Correlation length of the field: the scale of tolerances.
-    T_base_model, T_target_model : RigidTransform
-        Survey frames from the frames in which poses are searched.
-    """
+    """Base and target prepared for a strategy, and the pose prior."""
 
     base: BaseSide
     target: TargetSide
     prior: PosePrior
-    length: float
+    length: float  # m: correlation length of the field, the scale of tolerances
+    # Survey frames from the frames in which poses are searched
     T_base_model: RigidTransform
     T_target_model: RigidTransform
 
@@ -64,23 +57,13 @@ def pair_maps(base: PreparedMap, target: PreparedMap, known: PosePriorConfig, vo
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Weighed(Generic[BaseSide, TargetSide, W]):
-    """Poses of a pair, refined and weighed; nothing is decided yet.
+    """Poses of a pair, refined and weighed; nothing is decided yet."""
 
-    Attributes
-    ----------
-    strategy : Strategy
-        The one that weighed them, and can state and settle them.
-    ranked : list
-        In any order.
-    elsewhere : float, nats
-        Log odds of the best pose in any other base; -inf if there is none.
-    """
-
-    strategy: "Strategy[BaseSide, TargetSide, W]"
+    strategy: "Strategy[BaseSide, TargetSide, W]"  # the one that weighed them, and can state and settle them
     pair: Pair[BaseSide, TargetSide]
     found: SearchResult
-    ranked: list[W]
-    elsewhere: float = -np.inf
+    ranked: list[W]  # in any order
+    elsewhere: float = -np.inf  # nats: log odds of the best pose in any other base; -inf if there is none
 
     @property
     def best_log_odds(self) -> float:

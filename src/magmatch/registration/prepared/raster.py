@@ -21,19 +21,12 @@ MIN_WHOLE, MAX_REFINED = 0.7, 20_000
 
 
 class Raster(NamedTuple):
-    """Field and standard deviation at the points of a grid, in the map's model frame.
+    """Field and standard deviation at the points of a grid, in the map's model frame."""
 
-    Attributes
-    ----------
-    origin : (3,) array, m, model frame
-    spacing : float, m
-    values : (nx, ny, nz, 4) array, T
-        Field, and standard deviation of one component (negative where the map does not know the field); stored
-        together, since both are looked up together.
-    """
-
-    origin: np.ndarray
-    spacing: float
+    origin: np.ndarray  # (3,), m, model frame
+    spacing: float  # m
+    # (nx, ny, nz, 4), T: field, and standard deviation of one component (negative where the map does not know the
+    # field); stored together, since both are looked up together
     values: np.ndarray
 
     @classmethod
@@ -68,16 +61,7 @@ class Raster(NamedTuple):
         return float((corners == 8).sum() / max((corners > 0).sum(), 1))
 
     def lookup(self, points: Points) -> tuple[Vectors, Scalars, Tensors, Mask]:
-        """Field, spread and gradient at points, by trilinear interpolation.
-
-        Returns
-        -------
-        field : (n, 3) array, T
-        sd : (n,) array, T
-        gradient : (n, 3, 3) array, T/m
-        is_known : (n,) bool array
-            False outside the map; the other values are 0 there.
-        """
+        """Field and spread (T), gradient (T/m) and whether known, by trilinear interpolation; 0 where unknown."""
         out = np.zeros((len(points), 13))
         is_known = np.zeros(len(points), dtype=np.bool_)
         _lookup_many(self, points, out, is_known)

@@ -62,23 +62,13 @@ class ChangeConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChangedPose:
-    """A pose with the change of the field that was estimated beside it.
-
-    Attributes
-    ----------
-    log_ratio : float, nats
-        Log-likelihood ratio of the base's field with this change to an independent sparse field.
-    noise : float
-        Variance of the residuals, in units of the variance stated by noise and the base's spread; at least 1.
-    weights : (m,) array
-        Charges that describe the change.
-    """
+    """A pose with the change of the field that was estimated beside it."""
 
     pose: RefinedPose
-    log_ratio: float
-    noise: float
+    log_ratio: float  # nats: log-likelihood ratio of the base's field with this change to an independent sparse field
+    noise: float  # variance of the residuals, in units of that stated by noise and the base's spread; at least 1
     shell: SourceShell
-    weights: np.ndarray
+    weights: np.ndarray  # (m,): charges that describe the change
 
     def change_at(self, points: Points) -> Vectors:
         """The target's field minus the base's, target's model frame."""
@@ -87,49 +77,26 @@ class ChangedPose:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Samples:
-    """The target's samples that are compared, and the field of unit charges there.
+    """The target's samples that are compared, and the field of unit charges there."""
 
-    Attributes
-    ----------
-    rows : (n,) int array
-        Of the target's samples.
-    positions : (n, 3) array, m; field : (n, 3) array, T; map_sd : (n,) array, T
-        Target's model frame; the base's spread there.
-    charges : (3 n, m) array, T
-    weight : (3 n,) array, 1/T^2
-        Inverse of the variance stated by noise and the base's spread.
-    """
-
-    rows: Indices
-    positions: Points
-    field: Vectors
-    map_sd: Scalars
+    rows: Indices  # (n,) ints: of the target's samples
+    positions: Points  # (n, 3), m: target's model frame
+    field: Vectors  # (n, 3), T: in its axes
+    map_sd: Scalars  # (n,), T: the base's spread there
     shell: SourceShell
-    charges: Matrix
-    weight: Scalars
+    charges: Matrix  # (3 n, m), T
+    weight: Scalars  # (3 n,), 1/T^2: inverse of the variance stated by noise and the base's spread
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Estimate:
-    """Result of one linear step: steps of pose and sensor, then charges.
+    """Result of one linear step: steps of pose and sensor, then charges."""
 
-    Attributes
-    ----------
-    charges : (m,) int array
-        The remaining ones; the variance of the others has vanished.
-    values : (k + m,) array
-    covariance : (k + m, k + m) array
-    strengths : (m,) array
-        Prior variance of each charge, updated by this step.
-    noise : float
-        Variance of the remaining residuals, in units of the stated variance; at least 1.
-    """
-
-    charges: Indices
-    values: np.ndarray
-    covariance: Matrix
-    strengths: Scalars
-    noise: float
+    charges: Indices  # (m,) ints: the remaining ones; the variance of the others has vanished
+    values: np.ndarray  # (k + m,)
+    covariance: Matrix  # (k + m, k + m)
+    strengths: Scalars  # (m,): prior variance of each charge, updated by this step
+    noise: float  # variance of the remaining residuals, in units of the stated variance; at least 1
 
 
 def refine_beside_changes(

@@ -39,20 +39,11 @@ class SensorConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensorModel:
-    """Bias and gain of the target's magnetometer against the base's.
+    """Bias and gain of the target's magnetometer against the base's."""
 
-    Attributes
-    ----------
-    bias : (3,) array, T
-        Target's axes.
-    gain : (3, 3) array
-        ``I + D``.
-    shapes : (k, 3, 3) array
-        Directions in which the gain may change; the parameters are the bias, then one number per shape.
-    """
-
-    bias: np.ndarray
-    gain: Matrix
+    bias: np.ndarray  # (3,), T: target's axes
+    gain: Matrix  # (3, 3): ``I + D``
+    # (k, 3, 3): directions in which the gain may change; the parameters are the bias, then one number per shape
     shapes: np.ndarray
 
     @property

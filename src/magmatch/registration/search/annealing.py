@@ -48,12 +48,7 @@ def anneal_poses(
 ) -> tuple[Hypotheses, Scalars]:
     """Refine poses while the pose error allowed shrinks: one row (rad, m) of the schedule per step.
 
-    Returns
-    -------
-    Hypotheses
-        h poses, about the same anchors.
-    (h,) array
-        Their scores at the last row of the schedule.
+    Returns the poses, about the same anchors, and their scores at the last row of the schedule.
     """
     found = poses._replace(rotations=poses.rotations.copy(), anchors_base=poses.anchors_base.copy())
     scores, schedule = np.zeros(len(found.rotations)), np.ascontiguousarray(schedule)

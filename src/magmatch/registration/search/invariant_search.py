@@ -87,13 +87,7 @@ def invariant_search(
 
 
 def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator) -> Indices:
-    """Draw target points whose gradient is strong against its uncertainty.
-
-    Returns
-    -------
-    (a,) int array
-        Rows of ``target.points``.
-    """
+    """Draw target points (rows) whose gradient is strong against its uncertainty."""
     g2, tiny = gradient_norm(target.point_gradient) ** 2, np.finfo(float).tiny
     # Between 0 and 1, and 1 in a uniform field: a very strong gradient is told no better than a strong one.
     share = (g2 + tiny) / (g2 + target.gradient_sd**2 + np.median(g2) + tiny)
@@ -102,14 +96,9 @@ def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator
 
 
 def similar_points(base: PreparedMap, target: PreparedMap, anchors: Indices, n_neighbours: int) -> Indices:
-    """Base points whose invariants are nearest to those of each anchor, whitened by their uncertainty.
+    """Base points (a, k) whose invariants are nearest to those of each anchor, whitened by their uncertainty.
 
     Points stand half of `SAMPLING` apart, where invariants differ by that share of their spread over both maps.
-
-    Returns
-    -------
-    (a, k) int array
-        Rows of ``base.points``.
     """
     both = np.concatenate([base.invariants, target.invariants])
     spread = np.median(np.abs(both - np.median(both, axis=0)), axis=0) / ndtri(0.75)
@@ -125,13 +114,7 @@ def similar_points(base: PreparedMap, target: PreparedMap, anchors: Indices, n_n
 
 
 def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Choose samples for scoring each anchor's poses: half within two lengthscales, the rest anywhere.
-
-    Returns
-    -------
-    (a, n_samples) int array
-        Rows of ``target.samples``.
-    """
+    """Samples (a, n) for scoring each anchor's poses: half within two lengthscales, the rest anywhere."""
     n = len(target.samples)
     rows = rng.integers(0, n, (len(anchors), n_samples))
     _near_first(
@@ -196,16 +179,7 @@ def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[n
 
 
 def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:
-    """Poses that map each anchor and its frame onto each of its neighbours and their frames.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    anchors : (a,) int array
-        Rows of ``target.points``.
-    neighbours : (a, k) int array
-        Rows of ``base.points``.
-    """
+    """Poses that map each anchor and its frame onto each of its neighbours (a, k) and their frames."""
     rows, base_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1]), neighbours.ravel()
     base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
     target_frames = point_frames(target.point_field, target.point_gradient)[anchors[rows]]

@@ -41,32 +41,18 @@ class PairSearchConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PairTable:
-    """All pairs of base points that a walk can be compared with, indexed by their invariants; base model frame.
+    """All pairs of base points that a walk can be compared with, indexed by their invariants; base model frame."""
 
-    Attributes
-    ----------
-    positions : (k, 3) array, m
-    field : (k, 3) array, T
-    first, second : (p,) int arrays
-        Rows of the points that make each pair.
-    tree : NeighbourTree
-        Of the whitened invariants.
-    length : float, m
-        The base's correlation length.
-    sd_position, sd_field : float, m and T
-        Expected differences in position and field when another walk passes a point; for whitening and alignment.
-    field_norm, gradient_rms : float, T and T/m
-        Typical strength of the field, and rms of one component of its gradient.
-    """
-
-    positions: Points
-    field: Vectors
-    first: Indices
+    positions: Points  # (k, 3), m
+    field: Vectors  # (k, 3), T
+    first: Indices  # (p,) ints: rows of the points that make each pair
     second: Indices
-    tree: NeighbourTree
-    length: float
+    tree: NeighbourTree  # of the whitened invariants
+    length: float  # m: the base's correlation length
+    # m and T: expected differences when another walk passes a point; for whitening and alignment
     sd_position: float
     sd_field: float
+    # T and T/m: typical strength of the field, and rms of one component of its gradient
     field_norm: float
     gradient_rms: float
 
@@ -134,13 +120,7 @@ def pair_search(
 def choose_pairs(
     walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator
 ) -> tuple[Indices, Indices]:
-    """Draw pairs of bins, long ones with differing fields first.
-
-    Returns
-    -------
-    two (n,) int arrays
-        Rows of the walk; empty where it is shorter than any pair of the table.
-    """
+    """Draw pairs of bins (rows of the walk), long ones with differing fields first; none if the walk is too short."""
     i, j = np.triu_indices(len(walk), 1)
     d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
     longest = config.max_distance * table.length - table.sd_position
@@ -154,36 +134,16 @@ def choose_pairs(
 
 
 def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int) -> tuple[Indices, Matrix]:
-    """Base pairs whose invariants are nearest to those of each of the walk's pairs.
+    """Base pairs (n, k), rows of the table, with the invariants nearest to those of each of the walk's pairs.
 
-    Returns
-    -------
-    rows : (n, k) int array
-        Rows of the table.
-    distance2 : (n, k) array
-        Squared distances in standard deviations.
+    Also their squared distances in standard deviations.
     """
     invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
     return table.nearest(invariants, n_neighbours)
 
 
 def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:
-    """Poses that put each of the walk's pairs onto base pairs.
-
-    Parameters
-    ----------
-    table : PairTable
-    walk : Walk
-    i, j : (n,) int arrays
-        The walk's pairs.
-    similar : (n, k) int array
-        Base pairs of each, rows of the table.
-
-    Returns
-    -------
-    Hypotheses
-        n k hypotheses, each about the middle of one of the walk's n pairs.
-    """
+    """Poses that put each of the walk's pairs onto base pairs (n, k), each about the middle of its pair."""
     middles = (walk.positions[i] + walk.positions[j]) / 2
     a, b = table.first[similar.ravel()], table.second[similar.ravel()]
     rows = np.repeat(np.arange(len(i)), similar.shape[1])

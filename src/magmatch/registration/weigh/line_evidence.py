@@ -54,37 +54,18 @@ class LineConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LineEvidence:
-    """One pose of a walk at the optimum.
+    """One pose of a walk at the optimum."""
 
-    Attributes
-    ----------
-    T_base_target : RigidTransform
-        Base model frame from the walk's frame.
-    center : (3,) array, m
-        Point of the walk about which the covariance is stated, walk's frame.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes.
-    overlap : float
-        Share of the bins inside the base map.
-    log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, minus the penalty for the path
-        outside the map.
-    attainable : float, nats
-        The same, if the residuals were no larger than expected.
-    misfit : float
-        Normalised rms residual (1 when the covariance explains everything).
-    is_covered : (n,) bool array
-        Bins inside the base map.
-    """
-
-    T_base_target: RigidTransform
-    center: Vector3
-    covariance: Covariance6
-    overlap: float
+    T_base_target: RigidTransform  # base model frame from the walk's frame
+    center: Vector3  # (3,), m: point of the walk about which the covariance is stated, walk's frame
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes
+    overlap: float  # share of the bins inside the base map
+    # nats: ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, minus the penalty for the path
+    # outside the map
     log_evidence: float
-    attainable: float
-    misfit: float
-    is_covered: Mask
+    attainable: float  # nats: the same, if the residuals were no larger than expected
+    misfit: float  # normalised rms residual (1 when the covariance explains everything)
+    is_covered: Mask  # (n,) bool: bins inside the base map
 
     @property
     def kind(self) -> Kind:
@@ -103,30 +84,13 @@ def weigh_walk(
     bending: np.ndarray | None = None,
     around: tuple[Vector3, float] | None = None,
 ) -> list[LineEvidence]:
-    """Refine poses of a walk and order them by their evidence.
+    """Refine poses of a walk, from starts between its frame and the base's, and order them by evidence, best first.
 
-    Parameters
-    ----------
-    base : PreparedMap
-    walk : Walk
-    starts : list of RigidTransform
-        Base model frame from the walk's frame.
-    noise : PathNoise
-    length : float, m
-        The base's correlation length.
-    prior : PosePrior
-    config : LineConfig
-    bending : (n, 6, m) array, optional
-        How m independent errors of unit variance turn (rad) and shift (m) each bin of a walk whose shape is known
-        by dead reckoning alone, about its own place, walk's axes; takes the place of the noise's drift.
-    around : (vector, float), optional
-        Mean of the field wherever the walk may be (T), walk's axes, and variance of a component about it (T^2): where
-        the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
-
-    Returns
-    -------
-    list of LineEvidence
-        Best first.
+    ``length``: the base's correlation length, m. ``bending`` (n, 6, m): how m independent errors of unit variance
+    turn (rad) and shift (m) each bin of a walk whose shape is known by dead reckoning alone, about its own place,
+    walk's axes; takes the place of the noise's drift. ``around``: mean of the field wherever the walk may be (T),
+    walk's axes, and variance of a component about it (T^2): where the heading is known, Earth's field speaks for no
+    place. Without it, any mean is as likely.
     """
     if not starts or len(walk) < MIN_BINS:
         return []

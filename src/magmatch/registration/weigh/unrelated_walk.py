@@ -23,22 +23,12 @@ class UnrelatedWalk:
 
     It includes the walk's own errors, and their variation between walks, as a pose does; otherwise a rough walk would
     match any calm region.
-
-    Attributes
-    ----------
-    field : (n, 3) array, T
-        Minus the mean that it has at any place.
-    covariance : (n, n) array, T^2
-        Of each component.
-    noise : PathNoise
-    favour : float, nats
-        Gain in likelihood because its parameters are chosen on the walk itself.
     """
 
-    field: Vectors
-    covariance: Matrix
+    field: Vectors  # (n, 3), T: minus the mean that it has at any place
+    covariance: Matrix  # (n, n), T^2: of each component
     noise: PathNoise
-    favour: float
+    favour: float  # nats: gain in likelihood because its parameters are chosen on the walk itself
 
     @classmethod
     def most_likely(
