@@ -25,7 +25,6 @@ FEW: dict[str, Any] = {
     "invariants": {
         "n_anchors": 80,
         "n_neighbours": 8,
-        "n_score_samples": 60,
         "n_coarse": 100,
         "n_fine": 10,
     },

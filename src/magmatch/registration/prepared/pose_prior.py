@@ -25,10 +25,9 @@ RARE = 0.01
 FAR2 = float(chdtri(3, RARE))
 # Standard deviation of the vertical in a survey's frame, rad: a good accelerometer at rest, a robot's floor.
 ATTITUDE_SD = 0.01
-# Poses drawn about a rough one: number for each pose that the search resolves, within bounds; and factor on the
-# number of neighbours tried if a prior rules most of them out.
-N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
-MORE_NEIGHBOURS = 4
+# Fewest and most poses drawn about a rough one, and factor on the number of neighbours tried if a prior rules most of
+# them out.
+FEWEST_DRAWN, MOST_DRAWN, MORE_NEIGHBOURS = 300, 6000, 4
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -209,12 +208,12 @@ class PosePrior:
         return R, self.T_base_target.apply(center + xi[:, 3:])
 
     def _n_drawn(self, slack: tuple[float, float]) -> int:
-        """Number of poses that cover the rough one's spread at the search's resolution."""
+        """Number of poses that cover the rough one's spread: for each that the search resolves, one a direction."""
         if self.covariance is None:
             return 0
         scale = np.repeat(slack, 3)
         power = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
-        places = N_PER_PLACE * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
+        places = len(power) * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(

@@ -118,7 +118,7 @@ def refine_beside_changes(
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
     k = 6 + len(pose.sensor_sd)
     lookup = _look_up(base, samples, pose)
-    estimate = _solve(lookup, samples, gram, pose, prior)
+    estimate = _solve(lookup, samples, gram, pose, prior, config.max_misfit**2)
     for _ in range(MOST_STEPS):
         xi = estimate.values[:k] / max(1.0, float(np.abs(estimate.values[:6] / longest).max()))
         pose = replace(
@@ -128,7 +128,7 @@ def refine_beside_changes(
         )
         is_close = float(xi @ np.linalg.solve(estimate.covariance[:k, :k], xi)) < CLOSE**2
         lookup = _look_up(base, samples, pose)
-        estimate = _solve(lookup, samples, gram, pose, prior, estimate)
+        estimate = _solve(lookup, samples, gram, pose, prior, estimate.noise, estimate)
         if is_close:
             break
     block = _residual_block(lookup, samples, gram, pose, estimate, target.drift)
@@ -136,7 +136,8 @@ def refine_beside_changes(
     refined = replace(pose, prior_information=known, blocks=(block,))
     weights = np.zeros(len(gram))
     weights[estimate.charges] = estimate.values[k:]
-    return ChangedPose(refined, _log_ratio(lookup, samples, gram, estimate), estimate.noise, samples.shell, weights)
+    log_ratio = _log_ratio(lookup, samples, gram, estimate, config.max_misfit**2)
+    return ChangedPose(refined, log_ratio, estimate.noise, samples.shell, weights)
 
 
 def _choose_samples(
@@ -174,15 +175,16 @@ def _solve(
     gram: Matrix,
     pose: RefinedPose,
     prior: PosePrior,
+    noise: float,
     last: _Estimate | None = None,
 ) -> _Estimate:
-    """Solve for a step of pose and sensor together with the charges, and update the charges' strengths."""
+    """Solve for a step of pose and sensor together with the charges, and update their strengths and the noise."""
     k, r = 6 + len(pose.sensor_sd), lookup.residual.ravel()
     start = max(float(np.median((lookup.residual**2).sum(axis=1))) / MEDIAN_CHI2_3, 1 / samples.weight.max())
-    left, strengths, noise = np.arange(len(gram)), np.full(len(gram), start), 4.0
+    left, strengths = np.arange(len(gram)), np.full(len(gram), start)
     if last:
         lasting = last.strengths > FADED * last.strengths.max(initial=0.0)
-        left, strengths, noise = last.charges[lasting], last.strengths[lasting], last.noise
+        left, strengths = last.charges[lasting], last.strengths[lasting]
     charges, J = samples.charges[:, left], residual_jacobian(lookup, pose.center, pose.sensor).reshape(len(r), k)
     WJ, Wr = samples.weight[:, None] * J, samples.weight * r
     cross = -WJ.T @ charges
@@ -230,7 +232,7 @@ def _log_likelihood(
     return -0.5 * float(power / noise - fit + n_rows * np.log(noise) + log_det)
 
 
-def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate) -> float:
+def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate, noise: float) -> float:
     """Log of 'the base and a sparse change explain the samples' over 'a sparse field of their own does'."""
     left, r = estimate.charges, lookup.residual.ravel()
     Wr = samples.weight * r
@@ -244,7 +246,7 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
     cross = Wc.T @ samples.charges
     A = np.block([[Wc.T @ constant, cross], [cross.T, gram]])
     v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
-    before, noise, power = np.eye(3) / CONSTANT_SD**2, 4.0, float(b @ Wb)
+    before, power = np.eye(3) / CONSTANT_SD**2, float(b @ Wb)
     strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))
     for _ in range(MOST_STEPS * N_STRENGTHS):
         lasting = np.concatenate([[True] * 3, strengths > FADED * strengths.max()])

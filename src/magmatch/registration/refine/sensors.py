@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.settings import Settings
@@ -33,8 +32,6 @@ class SensorConfig(Settings):
     mode: SensorMode = "auto"
     # Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
     bias_levels: tuple[float, ...] = (0.05e-6, 3e-6)
-    # Gain in log evidence (nats) required for a wider level.
-    min_gain: float = Field(default=MIN_GAIN, ge=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,7 +83,7 @@ class SensorModel:
 
 
 def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
-    """Prior levels in the order they are tried; a later one must gain ``min_gain`` in evidence.
+    """Prior levels in the order they are tried; a later one must gain `MIN_GAIN` in evidence.
 
     With 'auto', soft iron follows the widest level of bias and scale, if the sensors differ at all.
     """

@@ -28,13 +28,9 @@ class InvariantSearchConfig(Settings):
     n_anchors: int = Field(default=400, ge=10)
     # Base points with the most similar invariants that each anchor is tried on.
     n_neighbours: int = Field(default=30, ge=1)
-    # Samples for scoring a pose: half near its anchor, half anywhere.
-    n_score_samples: int = Field(default=FEW_POINTS, ge=20)
     # Distinct poses that are refined coarsely, and those that are refined further.
     n_coarse: int = Field(default=600, ge=1)
     n_fine: int = Field(default=40, ge=1)
-    # Distinct poses handed on.
-    n_candidates: int = Field(default=N_CANDIDATES, ge=1)
     # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
     n_draws: int = Field(default=N_DRAWS, ge=2)
 
@@ -53,7 +49,7 @@ def invariant_search(
     tell(f"scoring {neighbours.size} hypotheses")
     evidence = weigh_samples(base, target)
     poses = frame_hypotheses(base, target, anchors, neighbours)
-    rows = judging_samples(poses.anchors_target, target, config.n_score_samples, rng)
+    rows = judging_samples(poses.anchors_target, target, FEW_POINTS, rng)
     length = common_length(base, target)
     sd, same = pose_inaccuracy(length), same_pose(length)
     center = target.samples.mean(axis=0)
@@ -74,7 +70,7 @@ def invariant_search(
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
+    keep = distinct_poses(poses.rotations, moved, scores, *same, N_CANDIDATES)
     keep = keep[np.isfinite(scores[keep])]
     candidates = tuple(
         Candidate(poses.pose(k, moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep.tolist()

@@ -34,9 +34,8 @@ class PairSearchConfig(Settings):
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
     n_pairs: int = Field(default=FEW_POINTS, ge=1)
     n_neighbours: int = Field(default=8, ge=1)
-    # Distinct poses that are refined coarsely, and handed on.
+    # Distinct poses that are refined coarsely.
     n_coarse: int = Field(default=120, ge=1)
-    n_candidates: int = Field(default=N_CANDIDATES, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -108,7 +107,7 @@ def pair_search(
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
+    keep = distinct_poses(poses.rotations, moved, scores, *same, N_CANDIDATES)
     keep = keep[np.isfinite(scores[keep])]
     return SearchResult(
         tuple(Candidate(poses.pose(k, moved[k], center), float(scores[k])) for k in keep.tolist()),

@@ -41,8 +41,6 @@ class LineConfig(Settings):
     # Steps with like components, then steps that know how drifting poses couple them.
     n_coarse_steps: int = Field(default=5, ge=0)
     n_fine_steps: int = Field(default=2, ge=1)
-    # Poses that take the fine steps.
-    n_fine: int = Field(default=N_REFINED, ge=1)
     # Penalty of a pose for each correlation length of path that it leaves unexplained, nats: outside the base map, as
     # there are many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
     price: float = Field(default=3.0, ge=0)
@@ -104,11 +102,11 @@ def weigh_walk(
         return []
     roughly = _weigh(coarse, squares, null, config)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
-    best = coarse.rows(order[: config.n_fine])
+    best = coarse.rows(order[:N_REFINED])
     settled = squares.run(best.rotations, best.centers, _strained(best), config.n_fine_steps, is_full=False)
     fine = squares.run(settled.rotations, settled.centers, _strained(settled), config.n_fine_steps, is_full=True)
     weighed = _weigh(_covered(fine), squares, null, config)
-    weighed += [roughly[k] for k in order[config.n_fine :]]
+    weighed += [roughly[k] for k in order[N_REFINED:]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
 

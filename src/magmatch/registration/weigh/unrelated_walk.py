@@ -14,7 +14,7 @@ from magmatch.typing import Mask, Matrix, Vector3, Vectors
 
 # Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
 LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
-STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
+STRENGTHS = (0.0, *np.exp2(range(-1, 3)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
