@@ -107,7 +107,7 @@ def quantile(ordered: np.ndarray, q: float) -> float:
     return float(ordered[max(math.ceil(q * len(ordered) - 1e-9) - 1, 0)])
 
 
-def wilson_interval(n_successes: int, n: int, z: float = Z95) -> tuple[float, float]:
+def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:
     """Interval of a probability from counts: both roots of ``(p - k/n)^2 = z^2 p (1 - p) / n``; (0, 1) without trial.
 
     E. B. Wilson, JASA 22, 1927, doi:10.1080/01621459.1927.10502953.
@@ -119,7 +119,7 @@ def wilson_interval(n_successes: int, n: int, z: float = Z95) -> tuple[float, fl
     """
     if n == 0:
         return 0.0, 1.0
-    rate = n_successes / n
+    rate, z = n_successes / n, Z95
     center = rate + z**2 / (2 * n)
     half = z * math.sqrt(rate * (1 - rate) / n + z**2 / (4 * n**2))
     scale = 1 + z**2 / n

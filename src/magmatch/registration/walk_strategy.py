@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.as_maps import weigh_as_maps
+from magmatch.registration.weigh_as_maps import weigh_as_maps
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk

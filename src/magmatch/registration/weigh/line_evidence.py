@@ -25,7 +25,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.registration.weigh.unrelated_walk import UnrelatedWalk
+from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
