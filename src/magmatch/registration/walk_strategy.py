@@ -9,7 +9,6 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.registration.weigh_as_maps import weigh_as_maps
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
@@ -25,6 +24,7 @@ from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
 from magmatch.registration.weigh.line_evidence import LineEvidence, inside_base, weigh_walk
 from magmatch.registration.weigh.settled import with_frame_error
+from magmatch.registration.weigh_as_maps import weigh_as_maps
 
 WalkPair = Pair[WalkIndex, Walk]
 
