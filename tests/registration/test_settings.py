@@ -73,7 +73,6 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "field.domain": ((-1, -1, -1, 0.2, 1, 1),),
     "search": ("pairs",),
     "walks.search.max_pairs": (1000,),
-    "walks.evidence.n_fine_steps": (1,),
     "keypoints.consensus.sample_size": (2,),
     "prior.pose": ((9, 9, 9, 0, 0, 0, 1),),
     "keypoints.features.grid": ("path",),

@@ -26,8 +26,6 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
     down, one axis of the hard iron and parts of the soft iron stay unknown. Magnitudes never determine a
     misalignment.
 
-    Notes
-    -----
     Gauss-Newton on ``|(I + N) b - d| - r`` with Student weights; r, the local field strength, is free. N is symmetric
     without trace, since scale and strength cannot be told apart.
     """

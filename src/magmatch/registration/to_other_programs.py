@@ -36,8 +36,6 @@ def write_relative_tum(result: RegistrationResult, path: str | Path) -> None:
 def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quaternion") -> np.ndarray:
     """Information matrix of a g2o edge.
 
-    Notes
-    -----
     To first order ``Exp(xi)`` has translation ``rho`` and quaternion ``(theta / 2, 1)``, so that the error of g2o is
     ``e = (rho, theta / 2)`` and its information ``(J S J^T)^-1`` with ``J = [[0, I], [I / 2, 0]]``.
     """

@@ -22,13 +22,13 @@ from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Vectors
 
+# Shortest and longest pair, in the base's correlation length.
+MIN_DISTANCE, MAX_DISTANCE = 0.8, 6.2
+
 
 class PairSearchConfig(Settings):
-    """Counts and scales of the search; lengths in the base's correlation length."""
+    """Counts of the search."""
 
-    # Shortest and longest pair.
-    min_distance: float = Field(default=0.8, gt=0)
-    max_distance: float = Field(default=6.2, gt=0)
     # Most pairs in the table; points that would give more are thinned further.
     max_pairs: int = Field(default=600_000, ge=1000)
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
@@ -122,8 +122,8 @@ def choose_pairs(
     """Draw pairs of bins (rows of the walk), long ones with differing fields first; none if the walk is too short."""
     i, j = np.triu_indices(len(walk), 1)
     d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
-    longest = config.max_distance * table.length - table.sd_position
-    usable = np.flatnonzero((d > config.min_distance * table.length) & (d < longest))
+    longest = MAX_DISTANCE * table.length - table.sd_position
+    usable = np.flatnonzero((d > MIN_DISTANCE * table.length) & (d < longest))
     i, j, d = i[usable], j[usable], d[usable]
     change = np.linalg.norm(walk.field[i] - walk.field[j], axis=1)
     share = d * (table.sd_field + change)
@@ -164,15 +164,15 @@ def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices,
     while True:
         rows = thin(x, spacing) if len(x) else np.zeros(0, dtype=np.int64)
         tree = cKDTree(x[rows]) if len(rows) else None
-        n = tree.count_neighbors(tree, config.max_distance * length) if tree else 0
+        n = tree.count_neighbors(tree, MAX_DISTANCE * length) if tree else 0
         if n <= config.max_pairs:
             break
         spacing *= COARSER
     pairs = np.zeros((0, 2), dtype=np.int64)
     if tree:
-        pairs = tree.query_pairs(config.max_distance * length, output_type="ndarray").astype(np.int64)
+        pairs = tree.query_pairs(MAX_DISTANCE * length, output_type="ndarray").astype(np.int64)
         d = np.linalg.norm(x[rows][pairs[:, 0]] - x[rows][pairs[:, 1]], axis=1)
-        pairs = pairs[d > config.min_distance * length]
+        pairs = pairs[d > MIN_DISTANCE * length]
     return rows, np.concatenate([pairs, pairs[:, ::-1]])
 
 

@@ -33,14 +33,13 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 FREE_SDS = 5.0
 # Bins that something disturbs together, at least.
 PIECE_BINS = 5
+# Steps with like components, then steps that know how drifting poses couple them.
+COARSE_STEPS, FINE_STEPS = 5, 2
 
 
 class LineConfig(Settings):
     """Settings of the generalised least squares."""
 
-    # Steps with like components, then steps that know how drifting poses couple them.
-    n_coarse_steps: int = Field(default=5, ge=0)
-    n_fine_steps: int = Field(default=2, ge=1)
     # Penalty of a pose for each correlation length of path that it leaves unexplained, nats: outside the base map, as
     # there are many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
     price: float = Field(default=3.0, ge=0)
@@ -97,14 +96,14 @@ def weigh_walk(
     null = UnrelatedWalk.most_likely(walk, distance, noise, length, around)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
-    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False))
+    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))
     if not len(coarse.chi2):
         return []
     roughly = _weigh(coarse, squares, null, config)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
     best = coarse.rows(order[:N_REFINED])
-    settled = squares.run(best.rotations, best.centers, _strained(best), config.n_fine_steps, is_full=False)
-    fine = squares.run(settled.rotations, settled.centers, _strained(settled), config.n_fine_steps, is_full=True)
+    settled = squares.run(best.rotations, best.centers, _strained(best), FINE_STEPS, is_full=False)
+    fine = squares.run(settled.rotations, settled.centers, _strained(settled), FINE_STEPS, is_full=True)
     weighed = _weigh(_covered(fine), squares, null, config)
     weighed += [roughly[k] for k in order[N_REFINED:]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
