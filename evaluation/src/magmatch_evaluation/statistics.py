@@ -36,9 +36,8 @@ class Summary:
     """One method in one experiment."""
 
     n: int  # trials
-    n_posed: int  # with any pose; accepted; accepted and within tolerance
-    n_accepted: int
-    n_right: int
+    n_posed: int  # with any pose
+    n_right: int  # accepted and within tolerance
     n_false: int  # accepted though out of tolerance, or though there was nothing to find
     n_faults: int  # broke down
     # (float, float): wilson's 95 % interval of the rate of `n_right` (of refusals, where there is nothing to find)
@@ -75,7 +74,6 @@ def summarize(rows: Sequence[Row], tolerance: Tolerance) -> Summary:
     return Summary(
         n=len(rows),
         n_posed=sum(math.isfinite(row.distance) for row in rows),
-        n_accepted=len(accepted),
         n_right=n_right,
         n_false=len(accepted) - n_right,
         n_faults=sum(row.status == "fault" for row in rows),
