@@ -29,7 +29,7 @@ from magmatch.serve.messages import POSE, SAMPLE, STATUSES
 from magmatch_evaluation.script import arguments
 from serving import serving
 
-RATE, SLOWED, N_WALKS, N_BAD = 50.0, 5, 10, 10
+RATE, N_WALKS, N_BAD = 50.0, 10, 10
 TICK = os.sysconf("SC_CLK_TCK")
 LEAVE_WITHIN = 10.0
 

@@ -94,7 +94,6 @@ ROW_DOORS = {
     "evaluate": lambda m, rows: m.evaluate(rows),
     "knows": lambda m, rows: m.knows(rows),
     "covariance": lambda m, rows: m.covariance(rows),
-    "joint_covariance": lambda m, rows: m.joint_covariance(rows),
     "draw": lambda m, rows: m.draw(rows, 2, 0, np.random.default_rng(0)),
     "RegularGrid.over": lambda m, rows: mm.RegularGrid.over(rows, 0.5),
     "predict": lambda m, rows: FieldEstimator(NUMBERS).predict(rows),

@@ -68,7 +68,7 @@ def test_counts_tell_right_wrong_refused_and_broken_apart():
         row(math.inf, math.inf, is_accepted=False, status="fault", nees=math.nan),
     ]
     found = summarize(rows, Tolerance(0.1, 5.0))
-    assert (found.n, found.n_posed, found.n_accepted, found.n_right) == (5, 4, 3, 1)
+    assert (found.n, found.n_posed, found.n_right) == (5, 4, 1)
     assert (found.n_false, found.n_faults) == (2, 1)
     assert found.success == wilson_interval(1, 5)
 

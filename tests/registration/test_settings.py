@@ -25,7 +25,6 @@ FEW: dict[str, Any] = {
     "invariants": {
         "n_anchors": 80,
         "n_neighbours": 8,
-        "n_score_samples": 60,
         "n_coarse": 100,
         "n_fine": 10,
     },
@@ -74,7 +73,6 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "field.domain": ((-1, -1, -1, 0.2, 1, 1),),
     "search": ("pairs",),
     "walks.search.max_pairs": (1000,),
-    "walks.evidence.n_fine_steps": (1,),
     "keypoints.consensus.sample_size": (2,),
     "prior.pose": ((9, 9, 9, 0, 0, 0, 1),),
     "keypoints.features.grid": ("path",),

@@ -36,9 +36,8 @@ class Summary:
     """One method in one experiment."""
 
     n: int  # trials
-    n_posed: int  # with any pose; accepted; accepted and within tolerance
-    n_accepted: int
-    n_right: int
+    n_posed: int  # with any pose
+    n_right: int  # accepted and within tolerance
     n_false: int  # accepted though out of tolerance, or though there was nothing to find
     n_faults: int  # broke down
     # (float, float): wilson's 95 % interval of the rate of `n_right` (of refusals, where there is nothing to find)
@@ -75,7 +74,6 @@ def summarize(rows: Sequence[Row], tolerance: Tolerance) -> Summary:
     return Summary(
         n=len(rows),
         n_posed=sum(math.isfinite(row.distance) for row in rows),
-        n_accepted=len(accepted),
         n_right=n_right,
         n_false=len(accepted) - n_right,
         n_faults=sum(row.status == "fault" for row in rows),
@@ -107,7 +105,7 @@ def quantile(ordered: np.ndarray, q: float) -> float:
     return float(ordered[max(math.ceil(q * len(ordered) - 1e-9) - 1, 0)])
 
 
-def wilson_interval(n_successes: int, n: int, z: float = Z95) -> tuple[float, float]:
+def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:
     """Interval of a probability from counts: both roots of ``(p - k/n)^2 = z^2 p (1 - p) / n``; (0, 1) without trial.
 
     E. B. Wilson, JASA 22, 1927, doi:10.1080/01621459.1927.10502953.
@@ -119,7 +117,7 @@ def wilson_interval(n_successes: int, n: int, z: float = Z95) -> tuple[float, fl
     """
     if n == 0:
         return 0.0, 1.0
-    rate = n_successes / n
+    rate, z = n_successes / n, Z95
     center = rate + z**2 / (2 * n)
     half = z * math.sqrt(rate * (1 - rate) / n + z**2 / (4 * n**2))
     scale = 1 + z**2 / n

@@ -11,8 +11,6 @@ from magmatch.data.survey import Survey
 def hash_survey(survey: Survey) -> str:
     """SHA-256 of a survey's samples, whatever file they came from; its name and that of its frame do not count.
 
-    Notes
-    -----
     Positions, field, times and ``pose_sd`` count to the last bit. Orientations count as float32, either sign:
     reading quaternions from text brings them to unit length once more, which changes their last bits.
 

@@ -14,8 +14,6 @@ from magmatch.typing import Indices, Scalars, Tensors
 def magnitude_hessian(values: FieldValues) -> Tensors:
     """Second derivatives of the magnitude of the field.
 
-    Notes
-    -----
     With n = norm(B) and the derivative d_i along axis i,
     ``d_ij n = (d_i B . d_j B) / n - (B . d_i B)(B . d_j B) / n^3 + (B . d_ij B) / n``; the printed equation has
     ``d_ij |B|`` on its right-hand side too, and an outer product where the second term's numbers stand.

@@ -22,8 +22,6 @@ def local_frames(
     The strength of each frame is the length of the weighted sum of projected vectors over the sum of their weighted
     lengths: near 0 the x-axis is noise, and it is 0 where there is no frame.
 
-    Notes
-    -----
     ``z = B/|B|`` at the keypoint; ``x`` is the direction of ``sum_s w_s (I - z z^T) B_s``,
     ``w_s = exp(-d_s^2 / 2 frame_sd^2)``; ``y = z x x``.
     """

@@ -91,14 +91,6 @@ class BoundedPosterior:
         """See `Posterior.covariance`."""
         return self.inner.covariance(self._or_nowhere(points), order)
 
-    def joint_covariance(self, points: Points) -> np.ndarray:
-        """See `Posterior.joint_covariance`; points outside the box share nothing but the constant."""
-        moved = self._or_nowhere(points)
-        outside = np.flatnonzero(~self.box.contains(points))
-        # Each to a nowhere of its own, so that they do not count as one place.
-        moved[outside] *= 1 + np.arange(len(outside))[:, None]
-        return self.inner.joint_covariance(moved)
-
     def influence(self, points: Points) -> np.ndarray:
         """See `Posterior.influence`: samples outside the box inform what lies inside."""
         return self.inner.influence(points)

@@ -75,9 +75,6 @@ class Posterior(Protocol):
         Order 0: (n, 3, 3) of the field, T^2. Order 1: (n, 12, 12) of field, then gradient row-major.
         """
 
-    def joint_covariance(self, points: Points) -> np.ndarray:
-        """Posterior covariance of the field at all points together: (3 n, 3 n), T^2, row ``3 i + a``."""
-
     def influence(self, points: Points) -> np.ndarray:
         """Derivative of the fitted field at samples by the measurements: (3 n, 3 n), row ``3 i + a``.
 

@@ -124,24 +124,6 @@ class FieldMap:
         turn = FieldValues.turning_matrix(self.T_map_model, order)
         return np.asarray(turn @ self.posterior.covariance(self._to_model(points), order) @ turn.T)
 
-    def joint_covariance(self, points: Points) -> np.ndarray:
-        """Posterior covariance of the noise-free field at all points together.
-
-        Parameters
-        ----------
-        points : (n, 3) array, m, map frame
-            Up to a few hundred: memory and time grow with their square.
-
-        Returns
-        -------
-        (3 n, 3 n) array, T^2, map frame
-            Row and column ``3 i + a`` belong to component a at point i.
-        """
-        p_model, turn = self._to_model(points), FieldValues.turning_matrix(self.T_map_model, 0)
-        n = len(p_model)
-        blocks = self.posterior.joint_covariance(p_model).reshape(n, 3, n, 3).swapaxes(1, 2)
-        return np.asarray((turn @ blocks @ turn.T).swapaxes(1, 2).reshape(3 * n, 3 * n))
-
     def knows(self, points: Points) -> Mask:
         """Whether the map has data near each point (map frame): (n,) bool."""
         return self.posterior.knows(self._to_model(points))

@@ -28,8 +28,6 @@ class MapConsistency:
     def project(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns (k, n, 3), weighted, and what the best map leaves of each: a `Projection`.
 
-        Notes
-        -----
         With weights W, basis Phi and prior precision P0 in units of the noise: ``(I - Phi (Phi'W Phi + P0)^-1
         Phi'W) c`` for each column c; ``c'W`` times it is the quadratic form of the marginal likelihood.
         """

@@ -19,22 +19,20 @@ TRIMMED, WIDEST = 5, 4.0
 WORST_FIT = 0.1
 
 
-def fit_ellipsoid(readings: Vectors, config: CalibrationConfig | None = None) -> tuple[SensorModel, Solution]:
+def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
     """Correction that gives all readings of a sensor, rotated in one place, the same magnitude (sensor frame, T).
 
     The correction is zero along directions that the attitudes do not determine: unless the sensor is turned upside
     down, one axis of the hard iron and parts of the soft iron stay unknown. Magnitudes never determine a
     misalignment.
 
-    Notes
-    -----
     Gauss-Newton on ``|(I + N) b - d| - r`` with Student weights; r, the local field strength, is free. N is symmetric
     without trace, since scale and strength cannot be told apart.
     """
     if len(readings) < FEWEST_READINGS:
         msg = f"expected at least {FEWEST_READINGS} readings of a sensor turned about, got {len(readings)}"
         raise SurveyError(msg)
-    sizes = config or CalibrationConfig()
+    sizes = CalibrationConfig()
     center, weights = _sphere(readings)
     model = SensorModel(shift=center)
     values = {"hard_iron": model.shift, "soft_iron": np.zeros(5)}

@@ -62,8 +62,6 @@ class System:
     def solve(self, active: Collection[str]) -> Solution:
         """Unknowns of some blocks that make the field most consistent, the others being zero.
 
-        Notes
-        -----
         With the columns scaled by the expected sizes, ``H = J' P J / s^2`` has eigenvectors v and values l. Errors
         of the data are correlated along the path, so l is divided by f = v' S v / l, where S sums the outer products
         of the scores of 40, 20 or 10 stretches of the path (a cluster sandwich), whichever is worst, unless f < 1.

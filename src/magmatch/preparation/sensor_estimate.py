@@ -23,26 +23,13 @@ from magmatch.typing import Indices, Mask, Scalars, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensorEstimate:
-    """The errors of a log's clock and sensor.
+    """The errors of a log's clock and sensor."""
 
-    Attributes
-    ----------
-    known : SensorModel or None
-        Correction known beforehand; `log` has it.
-    log : SensorLog or None
-        None without orientations, with which the sensor's errors turn.
-    cuts : Recalibrations
-        Where the phone recalibrated itself; `log` has them joined.
-    calibration : Calibration or None
-    channels : dict of str to (n,) array
-        Other channels of the log.
-    """
-
-    known: SensorModel | None
-    log: SensorLog | None
-    cuts: Recalibrations
+    known: SensorModel | None  # correction known beforehand; `log` has it
+    log: SensorLog | None  # none without orientations, with which the sensor's errors turn
+    cuts: Recalibrations  # where the phone recalibrated itself; `log` has them joined
     calibration: Calibration | None
-    channels: Mapping[str, Scalars]
+    channels: Mapping[str, Scalars]  # other channels of the log
 
     @property
     def model(self) -> SensorModel:

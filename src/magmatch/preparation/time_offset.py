@@ -31,8 +31,6 @@ def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float
 
     0 where no offset is clearly better than none; to within a step of the second pass.
 
-    Notes
-    -----
     At a wrong offset the field is turned by the wrong attitude and put at the wrong place. No single map explains
     both, whatever the hard and soft iron, which are estimated along with each trial.
     """

@@ -7,26 +7,20 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.progress import tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_map
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import as_map
-from magmatch.registration.prepared.inside import spread_inside
-from magmatch.registration.prepared.pose_prior import pose_prior
-from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range, prepare
+from magmatch.registration.prepared.prepared_map import PreparedMap, prepare
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
-from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.strategy import MapPair, Weighed, pair_maps
 from magmatch.registration.weigh.bend import Bend, bend_of_map
-from magmatch.registration.weigh.evidence import PoseEvidence, overlap_weight
+from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.rank import rank_poses
 from magmatch.registration.weigh.settled import settled, with_prior
-
-MapPair = Pair[PreparedMap, PreparedMap]
-WeighedMap = Weighed[PreparedMap, PreparedMap, PoseEvidence]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,25 +47,16 @@ class MapStrategy:
 
     def pair(self, index: MapIndex, volume: float | None = None) -> MapPair:
         """Two prepared maps."""
-        return self.pair_with(index.base, index.base.raster.volume if volume is None else volume)
-
-    def pair_with(self, base: PreparedMap, volume: float) -> MapPair:
-        """Pair the target with a prepared base; the prior covers a volume, m^3."""
-        frames = base.T_map_model, self.prepared.T_map_model
-        prior = pose_prior(self.config.prior, *frames, volume, height_range(base))
-        prior = spread_inside(prior, base.raster, self.prepared.points, overlap_weight)
-        return Pair(base, self.prepared, prior, common_length(base, self.prepared), *frames)
+        return pair_maps(index.base, self.prepared, self.config.prior, volume or index.volume)
 
     def search(self, pair: MapPair) -> SearchResult:
         """Poses under which local frames and invariants agree."""
         rng = np.random.default_rng(self.seed)
         return invariant_search(pair.base, pair.target, pair.prior, self.config.invariants, rng)
 
-    def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> WeighedMap:
+    def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> Weighed[PreparedMap, PreparedMap, PoseEvidence]:
         """Refine poses against both maps, and weigh them; each cell of the target is evidence for or against."""
-        tell("refining the best poses")
-        starts = [c.T_base_target for c in found.candidates]
-        ranked = rank_poses(pair.base, pair.target, starts, pair.prior, self.config, self.seed)
+        ranked = rank_poses(pair.base, pair.target, found.poses, pair.prior, self.config, self.seed)
         return Weighed(self, pair, found, ranked)
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:

@@ -17,28 +17,7 @@ from magmatch.threads import one_blas_thread
 def register(
     base: Base, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
 ) -> RegistrationResult:
-    """Find the rigid transform between two magnetic surveys of one place, or say why there is none.
-
-    Parameters
-    ----------
-    base, target : Survey or FieldMap
-        Each in its own frame; surveys are mapped first. For many targets, pass the base as a `MapIndex`, which stores
-        what would otherwise be computed again for each target.
-    config : RegistrationConfig, optional
-        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method.
-    seed : int
-        Same input, configuration and seed give the same answer bit for bit.
-
-    Returns
-    -------
-    RegistrationResult
-        ``T_base_target`` is None unless accepted; ``reason`` says why.
-
-    Raises
-    ------
-    SurveyError
-        If a survey holds NaN, impossible values or too few samples.
-    """
+    """Find the transform between two surveys or maps, or say why there is none; folders: `magmatch.register`."""
     return register_keeping_maps(base, target, config, seed=seed)[2]
 
 

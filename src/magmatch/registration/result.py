@@ -97,21 +97,13 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Another pose that explains the data.
-
-    Attributes
-    ----------
-    T_base_target : RigidTransform
-    probability, log_odds : float or None
-        The log odds in nats; None where not computed.
-    base : str or None
-        Name of the map, if the base was a folder and the pose is in another map than the result's.
-    """
+    """Another pose that explains the data."""
 
     T_base_target: Transform
-    probability: Fraction | None = None
+    probability: Fraction | None = None  # None where not computed
+    # Name of the map, if the base was a folder and the pose is in another map than the result's
     base: str | None = None
-    log_odds: Number | None = None
+    log_odds: Number | None = None  # nats
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,16 +38,10 @@ SMALLEST = float(np.sqrt(np.finfo(float).eps))
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Calibrated:
-    """A survey with its sensor's errors corrected.
-
-    Attributes
-    ----------
-    sensor : SensorModel
-        The correction.
-    """
+    """A survey with its sensor's errors corrected."""
 
     survey: Survey
-    sensor: SensorModel
+    sensor: SensorModel  # the correction
 
     def as_dict(self) -> Calibration:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
@@ -56,21 +50,9 @@ class Calibrated:
 
 
 def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side: str) -> Survey:
-    """Apply a result's correction of a survey's sensor.
+    """Apply a result's correction of the sensor of one ``side``, base or target, to its survey.
 
-    Parameters
-    ----------
-    survey : Survey
-        As it was given to the registration.
-    sensor : dict or None
-        Of a `RegistrationResult`.
-    side : str
-        ``base`` or ``target``.
-
-    Returns
-    -------
-    Survey
-        The same object if there is no correction, or no orientations to apply it with.
+    The same object if there is no correction, or no orientations to apply it with.
     """
     model = _models(sensor).get(side)
     if model is None or survey.orientations is None:
@@ -82,18 +64,7 @@ def without_sensor_errors(survey: Survey, sensor: Mapping[str, Any] | None, side
 
 
 def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
-    """A result's correction of each survey's sensor, in words by side; empty if there was none.
-
-    Parameters
-    ----------
-    sensor : dict or None
-        Of a `RegistrationResult`.
-
-    Returns
-    -------
-    dict of str to str
-        ``base``, ``target`` or both.
-    """
+    """A result's correction of each survey's sensor, in words by side; empty if there was none."""
     return {side: _words(model) for side, model in _models(sensor).items()}
 
 
@@ -127,14 +98,7 @@ class CalibratedPair:
 def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> CalibratedPair | None:
     """Calibrate base and target if their readings turn with their sensor; None if neither's do.
 
-    Parameters
-    ----------
-    base : Survey, FieldMap or MapIndex
-        As given.
-    found : tuple
-        Base, target and answer of the registration as given.
-    samples : Survey
-        All of the target's.
+    ``found`` is the outcome of the registration as given, ``samples`` are all of the target's.
     """
     prepared, target, _ = found
     base_map = map_of(prepared)
@@ -158,17 +122,7 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
 def better_supported(as_given: Answered, calibrated: Answered | None, sides: Mapping[str, Calibrated]) -> Answered:
     """Choose between two answers: an accepted one before a refusal, and the calibrated one if both are accepted.
 
-    Parameters
-    ----------
-    as_given, calibrated : tuple
-        The answer comes last, after the maps used for it. None if calibration failed.
-    sides : dict of str to Calibrated
-        Sides calibrated for the second: ``base``, ``target`` or both.
-
-    Returns
-    -------
-    tuple
-        Of two refusals the more probable; the second says what was corrected.
+    Of two refusals the more probable. The second is None if calibration failed, and says which sides were corrected.
     """
     if calibrated is None:
         return as_given
@@ -186,20 +140,11 @@ def better_supported(as_given: Answered, calibrated: Answered | None, sides: Map
 
 
 def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
-    """Calibrate a survey if its readings turn with its sensor.
+    """Calibrate a survey, with all its samples, if its readings turn with its sensor.
 
-    Parameters
-    ----------
-    field_map : FieldMap
-        Of the survey as it is.
-    survey : Survey
-        With all samples; the map leaves out those that contradict the rest, as uncalibrated readings do.
-
-    Returns
-    -------
-    Calibrated or None
-        None if no error is significant; also for a map of several surveys, whose sensors differ, and for one of a
-        declared box.
+    The map is of the survey as it is; it leaves out samples that contradict the rest, as uncalibrated readings do.
+    None if no error is significant; also for a map of several surveys, whose sensors differ, and for one of a
+    declared box.
     """
     if field_map.parts or field_map.config.domain is not None:
         return None

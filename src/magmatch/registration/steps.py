@@ -11,7 +11,7 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import no_pose, state_answer
 from magmatch.registration.decide.decision import DecisionConfig, decide
 from magmatch.registration.decide.posterior import posterior_over
-from magmatch.registration.halves import naming_drift
+from magmatch.registration.find_drift import naming_drift
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
 from magmatch.registration.published.method import register_published

@@ -13,9 +13,12 @@ from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.inside import spread_inside
+from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.bend import Bend
+from magmatch.registration.weigh.evidence import overlap_weight
 from magmatch.registration.weigh.hypothesis import Hypothesis
 
 BaseSide = TypeVar("BaseSide")
@@ -26,20 +29,13 @@ Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair(Generic[BaseSide, TargetSide]):
-    """Base and target prepared for a strategy, and the pose prior.
-
-    Attributes
-    ----------
-    length : float, m
-        Correlation length of the field: the scale of tolerances.
-    T_base_model, T_target_model : RigidTransform
-        Survey frames from the frames in which poses are searched.
-    """
+    """Base and target prepared for a strategy, and the pose prior."""
 
     base: BaseSide
     target: TargetSide
     prior: PosePrior
-    length: float
+    length: float  # m: correlation length of the field, the scale of tolerances
+    # Survey frames from the frames in which poses are searched
     T_base_model: RigidTransform
     T_target_model: RigidTransform
 
@@ -48,25 +44,26 @@ class Pair(Generic[BaseSide, TargetSide]):
         return Estimate.of(pose, self.T_base_model, self.T_target_model)
 
 
+MapPair = Pair[PreparedMap, PreparedMap]
+
+
+def pair_maps(base: PreparedMap, target: PreparedMap, known: PosePriorConfig, volume: float) -> MapPair:
+    """Two prepared maps; the prior covers a volume, m^3."""
+    frames = base.T_map_model, target.T_map_model
+    prior = pose_prior(known, *frames, volume, height_range(base))
+    prior = spread_inside(prior, base.raster, target.points, overlap_weight)
+    return Pair(base, target, prior, common_length(base, target), *frames)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Weighed(Generic[BaseSide, TargetSide, W]):
-    """Poses of a pair, refined and weighed; nothing is decided yet.
+    """Poses of a pair, refined and weighed; nothing is decided yet."""
 
-    Attributes
-    ----------
-    strategy : Strategy
-        The one that weighed them, and can state and settle them.
-    ranked : list
-        In any order.
-    elsewhere : float, nats
-        Log odds of the best pose in any other base; -inf if there is none.
-    """
-
-    strategy: "Strategy[BaseSide, TargetSide, W]"
+    strategy: "Strategy[BaseSide, TargetSide, W]"  # the one that weighed them, and can state and settle them
     pair: Pair[BaseSide, TargetSide]
     found: SearchResult
-    ranked: list[W]
-    elsewhere: float = -np.inf
+    ranked: list[W]  # in any order
+    elsewhere: float = -np.inf  # nats: log odds of the best pose in any other base; -inf if there is none
 
     @property
     def best_log_odds(self) -> float:

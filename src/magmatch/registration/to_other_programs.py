@@ -25,19 +25,7 @@ def accepted_transform(result: RegistrationResult) -> RigidTransform:
 
 
 def write_relative_tum(result: RegistrationResult, path: str | Path) -> None:
-    """Write ``T_base_target`` as one TUM row at time 0.
-
-    Parameters
-    ----------
-    result : RegistrationResult
-        Accepted.
-    path : path
-
-    Raises
-    ------
-    SurveyError
-        Not accepted.
-    """
+    """Write ``T_base_target`` of an accepted result as one TUM row at time 0; raises SurveyError if refused."""
     T = accepted_transform(result)
     numbers = [0.0, *T.translation.tolist(), *T.rotation.as_quat().tolist()]
     text = "# T_base_target: t x y z qx qy qz qw\n" + " ".join(map(repr, numbers)) + "\n"
@@ -48,8 +36,6 @@ def write_relative_tum(result: RegistrationResult, path: str | Path) -> None:
 def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quaternion") -> np.ndarray:
     """Information matrix of a g2o edge.
 
-    Notes
-    -----
     To first order ``Exp(xi)`` has translation ``rho`` and quaternion ``(theta / 2, 1)``, so that the error of g2o is
     ``e = (rho, theta / 2)`` and its information ``(J S J^T)^-1`` with ``J = [[0, I], [I / 2, 0]]``.
     """
@@ -79,18 +65,7 @@ def g2o_edge(
 def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTangent = "quaternion") -> None:
     """Write base and target as vertices 0 and 1 and the registration as the edge between them.
 
-    Parameters
-    ----------
-    result : RegistrationResult
-        Accepted, with a covariance.
-    path : path
-    tangent : {"quaternion", "angle"}
-        See `g2o_information`.
-
-    Raises
-    ------
-    SurveyError
-        Not accepted, or without a covariance of full rank.
+    Raises SurveyError unless it is accepted, with a covariance of full rank; ``tangent``: see `g2o_information`.
     """
     T = accepted_transform(result)
     if result.covariance is None or np.linalg.eigvalsh(result.covariance)[0] <= 0:
@@ -108,21 +83,7 @@ def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTan
 
 
 def write_static_transform(result: RegistrationResult, path: str | Path, base: str, target: str) -> None:
-    """Write the transform as YAML of a ``geometry_msgs/TransformStamped``.
-
-    Parameters
-    ----------
-    result : RegistrationResult
-        Accepted.
-    path : path
-    base, target : str
-        Names of the frames.
-
-    Raises
-    ------
-    SurveyError
-        Not accepted.
-    """
+    """Write the transform of an accepted result as YAML of a ``geometry_msgs/TransformStamped``."""
     import yaml
 
     T = accepted_transform(result)

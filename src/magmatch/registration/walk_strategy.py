@@ -2,15 +2,13 @@
 """The target as a walk: poses are found by pairs of points, refined and weighed by least squares along the path."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.progress import tell
-from magmatch.registration.as_maps import weigh_as_maps
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
@@ -25,6 +23,8 @@ from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
 from magmatch.registration.weigh.line_evidence import LineEvidence, inside_base, weigh_walk
+from magmatch.registration.weigh.settled import with_frame_error
+from magmatch.registration.weigh_as_maps import weigh_as_maps
 
 WalkPair = Pair[WalkIndex, Walk]
 
@@ -47,23 +47,20 @@ class WalkStrategy:
         """The base's pairs of points, and the walk in bins."""
         walks = index.walks
         walk = walk_of(self.samples, self.length or walks.length)
-        volume = index.base.raster.volume if volume is None else volume
         frames = index.base.T_map_model, walk.T_survey_walk
-        prior = pose_prior(self.config.prior, *frames, volume, height_range(index.base))
+        prior = pose_prior(self.config.prior, *frames, volume or index.volume, height_range(index.base))
         prior = inside_base(prior, index.base, walk, walks.length, self.config.walks.evidence)
         return Pair(walks, walk, prior, walks.length, *frames)
 
     def search(self, pair: WalkPair) -> SearchResult:
         """Poses under which pairs of points agree."""
-        tell("searching for the walk by pairs of points")
         rng = np.random.default_rng(self.seed)
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
     def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> Weighed[Any, Any, Any]:
         """Generalised least squares, with the covariance of residuals learned from this base's own stretches."""
-        starts, walks = [c.T_base_target for c in found.candidates], pair.base
-        config = self.config.walks.evidence
-        ranked = weigh_walk(walks.base, pair.target, starts, walks.noise, walks.length, pair.prior, config)
+        walks, config = pair.base, self.config.walks.evidence
+        ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, walks.length, pair.prior, config)
         if walks.noise.is_learned or not ranked:
             return Weighed(self, pair, found, ranked)
         # A base that passed each place once only lets it be guessed, and so is the evidence.
@@ -71,9 +68,7 @@ class WalkStrategy:
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
-        # The base's own stretches show how its poses drift, but not an error of the walk's frame as a whole.
-        whole = replace(pose, covariance=pose.covariance + np.diag([0.0] * 3 + [pair.target.pose_sd**2] * 3))
-        estimate = pair.estimate(whole)
+        estimate = pair.estimate(with_frame_error(pose, pair.target.pose_sd))
         return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)
 
     # Along a path, nothing remains to be widened.

@@ -51,8 +51,6 @@ Source = Box | Cylinder | Dipole
 def field_of(sources: Sequence[Source], points: Points) -> Vectors:
     """Magnetic flux density of all sources together; the Earth's field is not in it.
 
-    Notes
-    -----
     A dipole gives ``mu0 / (4 pi) (3 (m . r) r / r^5 - m / r^3)``, and so do the bodies from afar, with
     ``m = J V / mu0``.
 

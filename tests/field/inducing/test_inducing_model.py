@@ -122,12 +122,6 @@ def test_inducing_points_at_all_samples_give_the_exact_model(dipoles_at):
         scale = np.sqrt(np.einsum("aa->a", exact.kernel.at_one_point(order)))
         error = np.abs(posterior.covariance(x, order) - expected) / np.outer(scale, scale)
         assert error.max() < 1e-6
-    cross = exact.kernel.covariance(x, points) + CONSTANT_SD**2 * np.kron(np.eye(3), np.ones((len(x), len(points))))
-    half = np.linalg.solve(np.tril(exact.factor), cross.T)
-    prior = exact.kernel.covariance(x, x) + CONSTANT_SD**2 * np.kron(np.eye(3), np.ones((len(x), len(x))))
-    joint = (prior - half.T @ half).reshape(3, len(x), 3, len(x)).transpose(1, 0, 3, 2)
-    error = posterior.joint_covariance(x) - joint.reshape(3 * len(x), -1)
-    assert np.abs(error).max() < 1e-6 * H.signal_sd**2
 
 
 def test_close_inducing_points_come_close_to_the_exact_model(samples):

@@ -215,16 +215,10 @@ def test_gradient_covariance_is_a_covariance_and_at_least_that_of_the_tiles(fitt
     assert np.all(np.trace(blended, axis1=1, axis2=2) > 0.99 * np.trace(single, axis1=1, axis2=2))
 
 
-def test_joint_covariance_holds_each_points_own_and_that_of_one_tile(fitted):
-    posterior, q = fitted[1], np.r_[inside(8), [[40.0, 0, 0], [-40, 5, 0]]]
-    joint = posterior.joint_covariance(q)
-    own = posterior.covariance(q)
-    np.testing.assert_allclose(joint.reshape(10, 3, 10, 3)[range(10), :, range(10)], own, atol=1e-8 * own.max())
-    assert np.linalg.eigvalsh(joint).min() > 0
-    alone = np.array([[0.01, 0.02, 0.0], [0.05, -0.03, 0.01]])
-    number = posterior.tiles.index((0, 0, 0))
-    expected = posterior.tile(number).joint_covariance(alone)
-    np.testing.assert_allclose(posterior.joint_covariance(alone), expected, atol=1e-9 * expected.max())
+def test_influence_inside_one_tile_is_that_of_the_tile(fitted):
+    posterior, alone = fitted[1], np.array([[0.01, 0.02, 0.0], [0.05, -0.03, 0.01]])
+    expected = posterior.tile(posterior.tiles.index((0, 0, 0))).influence(alone)
+    np.testing.assert_allclose(posterior.influence(alone), expected, atol=1e-9 * expected.max())
 
 
 def test_far_away_and_nowhere_the_prior_answers(fitted):

@@ -118,7 +118,7 @@ def test_distinct_poses_come_best_first_and_as_many_as_wanted():
     assert distinct_poses(R, centers, scores, 0.1, 0.5, 2).tolist() == [5, 4]
 
 
-SMALL = InvariantSearchConfig(n_anchors=40, n_neighbours=8, n_coarse=40, n_fine=8, n_candidates=4)
+SMALL = InvariantSearchConfig(n_anchors=40, n_neighbours=8, n_coarse=40, n_fine=8)
 
 
 def test_the_search_finds_the_turn_between_and_counts_what_it_tried(pair):

@@ -11,6 +11,7 @@ from hand_made import box, prepared_map, some_field
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
+from magmatch.registration.search.candidate import N_CANDIDATES
 from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     choose_pairs,
@@ -113,7 +114,7 @@ def test_the_search_finds_the_pose_between_and_keeps_distinct_poses_best_first(b
     np.testing.assert_allclose(found.candidates[0].T_base_target.as_matrix(), T_TRUE.as_matrix(), atol=0.03)
     scores = [c.score for c in found.candidates]
     assert scores == sorted(scores, reverse=True)
-    assert len(scores) <= CONFIG.n_candidates
+    assert len(scores) <= N_CANDIDATES
     assert found.n_keypoints == len(table.positions) + len(walk)
     assert found.n_correspondences == 60 * 8
     center = walk.positions.mean(axis=0)

@@ -17,7 +17,7 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.weigh import line_evidence
 from magmatch.registration.weigh.line_evidence import LineConfig, weigh_walk
-from magmatch.registration.weigh.unrelated_walk import LENGTHSCALES, STRENGTHS, UnrelatedWalk
+from magmatch.registration.weigh.walk_null_model import LENGTHSCALES, STRENGTHS, UnrelatedWalk
 
 LENGTH, SD = 0.8, 0.1e-6
 FIELD = some_field(3, slope=10e-6, bend=6e-6)

@@ -209,26 +209,13 @@ class InducingPosterior:
         out *= h.inflation**2
         return out
 
-    def joint_covariance(self, points: Points) -> np.ndarray:
-        """Posterior covariance of the field at all points together (DTC): (3 n, 3 n), row ``3 i + a``."""
-        points = np.asarray(points, dtype=np.float64)
-        n, h = len(points), self.hyperparameters
-        beside = (h.prior_scale * h.signal_sd) ** 2 * self.model.kernel.covariance(points, points)
-        beside += self.model.constant_sd**2 * np.kron(np.eye(3), np.ones((n, n)))
-        A = self.model.features(points, 0)
-        beside -= h.noise_sd**2 * (A.T @ A)
-        is_whole = np.tile(self.model.basis.is_whole(points), 3)
-        beside[is_whole] = 0.0
-        beside[:, is_whole] = 0.0
-        return h.inflation**2 * (_by_point(beside) + h.noise_sd**2 * self._influence(A))
-
     def influence(self, points: Points) -> np.ndarray:
         """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``."""
-        return self._influence(self.model.features(np.asarray(points, dtype=np.float64), 0))
-
-    def _influence(self, features: Matrix) -> np.ndarray:
+        features = self.model.features(np.asarray(points, dtype=np.float64), 0)
         half = blas.dtrsm(1.0, self.factor, features, lower=1, overwrite_b=1)
-        return _by_point(half.T @ half)
+        n = len(points)
+        # From rows a n + i, component by component, to rows 3 i + a.
+        return np.asarray((half.T @ half).reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m)."""
@@ -251,12 +238,6 @@ def _blocks(n: int, numbers_per_point: int) -> Iterator[slice]:
     """Ranges of points whose design matrices stay bounded."""
     step = max(1, _BLOCK_NUMBERS // numbers_per_point)
     return (slice(start, min(start + step, n)) for start in range(0, n, step))
-
-
-def _by_point(covariance: np.ndarray) -> np.ndarray:
-    """From rows ``a n + i``, component by component, to rows ``3 i + a``."""
-    n = len(covariance) // 3
-    return np.asarray(covariance.reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
 
 
 def _squares(A: Matrix, k: int) -> np.ndarray:

@@ -196,23 +196,14 @@ class SplinePosterior:
         out[cell < 0] += prior_outside(h)[:n_rows, :n_rows]
         return out if order == 0 else expand(out)
 
-    def joint_covariance(self, points: Points) -> np.ndarray:
-        """Posterior covariance of the field at all points together: (3 n, 3 n), row ``3 i + a``.
-
-        Points without splines share the constant with the others and nothing else.
-        """
-        h = self.hyperparameters
-        out = (h.inflation * h.noise_sd) ** 2 * self._joined(points, self.factors.full)
-        outside = np.repeat(~self.knows(points), 3)
-        out[outside, outside] += h.signal_sd**2
-        return out
-
     def influence(self, points: Points) -> np.ndarray:
         """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
 
         To a thousandth.
         """
-        return self._joined(points, self.factors.light)
+        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        rows = self._rows(cell, t, derivative_table(0))
+        return joint_covariances(self.factors.light, self._unknowns(cell), rows)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m + 3); their spread is right to a thousandth."""
@@ -223,11 +214,6 @@ class SplinePosterior:
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
         return np.asarray(self.cells.locate(np.asarray(points, dtype=np.float64))[0] >= 0)
-
-    def _joined(self, points: Points, factor: CholeskyFactor) -> np.ndarray:
-        """Joint covariance of the field in units of the noise, (3 n, 3 n)."""
-        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
-        return joint_covariances(factor, self._unknowns(cell), self._rows(cell, t, derivative_table(0)))
 
     def _selected_inverse(self) -> StencilMatrix:
         """Compute once, on first use: it costs about twice a factorisation."""

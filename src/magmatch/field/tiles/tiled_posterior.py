@@ -13,7 +13,7 @@ error of a weighted mean is at most the weighted mean of the squared errors, by 
 ``cov B <= sum w_k cov B_k``. That bound is what `covariance` gives.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,7 +23,6 @@ from magmatch.field.linear_model import Axes, Index
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import (
-    SMALLEST_SHARE,
     Blend,
     Share,
     blended_covariance,
@@ -121,40 +120,20 @@ class TiledPosterior:
         shares = list(self._shares(p, order))
         return blended_covariance(p, order, self._outside()[:size, :size], shares, self.factored)
 
-    def joint_covariance(self, points: Points) -> np.ndarray:
-        """Covariance of the field at all points together, (3 n, 3 n), row ``3 i + a``; `covariance` on its diagonal.
-
-        As if tiles erred independently of one another, each with the square root of its share.
-        """
-        p = np.asarray(points, dtype=np.float64)
-        out, left = self._joined(p, SplinePosterior.joint_covariance)
-        outside = np.flatnonzero(left > SMALLEST_SHARE)
-        share, own = np.sqrt(left[outside]), self._outside()[:3, :3] - self._spread()
-        out[outside[:, None], :, outside] += np.outer(share, share)[:, :, None, None] * self._spread()
-        out[outside, :, outside] += left[outside, None, None] * own
-        return out.reshape(3 * len(p), 3 * len(p))
-
     def influence(self, points: Points) -> np.ndarray:
         """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
 
         As if each tile bore on its neighbours with the square root of its share: exact inside of tiles.
         """
         p = np.asarray(points, dtype=np.float64)
-        return self._joined(p, SplinePosterior.influence)[0].reshape(3 * len(p), 3 * len(p))
-
-    def _joined(
-        self, points: Points, of_tile: Callable[[SplinePosterior, Points], np.ndarray]
-    ) -> tuple[np.ndarray, Scalars]:
-        """Joint matrix of all points, (n, 3, n, 3), each tile's with the square root of its share; share without."""
-        n, shares = len(points), list(self._shares(points, 0))
-        joints = side_by_side(lambda share: of_tile(self.factored(share[0]), points[share[1]]), shares)
-        out, left = np.zeros((n, 3, n, 3)), np.ones(n)
+        n, shares = len(p), list(self._shares(p, 0))
+        joints = side_by_side(lambda share: self.factored(share[0]).influence(p[share[1]]), shares)
+        out = np.zeros((n, 3, n, 3))
         for (_, rows, weights), joint in zip(shares, joints, strict=True):
             root = np.sqrt(weights[0])
             shared = joint.reshape(len(rows), 3, len(rows), 3) * (root[:, None, None, None] * root[:, None])
             out[rows[:, None], :, rows] += shared.transpose(0, 2, 1, 3)
-            left[rows] -= weights[0]
-        return out, left
+        return out.reshape(3 * n, 3 * n)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""

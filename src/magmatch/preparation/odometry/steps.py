@@ -34,8 +34,6 @@ class Steps:
 def find_steps(vertical: Scalars, config: OdometryConfig) -> Steps:
     """Steps in the vertical acceleration (m/s^2, gravity taken off or not) at even times.
 
-    Notes
-    -----
     Length ``K (a_max - a_min)^(1/4)`` of the low-passed acceleration within the step (Weinberg 2002).
     """
     filter_ = butter(2, config.step_frequency, fs=config.rate, output="sos")

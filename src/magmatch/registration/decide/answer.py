@@ -36,27 +36,10 @@ def state_answer(
     max_sd: tuple[float, float],
     counts: Counts,
 ) -> RegistrationResult:
-    """State the decision as a result.
+    """State the decision as a result, of at least one pose.
 
-    Parameters
-    ----------
-    verdict : Verdict
-    posterior : Posterior
-        Of at least one pose.
-    poses : sequence of RigidTransform
-        The posterior's, between the surveys' frames.
-    estimate : Estimate
-        Of the first of them, as it is stated.
-    support : Support
-        Of the same.
-    max_sd : (float, float), m and rad
-        Largest standard deviations asked for.
-    counts : Counts
-        Of the search.
-
-    Returns
-    -------
-    RegistrationResult
+    ``poses`` are the posterior's between the surveys' frames; estimate and support are of the first of them, as it is
+    stated; ``max_sd`` (m, rad) are the largest standard deviations asked for.
     """
     best, is_accepted = posterior.poses[0], verdict.status is Status.ACCEPTED
     first, *others = (

@@ -54,22 +54,7 @@ NO_POSE = Verdict(
 
 
 def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, config: DecisionConfig) -> Verdict:
-    """Decide on the most probable pose from the posterior.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of at least one pose.
-    estimate : Estimate
-        Of the most probable pose.
-    length : float, m
-        Correlation length of the field.
-    config : DecisionConfig
-
-    Returns
-    -------
-    Verdict
-    """
+    """Decide on the most probable of the poses, of which there is at least one; ``length``: the field's scale, m."""
     if posterior.best >= config.min_probability:
         return _accepted(posterior, estimate, config.max_sd(length))
     best = posterior.poses[0]

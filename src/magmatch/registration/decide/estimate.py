@@ -14,20 +14,12 @@ from magmatch.typing import Covariance6, Vector3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Estimate:
-    """A pose between surveys.
+    """A pose between surveys."""
 
-    Attributes
-    ----------
-    T_base_target : RigidTransform
-        Survey frame to survey frame.
-    center : (3,) array, m
-        Point of the target about which the covariance is stated, target's survey frame.
-    covariance : (6, 6) array or None
-        Of xi in ``T_true = T_estimate Exp(xi)`` about the centre, rotation first (rad, m), target's survey axes.
-    """
-
-    T_base_target: RigidTransform
-    center: Vector3
+    T_base_target: RigidTransform  # survey frame to survey frame
+    center: Vector3  # (3,), m: point of the target about which the covariance is stated, target's survey frame
+    # (6, 6) or None: of xi in ``T_true = T_estimate Exp(xi)`` about the centre, rotation first (rad, m), target's
+    # survey axes
     covariance: Covariance6 | None
 
     @classmethod

@@ -14,18 +14,10 @@ from magmatch.typing import Vectors
 
 @dataclass(frozen=True, slots=True)
 class Fitness:
-    """How well a transform aligns vectors.
+    """How well a transform aligns vectors."""
 
-    Attributes
-    ----------
-    value : float
-        See `mean_misalignment`; 1 where nothing overlaps.
-    overlap : float
-        Share of the target's samples that fall where the base map knows the field.
-    """
-
-    value: float
-    overlap: float
+    value: float  # see `mean_misalignment`; 1 where nothing overlaps
+    overlap: float  # share of the target's samples that fall where the base map knows the field
 
 
 def mean_misalignment(aligned: Vectors, expected: Vectors) -> float:
@@ -38,20 +30,7 @@ def mean_misalignment(aligned: Vectors, expected: Vectors) -> float:
 
 
 def alignment_fitness(base_map: FieldMap, target: Survey, T_base_target: RigidTransform) -> Fitness:
-    """Carry the target's samples into the base map and compare directions there.
-
-    Parameters
-    ----------
-    base_map : FieldMap
-    target : Survey
-        Samples in the target's frame.
-    T_base_target : RigidTransform
-        The transform to check.
-
-    Returns
-    -------
-    Fitness
-    """
+    """Carry the target's samples into the base map by a transform, and compare directions there."""
     p_base = transform_points(target.positions, T_base_target)
     is_known = base_map.knows(p_base)
     if not is_known.any():

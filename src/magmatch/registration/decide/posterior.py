@@ -28,21 +28,13 @@ H = TypeVar("H", bound=Hypothesis)
 
 
 class Fitted(BaseModel):
-    """The numbers of the law above.
-
-    Attributes
-    ----------
-    scale : float
-    saturation : float, nats
-        Evidence above which it counts logarithmically.
-    offset : dict of float
-        For each kind of evidence, a correction for what unrelated surveys reach; 0 if nothing was fitted.
-    """
+    """The numbers of the law above."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     scale: float = Field(gt=0)
-    saturation: float = Field(gt=0)
+    saturation: float = Field(gt=0)  # nats: evidence above which it counts logarithmically
+    # For each kind of evidence, a correction for what unrelated surveys reach; 0 if nothing was fitted
     offset: dict[Kind, float]
 
 
@@ -85,24 +77,12 @@ def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Posterior(Generic[H]):
-    """Probabilities of mutually exclusive poses and of unrelated surveys; they sum to one.
+    """Probabilities of mutually exclusive poses and of unrelated surveys; they sum to one."""
 
-    Attributes
-    ----------
-    poses : tuple
-        Most probable first.
-    probabilities : tuple of float
-        One per pose.
-    elsewhere : float
-        Of the best pose in another base.
-    null : float
-        That base and target are unrelated.
-    """
-
-    poses: tuple[H, ...]
-    probabilities: tuple[float, ...]
-    elsewhere: float
-    null: float
+    poses: tuple[H, ...]  # most probable first
+    probabilities: tuple[float, ...]  # one per pose
+    elsewhere: float  # of the best pose in another base
+    null: float  # that base and target are unrelated
 
     @property
     def best(self) -> float:
@@ -124,22 +104,11 @@ class Posterior(Generic[H]):
 def posterior_over(
     hypotheses: Sequence[H], tolerance: tuple[float, float], prior_odds: float = 1.0, elsewhere: float = -np.inf
 ) -> Posterior[H]:
-    """Weigh poses against each other and against unrelated surveys.
+    """Weigh poses of one target in one base against each other and against unrelated surveys.
 
-    Parameters
-    ----------
-    hypotheses : sequence
-        Of one target in one base.
-    tolerance : (float, float), m and rad
-        Poses no farther apart than this, at the target's centre, are one answer; the more probable is kept.
-    prior_odds : float
-        That both surveys cover a common place, before the fields are compared.
-    elsewhere : float, nats
-        Log odds of the best pose in another base, on the scale of `log_odds`.
-
-    Returns
-    -------
-    Posterior
+    Poses no farther apart than the tolerance (m, rad), at the target's centre, are one answer; the more probable is
+    kept. ``prior_odds``: that both surveys cover a common place; ``elsewhere``: log odds of the best pose in another
+    base, nats.
     """
     return posterior_of(distinct(_ranked(hypotheses), tolerance), prior_odds, elsewhere)
 

@@ -74,6 +74,11 @@ class MapIndex:
         return self.base.correlation_length
 
     @property
+    def volume(self) -> float:
+        """Volume of the region that the map knows, m^3."""
+        return self.base.raster.volume
+
+    @property
     def field_map(self) -> FieldMap:
         """The map itself."""
         return self.base.field_map
@@ -107,7 +112,7 @@ class MapIndex:
                 "spacing": float(raster.spacing),
                 "shape": list(raster.sd.shape),
             },
-            "volume": raster.volume,
+            "volume": self.volume,
             "n_draws": len(draws),
         }
         if self.is_whole:
@@ -158,22 +163,7 @@ class IndexFile:
         )
 
     def load(self, field_map: FieldMap) -> MapIndex:
-        """Read all of it.
-
-        Parameters
-        ----------
-        field_map : FieldMap
-            The map that the index was made of.
-
-        Returns
-        -------
-        MapIndex
-
-        Raises
-        ------
-        DataFormatError
-            Damaged.
-        """
+        """Read all of it, given the map that it was made of; raises DataFormatError if it is damaged."""
         self.content.check()
         arrays, about = self.content.arrays, self.content.attributes
         survey = known_samples(field_map)
@@ -248,20 +238,8 @@ def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
 def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | None:
     """Open the index of a saved map.
 
-    Parameters
-    ----------
-    map_path : path
-    config : RegistrationConfig
-
-    Returns
-    -------
-    IndexFile or None
-        None if there is none, or it was made from another map, with other settings or by another version.
-
-    Raises
-    ------
-    DataFormatError
-        The map itself is none.
+    None if there is none, or it was made from another map, with other settings or by another version; raises
+    DataFormatError if the map itself is none.
     """
     key = index_key(map_path, config)
     try:
@@ -309,14 +287,7 @@ def make_index(
 def keep_index(map_path: str | Path, config: RegistrationConfig, index: MapIndex, key: str) -> bool:
     """Store what a registration computed from a saved map next to it; returns whether this was possible.
 
-    Parameters
-    ----------
-    map_path : path
-    config : RegistrationConfig
-    index : MapIndex
-        Of the map as it was read.
-    key : str
-        Of `index_key`, from before the map was read: where the file has changed since, nothing is kept.
+    ``key`` is that of `index_key` from before the map was read: where the file has changed since, nothing is kept.
     """
     try:
         if index_key(map_path, config) != key:

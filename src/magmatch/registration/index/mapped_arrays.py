@@ -28,22 +28,12 @@ DTYPES = {"<f8", "<f4", "<i8", "<i4"}
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MappedArrays:
-    """An open file of arrays.
-
-    Attributes
-    ----------
-    attributes : dict
-        What JSON can hold.
-    arrays : dict of arrays
-        Read-only views of the file.
-    sha256 : str
-        Hash of the arrays' bytes when they were written.
-    """
+    """An open file of arrays."""
 
     path: Path
-    attributes: dict[str, Any]
-    arrays: dict[str, np.ndarray]
-    sha256: str
+    attributes: dict[str, Any]  # what JSON can hold
+    arrays: dict[str, np.ndarray]  # read-only views of the file
+    sha256: str  # hash of the arrays' bytes when they were written
 
     def check(self) -> None:
         """Raise DataFormatError unless the arrays are as they were written; reads all of them."""

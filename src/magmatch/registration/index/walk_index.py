@@ -12,19 +12,11 @@ from magmatch.registration.search.pair_search import PairSearchConfig, PairTable
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WalkIndex:
-    """A base map made ready for walks.
-
-    Attributes
-    ----------
-    length : float, m
-        The base's correlation length.
-    noise : PathNoise
-        What residuals of another walk look like.
-    """
+    """A base map made ready for walks."""
 
     base: PreparedMap
-    length: float
-    noise: PathNoise
+    length: float  # m: the base's correlation length
+    noise: PathNoise  # what residuals of another walk look like
     table: PairTable
 
 

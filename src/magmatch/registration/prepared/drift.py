@@ -25,24 +25,12 @@ CORRELATION_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drift:
-    """Errors of the positions of a survey's samples.
+    """Errors of the positions of a survey's samples."""
 
-    Attributes
-    ----------
-    sd : float, m
-        Of each coordinate, as the survey states it; 0 where it states none.
-    lasting_sd : float, m
-        The part that lasts: of covariance ``sd^2 exp(-d / length)``, d along the path.
-    stretch : (n,) int array
-        Stretch of path that each sample lies in.
-    correlation : (s, s) array
-        Of the stretches' errors.
-    """
-
-    sd: float
-    lasting_sd: float
-    stretch: Indices
-    correlation: Matrix
+    sd: float  # m: of each coordinate, as the survey states it; 0 where it states none
+    lasting_sd: float  # m: the part that lasts: of covariance ``sd^2 exp(-d / length)``, d along the path
+    stretch: Indices  # (n,) ints: stretch of path that each sample lies in
+    correlation: Matrix  # (s, s): of the stretches' errors
 
     @classmethod
     def of(cls, survey: Survey, posterior: FieldFunction) -> "Drift":

@@ -31,22 +31,12 @@ def same_pose(length: float) -> tuple[float, float]:
 
 
 class Hypotheses(NamedTuple):
-    """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``.
+    """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``."""
 
-    Attributes
-    ----------
-    rotations : (h, 3, 3) array
-    anchors_base : (h, 3) array, m
-        Where each pose puts its anchor, base model frame.
-    anchor_rows : (h,) int array
-        Which anchor each pose belongs to.
-    anchors_target : (a, 3) array, m
-    """
-
-    rotations: Tensors
-    anchors_base: Points
-    anchor_rows: Indices
-    anchors_target: Points
+    rotations: Tensors  # (h, 3, 3)
+    anchors_base: Points  # (h, 3), m: where each pose puts its anchor, base model frame
+    anchor_rows: Indices  # (h,) ints: which anchor each pose belongs to
+    anchors_target: Points  # (a, 3), m
 
     def subset(self, rows: Indices | slice) -> Self:
         """A subset of the poses."""

@@ -26,20 +26,9 @@ def spread_inside(
 ) -> PosePrior:
     """Spread a prior over poses that put the target inside the base.
 
-    Parameters
-    ----------
-    prior : PosePrior
-        A prior about a rough pose is returned unchanged: it states where the target lies.
-    raster : Raster
-        Of the base.
-    points : (n, 3) array, m
-        Of the target, spread evenly over it, its model frame.
-    log_weight : callable
-        Of a pose, by the share of the target that it puts inside.
-
-    Returns
-    -------
-    PosePrior
+    A prior about a rough pose is returned unchanged: it states where the target lies. ``points`` (n, 3), m, are
+    spread evenly over the target, its model frame; ``log_weight`` is of a pose, by the share of the target that it
+    puts inside.
     """
     known = np.argwhere(raster.sd >= 0)
     if prior.T_base_target is not None or not len(known) or not len(points):

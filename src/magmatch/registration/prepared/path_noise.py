@@ -37,40 +37,19 @@ FARTHEST = 10 * LOG_SD
 
 @dataclass(frozen=True, slots=True)
 class PathNoise:
-    """Covariance of the residuals along a path, in addition to the map's own.
+    """Covariance of the residuals along a path, in addition to the map's own."""
 
-    Attributes
-    ----------
-    misfit_sd, misfit_length : float, T and m
-        Correlated part: ``sd^2 exp(-d / length)``.
-    nugget_sd : float, T
-        Independent part of each bin.
-    constant_sd : float, T
-        Constant of the whole walk.
-    map_factor, map_length : float, and m
-        Factor on the map's own standard deviation, and correlation length of its error:
-        ``exp(-d^2 / 2 length^2)``.
-    attitude_sd : float, rad
-        Error of the orientations that turned the field into the survey's frame, correlated like the drift.
-    drift_sd, drift_length : float, m
-        Error of the positions along the path, propagated by the field's gradient: ``sd^2 exp(-d / length)``.
-    spread : float
-        Standard deviation, between walks, of the logarithm of the covariance's common factor.
-    n_stretches : int
-        Number of held-out stretches that it was learned from.
-    """
-
-    misfit_sd: float
-    misfit_length: float
-    nugget_sd: float
-    constant_sd: float
-    map_factor: float
-    map_length: float
-    attitude_sd: float
-    drift_sd: float
-    drift_length: float
-    spread: float = LOG_SD
-    n_stretches: int = 0
+    misfit_sd: float  # T: correlated part, of covariance ``sd^2 exp(-d / length)``
+    misfit_length: float  # m
+    nugget_sd: float  # T: independent part of each bin
+    constant_sd: float  # T: constant of the whole walk
+    map_factor: float  # on the map's own standard deviation
+    map_length: float  # m: correlation length of the map's error, ``exp(-d^2 / 2 length^2)``
+    attitude_sd: float  # rad: error of the orientations that turned the field, correlated like the drift
+    drift_sd: float  # m: error of positions along the path, through the field's gradient: ``sd^2 exp(-d / length)``
+    drift_length: float  # m
+    spread: float = LOG_SD  # standard deviation, between walks, of the logarithm of the covariance's common factor
+    n_stretches: int = 0  # number of held-out stretches that it was learned from
 
     @property
     def is_learned(self) -> bool:
@@ -83,13 +62,10 @@ class PathNoise:
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
 
     def factor(self, chi2: Scalars, n_free: Scalars) -> tuple[Scalars, Scalars]:
-        """Factor on the covariance that explains each walk best, given how walks differ.
+        """Factor on the covariance that explains each walk best, given how walks differ; and log likelihoods.
 
-        Returns
-        -------
-        factor : (...) array
-        log_likelihood : (...) array, nats
-            ``-chi2 / 2 k - n/2 ln k``, averaged over k, whose logarithm is normal with the spread.
+        These are, in nats, ``-chi2 / 2 k - n/2 ln k``, averaged over the factor k, whose logarithm is normal with the
+        spread.
         """
         log_factor, log_prior = self.log_factors()
         chi2, n_free = np.asarray(chi2)[..., None], np.asarray(n_free)[..., None]

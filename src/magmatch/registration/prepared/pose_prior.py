@@ -25,10 +25,9 @@ RARE = 0.01
 FAR2 = float(chdtri(3, RARE))
 # Standard deviation of the vertical in a survey's frame, rad: a good accelerometer at rest, a robot's floor.
 ATTITUDE_SD = 0.01
-# Poses drawn about a rough one: number for each pose that the search resolves, within bounds; and factor on the
-# number of neighbours tried if a prior rules most of them out.
-N_PER_PLACE, FEWEST_DRAWN, MOST_DRAWN = 6, 300, 6000
-MORE_NEIGHBOURS = 4
+# Fewest and most poses drawn about a rough one, and factor on the number of neighbours tried if a prior rules most of
+# them out.
+FEWEST_DRAWN, MOST_DRAWN, MORE_NEIGHBOURS = 300, 6000, 4
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -66,37 +65,21 @@ class PosePriorConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PosePrior:
-    """A prior of the pose between two model frames.
+    """A prior of the pose between two model frames."""
 
-    Attributes
-    ----------
-    volume : float, m^3
-        Of the region in which the target may lie.
-    T_base_target : RigidTransform or None
-        Rough pose.
-    covariance : (6, 6) array or None
-        Of the rough pose: of xi in ``T Exp(xi)`` about the middle of the target, rotation first (rad, m).
-    up_base, up_target : (3,) arrays or None
-        The vertical in either model frame.
-    gravity_sd : float, rad
-    height : float or None, m
-        Vertical coordinate in the base's model frame minus that in the target's, if the surveys share the same
-        height.
-    height_sd, height_range : float, m
-        Its standard deviation, and the range of heights that the target could have if it were unknown.
-    log_share_inside : float
-        Natural logarithm of the weighted share of these poses that put the target inside the base.
-    """
-
-    volume: float
-    T_base_target: RigidTransform | None = None
+    volume: float  # m^3: of the region in which the target may lie
+    T_base_target: RigidTransform | None = None  # rough pose
+    # (6, 6): of xi in ``T Exp(xi)`` about the middle of the target, for the rough pose; rotation first (rad, m)
     covariance: Covariance6 | None = None
-    up_base: Vector3 | None = None
+    up_base: Vector3 | None = None  # (3,): the vertical in either model frame
     up_target: Vector3 | None = None
-    gravity_sd: float = ATTITUDE_SD
+    gravity_sd: float = ATTITUDE_SD  # rad
+    # m: vertical coordinate in the base's model frame minus that in the target's, if surveys share their height
     height: float | None = None
+    # m: its standard deviation, and the range of heights that the target could have if it were unknown
     height_sd: float = PosePriorConfig().height_sd
     height_range: float = np.nan
+    # Natural logarithm of the weighted share of these poses that put the target inside the base
     log_share_inside: float = 0.0
 
     @property
@@ -107,18 +90,7 @@ class PosePrior:
     def log_density(self, T: RigidTransform, center: Vector3, covariance: Covariance6 | None = None) -> float:
         """Natural logarithm of the prior, per m^3 and rad^3, at a pose or on average over its covariance.
 
-        Parameters
-        ----------
-        T : RigidTransform
-            Model frame to model frame.
-        center : (3,) array, m
-            Middle of the target.
-        covariance : (6, 6) array, optional
-            Of xi in ``T Exp(xi)`` about the centre; none where not given.
-
-        Returns
-        -------
-        float
+        The centre (m) is the middle of the target; the covariance is of xi in ``T Exp(xi)`` about it.
         """
         if self.is_flat:
             return float(self._log_norms(np.zeros((1, 6, 6)))[0])
@@ -159,22 +131,10 @@ class PosePrior:
         return T * perturbation(-both @ v, center), both
 
     def rows(self, T: RigidTransform, center: Vector3) -> tuple[Matrix, np.ndarray, float]:
-        """Information of the prior on the perturbation ``T Exp(xi)`` about a centre.
+        """Information of the prior on the perturbation ``T Exp(xi)`` about a centre (m), the middle of the target.
 
-        Parameters
-        ----------
-        T : RigidTransform
-            Model frame to model frame.
-        center : (3,) array, m
-            Middle of the target, about which the perturbation is taken.
-
-        Returns
-        -------
-        information : (6, 6) array
-        gradient : (6,) array
-            Of half the squared residual, with respect to xi.
-        chi2 : float
-            Squared residual over its variance.
+        Returns the information (6, 6), the gradient (6,) of half the squared residual with respect to xi, and the
+        squared residual over its variance.
         """
         A, v, chi2 = self.rows_of_many(rotation_matrix(T)[None], T.apply(center)[None], center)
         return A[0], v[0], float(chi2[0])
@@ -212,21 +172,9 @@ class PosePrior:
         return A, v, chi2
 
     def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:
-        """Whether the prior admits poses.
+        """Whether the prior admits poses: rotations R (h, 3, 3) that put the target's middle at ``moved`` (h, 3), m.
 
-        Parameters
-        ----------
-        R : (h, 3, 3) array
-        moved : (h, 3) array, m
-            Where each pose puts the middle of the target.
-        center : (3,) array, m
-            Middle of the target.
-        slack : (float, float), rad and m
-            Standard deviations of the poses themselves.
-
-        Returns
-        -------
-        (h,) bool array
+        ``slack`` (rad, m): standard deviations of the poses themselves.
         """
         is_admitted = np.ones(len(R), dtype=bool)
         if self.up_base is not None:
@@ -247,20 +195,9 @@ class PosePrior:
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:
-        """Poses about the rough one, which comes first.
+        """Poses about the rough one, which comes first: rotations, and where each puts the middle of the target, m.
 
-        Parameters
-        ----------
-        n : int
-        center : (3,) array, m
-            Middle of the target.
-        rng : numpy Generator
-
-        Returns
-        -------
-        R : (n, 3, 3) array
-        moved : (n, 3) array, m
-            Where each puts the middle of the target; empty if there is no rough pose.
+        Empty if there is no rough pose.
         """
         if self.T_base_target is None or self.covariance is None:
             return np.zeros((0, 3, 3)), np.zeros((0, 3))
@@ -271,33 +208,20 @@ class PosePrior:
         return R, self.T_base_target.apply(center + xi[:, 3:])
 
     def _n_drawn(self, slack: tuple[float, float]) -> int:
-        """Number of poses that cover the rough one's spread at the search's resolution."""
+        """Number of poses that cover the rough one's spread: for each that the search resolves, one a direction."""
         if self.covariance is None:
             return 0
         scale = np.repeat(slack, 3)
         power = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
-        places = N_PER_PLACE * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
+        places = len(power) * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(
         self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
     ) -> Hypotheses:
-        """Remove hypotheses that the prior rules out, and add poses about a rough one.
+        """Remove hypotheses that the prior rules out, and add poses about a rough one, at the same anchors.
 
-        Parameters
-        ----------
-        poses : Hypotheses
-        center : (3,) array, m
-            Middle of the target.
-        slack : (float, float), rad and m
-            Standard deviations of the poses themselves.
-        rng : numpy Generator
-            Draws poses about the rough one.
-
-        Returns
-        -------
-        Hypotheses
-            About the same anchors.
+        ``slack`` (rad, m): standard deviations of the poses themselves.
         """
         if self.is_flat:
             return poses

@@ -33,49 +33,27 @@ N_DRAWS = 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PreparedMap:
-    """A field map made ready for matching; all arrays are in its model frame.
-
-    Attributes
-    ----------
-    posterior : FieldFunction
-        The map's field.
-    samples : (n, 3) array, m
-    sample_field : (n, 3) array, T
-        Measured vectors.
-    points : (k, 3) array, m
-        Thinned sample positions that carry frames and invariants.
-    point_field : (k, 3) array, T
-    point_gradient : (k, 3, 3) array, T/m
-        Posterior mean, made symmetric and traceless.
-    gradient_sd : (k,) array, T/m
-        Spread of the gradient's norm under the posterior.
-    invariants, invariant_sd : (k, 6) arrays
-        See `magmatch.features.invariants`.
-    correlation_length : float, m
-        Distance over which the field changes by as much as it varies overall: the scale of all steps, cells and
-        tolerances. The prior's own lengthscale measures smoothness instead.
-    noise_sd : float, T
-    drift : Drift
-        Errors of its samples' positions.
-    draws : callable
-        Gives posterior samples of the map, for `posterior.evaluate`; the same ones at every call.
-    """
+    """A field map made ready for matching; all arrays are in its model frame."""
 
     field_map: FieldMap
     T_map_model: RigidTransform
-    posterior: FieldFunction
-    samples: Points
-    sample_field: Vectors
-    points: Points
-    point_field: Vectors
-    point_gradient: Tensors
-    gradient_sd: Scalars
+    posterior: FieldFunction  # the map's field
+    samples: Points  # (n, 3), m
+    sample_field: Vectors  # (n, 3), T: measured vectors
+    points: Points  # (k, 3), m: thinned sample positions that carry frames and invariants
+    point_field: Vectors  # (k, 3), T
+    point_gradient: Tensors  # (k, 3, 3), T/m: posterior mean, made symmetric and traceless
+    gradient_sd: Scalars  # (k,), T/m: spread of the gradient's norm under the posterior
+    # (k, 6) each: see `magmatch.features.invariants`
     invariants: Matrix
     invariant_sd: Matrix
     raster: Raster
+    # m: distance over which the field changes by as much as it varies overall: the scale of all steps, cells and
+    # tolerances. The prior's own lengthscale measures smoothness instead.
     correlation_length: float
-    noise_sd: float
-    drift: Drift
+    noise_sd: float  # T
+    drift: Drift  # errors of its samples' positions
+    # Gives posterior samples of the map, for `posterior.evaluate`; the same ones at every call
     draws: Callable[[], Sequence[Any]]
 
     def part(self, rows: Indices) -> "PreparedMap":
@@ -85,21 +63,7 @@ class PreparedMap:
 
 
 def prepare(field_map: FieldMap, n_draws: int, rng: np.random.Generator) -> PreparedMap:
-    """Evaluate everything that a search needs of a map.
-
-    Parameters
-    ----------
-    field_map : FieldMap
-        A fitted map.
-    n_draws : int
-        Posterior samples that give the spread of derived quantities.
-    rng : numpy Generator
-        Source of randomness of the draws.
-
-    Returns
-    -------
-    PreparedMap
-    """
+    """Evaluate everything that a search needs of a map; posterior samples give the spread of derived quantities."""
     tell(f"evaluating the map of {field_map.survey.name}")
     survey = known_samples(field_map)
     posterior = field_map.posterior

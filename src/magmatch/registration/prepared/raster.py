@@ -10,30 +10,24 @@ from numpy.lib.stride_tricks import sliding_window_view
 from magmatch.compiled import compiled, compiled_ahead, record
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
+from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
 MAX_POINTS = 1_500_000
 # Least share of the map's own samples that its raster must know.
 MIN_COVERED = 0.95
-# Least share of the raster's partly known cells whose corners are all known. Around a line most cells fail this, and
-# half of the known region would be lost; rasters are therefore refined, up to a number of known points.
-MIN_WHOLE, MAX_REFINED = 0.7, 20_000
+# Partly known cells match nothing. Around a line most cells are such, and half of the known region would be lost;
+# rasters with more of them than may match nothing are therefore refined, up to a number of known points.
+MAX_REFINED = 20_000
 
 
 class Raster(NamedTuple):
-    """Field and standard deviation at the points of a grid, in the map's model frame.
+    """Field and standard deviation at the points of a grid, in the map's model frame."""
 
-    Attributes
-    ----------
-    origin : (3,) array, m, model frame
-    spacing : float, m
-    values : (nx, ny, nz, 4) array, T
-        Field, and standard deviation of one component (negative where the map does not know the field); stored
-        together, since both are looked up together.
-    """
-
-    origin: np.ndarray
-    spacing: float
+    origin: np.ndarray  # (3,), m, model frame
+    spacing: float  # m
+    # (nx, ny, nz, 4), T: field, and standard deviation of one component (negative where the map does not know the
+    # field); stored together, since both are looked up together
     values: np.ndarray
 
     @classmethod
@@ -68,16 +62,7 @@ class Raster(NamedTuple):
         return float((corners == 8).sum() / max((corners > 0).sum(), 1))
 
     def lookup(self, points: Points) -> tuple[Vectors, Scalars, Tensors, Mask]:
-        """Field, spread and gradient at points, by trilinear interpolation.
-
-        Returns
-        -------
-        field : (n, 3) array, T
-        sd : (n,) array, T
-        gradient : (n, 3, 3) array, T/m
-        is_known : (n,) bool array
-            False outside the map; the other values are 0 there.
-        """
+        """Field and spread (T), gradient (T/m) and whether known, by trilinear interpolation; 0 where unknown."""
         out = np.zeros((len(points), 13))
         is_known = np.zeros(len(points), dtype=np.bool_)
         _lookup_many(self, points, out, is_known)
@@ -95,7 +80,7 @@ def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Rast
         *_, is_known = raster.lookup(samples)
         # On a coarse grid, a thin layer may fall between the points, and a line may lose its surroundings.
         is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_POINTS / 8
-        is_ragged = raster.whole_share < MIN_WHOLE and 8 * (raster.sd >= 0).sum() < MAX_REFINED
+        is_ragged = raster.whole_share < 1 - OUTLIER_SHARE and 8 * (raster.sd >= 0).sum() < MAX_REFINED
         if raster.spacing > spacing or not (is_lost or is_ragged):
             return raster
         spacing /= 2

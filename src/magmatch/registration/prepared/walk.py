@@ -26,27 +26,13 @@ MIN_BINS = 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Walk:
-    """A line of samples in its own principal frame.
+    """A line of samples in its own principal frame."""
 
-    Attributes
-    ----------
-    T_survey_walk : RigidTransform
-        Takes the walk's coordinates to the survey's.
-    positions : (n, 3) array, m
-        Mean position of each bin along the path.
-    field : (n, 3) array, T
-        Mean field of each bin.
-    counts : (n,) array
-        Samples per bin.
-    pose_sd : float, m
-        Accuracy of the survey's own positions.
-    """
-
-    T_survey_walk: RigidTransform
-    positions: Points
-    field: Vectors
-    counts: Scalars
-    pose_sd: float = 0.0
+    T_survey_walk: RigidTransform  # takes the walk's coordinates to the survey's
+    positions: Points  # (n, 3), m: mean position of each bin along the path
+    field: Vectors  # (n, 3), T: mean field of each bin
+    counts: Scalars  # (n,): samples per bin
+    pose_sd: float = 0.0  # m: accuracy of the survey's own positions
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -68,19 +54,7 @@ class Walk:
 
 
 def walk_of(survey: Survey, length: float) -> Walk:
-    """Average a survey in bins along its path.
-
-    Parameters
-    ----------
-    survey : Survey
-        Samples in the order they were taken.
-    length : float, m
-        The base's correlation length.
-
-    Returns
-    -------
-    Walk
-    """
+    """Average a survey, in the order it was taken, in bins along its path; ``length``: the base's scale, m."""
     T_survey_walk = survey.principal_frame()
     local = survey.transformed(T_survey_walk.inv())
     side = BIN_LENGTH * length
@@ -134,18 +108,7 @@ def is_line(survey: Survey, length: float) -> bool:
 
 
 def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
-    """Choose the search for a target: pairs of points if it is a short line, a frame at every point otherwise.
-
-    Parameters
-    ----------
-    target : Survey
-    length : float, m
-        The base's correlation length.
-
-    Returns
-    -------
-    str
-    """
+    """Choose the search for a target: pairs of points if it is a short line, a frame at every point otherwise."""
     if not is_line(target, length):
         return "invariants"
     rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTH * length)

@@ -42,18 +42,11 @@ class ConsensusConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Consensus:
-    """A transform and the correspondences that support it.
-
-    Attributes
-    ----------
-    cost : float
-        Mean truncated cost over all correspondences, 0 (all agree) to 1 (none does).
-    is_inlier : (c,) bool array
-    """
+    """A transform and the correspondences that support it."""
 
     T_base_target: RigidTransform
-    cost: float
-    is_inlier: Mask
+    cost: float  # mean truncated cost over all correspondences, 0 (all agree) to 1 (none does)
+    is_inlier: Mask  # (c,) bool
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,29 +69,12 @@ def vector_msac(
     config: ConsensusConfig,
     rng: np.random.Generator,
 ) -> list[Consensus]:
-    """Find the transforms that align the points and vectors of many correspondences.
+    """Distinct transforms that align the points and vectors of many correspondences, lowest cost first.
 
-    Parameters
-    ----------
-    base_points, target_points : (c, 3) arrays, m
-        Row i of one corresponds to row i of the other, each in its own frame.
-    base_field, target_field : (c, 3) arrays, T
-        Field vectors there.
-    inlier_distance : float, m
-        Distance at which the cost is truncated.
-    config : ConsensusConfig
-    rng : numpy Generator
-        Draws the samples.
-
-    Returns
-    -------
-    list of Consensus
-        Distinct transforms, lowest cost first; empty if none has enough inliers.
-
-    Notes
-    -----
-    ``cost = mean_i min(d_i^2 + (w c_i)^2, 1)``: d_i is the distance of the points in inlier distances, c_i the norm
-    of the cross product of the unit vectors after rotation (1 where they are opposed), w the weight of vectors.
+    Row i of the base's points (m) and vectors (T) corresponds to row i of the target's. ``cost = mean_i min(d_i^2 +
+    (w c_i)^2, 1)``: d_i is the distance of the points in inlier distances, c_i the norm of the cross product of the
+    unit vectors after rotation (1 where they are opposed), w the weight of vectors. Empty if no transform has enough
+    inliers.
     """
     pairs = _Pairs(
         base_points / inlier_distance,
@@ -143,19 +119,10 @@ def consistent_samples(pairs: _Pairs, config: ConsensusConfig, rng: np.random.Ge
 
 
 def fit_rigid(pairs: _Pairs, samples: np.ndarray, weights: np.ndarray) -> tuple[Tensors, Vectors]:
-    """Least-squares rigid transforms of points and directions together.
+    """Least-squares rotations (h, 3, 3) and translations (h, 3) of points and directions together.
 
-    Returns
-    -------
-    rotations : (h, 3, 3) array
-    translations : (h, 3) array
-        In the unit of the points.
-
-    Notes
-    -----
-    Minimises ``sum_i w_i (|R y_i + t - x_i|^2 + w^2 |R v_i - u_i|^2)`` by the singular value decomposition of
-    ``sum_i w_i ((x_i - x)(y_i - y)^T + w^2 u_i v_i^T)`` (Kabsch; Wahba for the directions), x and y the weighted
-    means.
+    Minimises ``sum_i w_i (|R y_i + t - x_i|^2 + w^2 |R v_i - u_i|^2)`` by the singular value decomposition of ``sum_i
+    w_i ((x_i - x)(y_i - y)^T + w^2 u_i v_i^T)`` (Kabsch; Wahba for the directions), x and y the weighted means.
     """
     x, y = pairs.base[samples], pairs.target[samples]
     total = weights.sum(axis=1, keepdims=True)

@@ -25,13 +25,12 @@ def by_fitness(found: SearchResult, fitness: Fitness | None, config: FitnessConf
     value = fitness.value if fitness else None
     verdict = decide_by_fitness(value, overlap, config)
     is_accepted = verdict.status is Status.ACCEPTED
-    poses = [c.T_base_target for c in found.candidates]
     return RegistrationResult(
         status=verdict.status,
         reason=verdict.reason,
-        T_base_target=poses[0] if is_accepted else None,
+        T_base_target=found.poses[0] if is_accepted else None,
         overlap=overlap,
-        alternatives=() if is_accepted else tuple(Alternative(T) for T in poses),
+        alternatives=() if is_accepted else tuple(Alternative(T) for T in found.poses),
         fitness=value,
         n_inliers=found.n_inliers,
         n_keypoints=found.n_keypoints,

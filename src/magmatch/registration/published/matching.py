@@ -23,38 +23,19 @@ class MatchingConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Correspondences:
-    """Rows of corresponding keypoints.
+    """Rows of corresponding keypoints."""
 
-    Attributes
-    ----------
-    base_rows, target_rows : (c,) int arrays
-        Keypoints of each map.
-    distance : (c,) array
-        Between their descriptors.
-    """
-
+    # (c,) ints: keypoints of each map
     base_rows: Indices
     target_rows: Indices
-    distance: Scalars
+    distance: Scalars  # (c,): between their descriptors
 
     def __len__(self) -> int:
         return len(self.base_rows)
 
 
 def match_features(base: Features, target: Features, config: MatchingConfig) -> Correspondences:
-    """Find for each target keypoint the base keypoint with the nearest descriptor.
-
-    Parameters
-    ----------
-    base, target : Features
-        Described with the same spacing and ranges.
-    config : MatchingConfig
-
-    Returns
-    -------
-    Correspondences
-        In the order of the target's keypoints.
-    """
+    """Find for each target keypoint the base keypoint with the nearest descriptor, of the same spacing and ranges."""
     none = np.zeros(0, dtype=np.int64)
     if not len(base) or not len(target):
         return Correspondences(none, none, np.zeros(0))

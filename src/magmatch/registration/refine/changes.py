@@ -62,23 +62,13 @@ class ChangeConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChangedPose:
-    """A pose with the change of the field that was estimated beside it.
-
-    Attributes
-    ----------
-    log_ratio : float, nats
-        Log-likelihood ratio of the base's field with this change to an independent sparse field.
-    noise : float
-        Variance of the residuals, in units of the variance stated by noise and the base's spread; at least 1.
-    weights : (m,) array
-        Charges that describe the change.
-    """
+    """A pose with the change of the field that was estimated beside it."""
 
     pose: RefinedPose
-    log_ratio: float
-    noise: float
+    log_ratio: float  # nats: log-likelihood ratio of the base's field with this change to an independent sparse field
+    noise: float  # variance of the residuals, in units of that stated by noise and the base's spread; at least 1
     shell: SourceShell
-    weights: np.ndarray
+    weights: np.ndarray  # (m,): charges that describe the change
 
     def change_at(self, points: Points) -> Vectors:
         """The target's field minus the base's, target's model frame."""
@@ -87,49 +77,26 @@ class ChangedPose:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Samples:
-    """The target's samples that are compared, and the field of unit charges there.
+    """The target's samples that are compared, and the field of unit charges there."""
 
-    Attributes
-    ----------
-    rows : (n,) int array
-        Of the target's samples.
-    positions : (n, 3) array, m; field : (n, 3) array, T; map_sd : (n,) array, T
-        Target's model frame; the base's spread there.
-    charges : (3 n, m) array, T
-    weight : (3 n,) array, 1/T^2
-        Inverse of the variance stated by noise and the base's spread.
-    """
-
-    rows: Indices
-    positions: Points
-    field: Vectors
-    map_sd: Scalars
+    rows: Indices  # (n,) ints: of the target's samples
+    positions: Points  # (n, 3), m: target's model frame
+    field: Vectors  # (n, 3), T: in its axes
+    map_sd: Scalars  # (n,), T: the base's spread there
     shell: SourceShell
-    charges: Matrix
-    weight: Scalars
+    charges: Matrix  # (3 n, m), T
+    weight: Scalars  # (3 n,), 1/T^2: inverse of the variance stated by noise and the base's spread
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Estimate:
-    """Result of one linear step: steps of pose and sensor, then charges.
+    """Result of one linear step: steps of pose and sensor, then charges."""
 
-    Attributes
-    ----------
-    charges : (m,) int array
-        The remaining ones; the variance of the others has vanished.
-    values : (k + m,) array
-    covariance : (k + m, k + m) array
-    strengths : (m,) array
-        Prior variance of each charge, updated by this step.
-    noise : float
-        Variance of the remaining residuals, in units of the stated variance; at least 1.
-    """
-
-    charges: Indices
-    values: np.ndarray
-    covariance: Matrix
-    strengths: Scalars
-    noise: float
+    charges: Indices  # (m,) ints: the remaining ones; the variance of the others has vanished
+    values: np.ndarray  # (k + m,)
+    covariance: Matrix  # (k + m, k + m)
+    strengths: Scalars  # (m,): prior variance of each charge, updated by this step
+    noise: float  # variance of the remaining residuals, in units of the stated variance; at least 1
 
 
 def refine_beside_changes(
@@ -151,7 +118,7 @@ def refine_beside_changes(
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
     k = 6 + len(pose.sensor_sd)
     lookup = _look_up(base, samples, pose)
-    estimate = _solve(lookup, samples, gram, pose, prior)
+    estimate = _solve(lookup, samples, gram, pose, prior, config.max_misfit**2)
     for _ in range(MOST_STEPS):
         xi = estimate.values[:k] / max(1.0, float(np.abs(estimate.values[:6] / longest).max()))
         pose = replace(
@@ -161,7 +128,7 @@ def refine_beside_changes(
         )
         is_close = float(xi @ np.linalg.solve(estimate.covariance[:k, :k], xi)) < CLOSE**2
         lookup = _look_up(base, samples, pose)
-        estimate = _solve(lookup, samples, gram, pose, prior, estimate)
+        estimate = _solve(lookup, samples, gram, pose, prior, estimate.noise, estimate)
         if is_close:
             break
     block = _residual_block(lookup, samples, gram, pose, estimate, target.drift)
@@ -169,7 +136,8 @@ def refine_beside_changes(
     refined = replace(pose, prior_information=known, blocks=(block,))
     weights = np.zeros(len(gram))
     weights[estimate.charges] = estimate.values[k:]
-    return ChangedPose(refined, _log_ratio(lookup, samples, gram, estimate), estimate.noise, samples.shell, weights)
+    log_ratio = _log_ratio(lookup, samples, gram, estimate, config.max_misfit**2)
+    return ChangedPose(refined, log_ratio, estimate.noise, samples.shell, weights)
 
 
 def _choose_samples(
@@ -207,15 +175,16 @@ def _solve(
     gram: Matrix,
     pose: RefinedPose,
     prior: PosePrior,
+    noise: float,
     last: _Estimate | None = None,
 ) -> _Estimate:
-    """Solve for a step of pose and sensor together with the charges, and update the charges' strengths."""
+    """Solve for a step of pose and sensor together with the charges, and update their strengths and the noise."""
     k, r = 6 + len(pose.sensor_sd), lookup.residual.ravel()
     start = max(float(np.median((lookup.residual**2).sum(axis=1))) / MEDIAN_CHI2_3, 1 / samples.weight.max())
-    left, strengths, noise = np.arange(len(gram)), np.full(len(gram), start), 4.0
+    left, strengths = np.arange(len(gram)), np.full(len(gram), start)
     if last:
         lasting = last.strengths > FADED * last.strengths.max(initial=0.0)
-        left, strengths, noise = last.charges[lasting], last.strengths[lasting], last.noise
+        left, strengths = last.charges[lasting], last.strengths[lasting]
     charges, J = samples.charges[:, left], residual_jacobian(lookup, pose.center, pose.sensor).reshape(len(r), k)
     WJ, Wr = samples.weight[:, None] * J, samples.weight * r
     cross = -WJ.T @ charges
@@ -263,7 +232,7 @@ def _log_likelihood(
     return -0.5 * float(power / noise - fit + n_rows * np.log(noise) + log_det)
 
 
-def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate) -> float:
+def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate, noise: float) -> float:
     """Log of 'the base and a sparse change explain the samples' over 'a sparse field of their own does'."""
     left, r = estimate.charges, lookup.residual.ravel()
     Wr = samples.weight * r
@@ -277,7 +246,7 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
     cross = Wc.T @ samples.charges
     A = np.block([[Wc.T @ constant, cross], [cross.T, gram]])
     v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
-    before, noise, power = np.eye(3) / CONSTANT_SD**2, 4.0, float(b @ Wb)
+    before, power = np.eye(3) / CONSTANT_SD**2, float(b @ Wb)
     strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))
     for _ in range(MOST_STEPS * N_STRENGTHS):
         lasting = np.concatenate([[True] * 3, strengths > FADED * strengths.max()])

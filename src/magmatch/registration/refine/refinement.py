@@ -57,59 +57,28 @@ class RefinementConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ResidualBlock:
-    """One direction of comparison at the optimum: a map looked up at the other survey's samples.
+    """One direction of comparison at the optimum: a map looked up at the other survey's samples."""
 
-    Attributes
-    ----------
-    information : (6 + k, 6 + k) array
-        Weighted ``J^T J`` of the pose and the k sensor parameters.
-    curvature : (6 + k, 6 + k) array
-        Of the log-likelihood, which is less than the weighted information if residuals are large; the scatter of an
-        estimate follows from it.
-    scores : (n, 6 + k) array
-        Each sample's weighted gradient.
-    positions : (n, 3) array, m
-        Where the samples lie, target's model frame.
-    residual2 : (n,) array
-        Squared norm of each residual over its expected variance.
-    drift : (6 + k, 6 + k) array
-        Covariance of the gradients' sum due to the drift of the samples' own poses.
-    """
-
-    information: Matrix
+    information: Matrix  # (6 + k, 6 + k): weighted ``J^T J`` of the pose and the k sensor parameters
+    # (6 + k, 6 + k): of the log-likelihood, which is less than the weighted information if residuals are large; the
+    # scatter of an estimate follows from it
     curvature: Matrix
-    scores: Matrix
-    positions: Points
-    residual2: Scalars
-    drift: Matrix
+    scores: Matrix  # (n, 6 + k): each sample's weighted gradient
+    positions: Points  # (n, 3), m: where the samples lie, target's model frame
+    residual2: Scalars  # (n,): squared norm of each residual over its expected variance
+    drift: Matrix  # (6 + k, 6 + k): covariance of the gradients' sum due to the drift of the samples' own poses
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RefinedPose:
-    """A pose at the optimum of the field residual, in model frames.
+    """A pose at the optimum of the field residual, in model frames."""
 
-    Attributes
-    ----------
-    T_base_target : RigidTransform
-        Model frame to model frame.
-    center : (3,) array, m
-        Point of the target about which the perturbation is taken, target's model frame.
-    sensor : SensorModel
-        Bias and gain of the target's magnetometer against the base's, target's model axes.
-    sensor_sd : (k,) array
-        Prior standard deviations that the sensor's parameters were given.
-    prior_information : (6, 6) array
-        Information of the pose prior, about the centre.
-    blocks : tuple of ResidualBlock
-        One for each direction of comparison; empty if the maps hardly overlap.
-    """
-
-    T_base_target: RigidTransform
-    center: Vector3
-    sensor: SensorModel
-    sensor_sd: np.ndarray
-    prior_information: Matrix
-    blocks: tuple[ResidualBlock, ...]
+    T_base_target: RigidTransform  # model frame to model frame
+    center: Vector3  # (3,), m: point of the target about which the perturbation is taken, target's model frame
+    sensor: SensorModel  # bias and gain of the target's magnetometer against the base's, target's model axes
+    sensor_sd: np.ndarray  # (k,): prior standard deviations that the sensor's parameters were given
+    prior_information: Matrix  # (6, 6): information of the pose prior, about the centre
+    blocks: tuple[ResidualBlock, ...]  # one for each direction of comparison; empty if the maps hardly overlap
 
     @property
     def known_before(self) -> Matrix:
@@ -129,21 +98,8 @@ def refine(
 ) -> RefinedPose:
     """Minimise the field residuals of both directions, with Student-t likelihood, by Newton's steps.
 
-    Parameters
-    ----------
-    base, target : PreparedMap
-    start : RigidTransform or RefinedPose
-        ``T_base_target``, model frame to model frame; a refined pose keeps its own sensor model and level.
-    prior : PosePrior
-    config : RefinementConfig
-    rng : numpy Generator
-        Picks the samples if there are more than needed.
-    level : int
-        How far the two magnetometers may differ, see `magmatch.registration.refine.sensors.prior_sd`.
-
-    Returns
-    -------
-    RefinedPose
+    A start that was refined keeps its own sensor model and level; ``level`` says how far the two magnetometers may
+    differ, see `prior_sd`; ``rng`` picks the samples if there are more than needed.
     """
     rows = some_rows(base, target, config, rng)
     center = target.samples.mean(axis=0)
@@ -205,13 +161,7 @@ def compare(
     sensor: SensorModel,
     rows: tuple[Indices, Indices],
 ) -> tuple[ResidualBlock, ...]:
-    """Residuals, weights and Jacobians of both directions at a pose.
-
-    Returns
-    -------
-    tuple of ResidualBlock
-        Directions with at least `MIN_SAMPLES` samples inside the other map.
-    """
+    """Residuals, weights and Jacobians at a pose, of the directions with enough samples inside the other map."""
     forward, backward = look_up(base, target, T_base_target, sensor, rows)
     sides = (forward, target), (backward, base)
     return tuple(
@@ -271,13 +221,9 @@ def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> n
 
 
 def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
-    """Weight of each residual, and the ratio of its curvature of the likelihood to that weight.
+    """Weight of each residual (1/T^2), and the ratio of its curvature of the likelihood to that weight.
 
-    Returns
-    -------
-    weight : (n,) array, 1/T^2
-    bend : (n,) array
-        The weight falls as its residual grows, in one direction of three: between 1/3 and 1.
+    The weight falls as its residual grows, in one direction of three: the ratio is between 1/3 and 1.
     """
     # Variance of the residuals beyond the map's own spread, never less than the noise.
     map_variance = map_sd**2

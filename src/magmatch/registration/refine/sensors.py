@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.settings import Settings
@@ -33,26 +32,15 @@ class SensorConfig(Settings):
     mode: SensorMode = "auto"
     # Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
     bias_levels: tuple[float, ...] = (0.05e-6, 3e-6)
-    # Gain in log evidence (nats) required for a wider level.
-    min_gain: float = Field(default=MIN_GAIN, ge=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensorModel:
-    """Bias and gain of the target's magnetometer against the base's.
+    """Bias and gain of the target's magnetometer against the base's."""
 
-    Attributes
-    ----------
-    bias : (3,) array, T
-        Target's axes.
-    gain : (3, 3) array
-        ``I + D``.
-    shapes : (k, 3, 3) array
-        Directions in which the gain may change; the parameters are the bias, then one number per shape.
-    """
-
-    bias: np.ndarray
-    gain: Matrix
+    bias: np.ndarray  # (3,), T: target's axes
+    gain: Matrix  # (3, 3): ``I + D``
+    # (k, 3, 3): directions in which the gain may change; the parameters are the bias, then one number per shape
     shapes: np.ndarray
 
     @property
@@ -95,7 +83,7 @@ class SensorModel:
 
 
 def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
-    """Prior levels in the order they are tried; a later one must gain ``min_gain`` in evidence.
+    """Prior levels in the order they are tried; a later one must gain `MIN_GAIN` in evidence.
 
     With 'auto', soft iron follows the widest level of bias and scale, if the sensors differ at all.
     """

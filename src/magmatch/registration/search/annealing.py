@@ -14,13 +14,13 @@ from magmatch.registration.search.scoring import EVIDENCE, Evidence, expected_va
 from magmatch.threads import side_by_side, slices
 from magmatch.typing import Scalars
 
-# Factor on the pose error allowed: of a stage, and of a step.
-OF_A_STAGE, OF_A_STEP = 0.25, 0.7
+# Factor of a stage on the pose error allowed; each step halves its variance.
+OF_A_STAGE = 0.25
 
 
 def schedule(stage: int, sd: tuple[float, float]) -> np.ndarray:
     """Pose error allowed (rad, m) at each step of a stage; before the first, a candidate's own."""
-    n = int(np.ceil(np.log(OF_A_STAGE) / np.log(OF_A_STEP)))
+    n = round(-2 * np.log2(OF_A_STAGE))
     return np.outer(np.geomspace(OF_A_STAGE**stage, OF_A_STAGE ** (stage + 1), n + 1), sd)
 
 
@@ -48,12 +48,7 @@ def anneal_poses(
 ) -> tuple[Hypotheses, Scalars]:
     """Refine poses while the pose error allowed shrinks: one row (rad, m) of the schedule per step.
 
-    Returns
-    -------
-    Hypotheses
-        h poses, about the same anchors.
-    (h,) array
-        Their scores at the last row of the schedule.
+    Returns the poses, about the same anchors, and their scores at the last row of the schedule.
     """
     found = poses._replace(rotations=poses.rotations.copy(), anchors_base=poses.anchors_base.copy())
     scores, schedule = np.zeros(len(found.rotations)), np.ascontiguousarray(schedule)

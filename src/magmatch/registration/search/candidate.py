@@ -14,36 +14,24 @@ N_CANDIDATES = 8
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A pose that may be right.
+    """A pose that may be right."""
 
-    Attributes
-    ----------
-    T_base_target : RigidTransform
-        ``p_base = T p_target``.
-    score : float
-        Higher is better; comparable only within one search.
-    """
-
-    T_base_target: RigidTransform
-    score: float
+    T_base_target: RigidTransform  # ``p_base = T p_target``
+    score: float  # higher is better; comparable only within one search
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SearchResult:
-    """All that a search found.
+    """All that a search found."""
 
-    Attributes
-    ----------
-    candidates : tuple of Candidate
-        Distinct poses, best first; empty if nothing was found.
-    n_keypoints, n_correspondences, n_inliers : int
-        Counts; ``n_inliers`` is of the best candidate.
-    links : Links
-        Corresponding points that support the best candidate.
-    """
-
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[Candidate, ...] = ()  # distinct poses, best first; empty if nothing was found
     n_keypoints: int = 0
     n_correspondences: int = 0
-    n_inliers: int = 0
+    n_inliers: int = 0  # of the best candidate
+    # Corresponding points that support it
     links: Links = field(default_factory=lambda: Links(np.zeros((0, 3)), np.zeros((0, 3))))
+
+    @property
+    def poses(self) -> list[RigidTransform]:
+        """The candidates' poses, best first."""
+        return [candidate.T_base_target for candidate in self.candidates]

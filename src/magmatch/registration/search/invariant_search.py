@@ -28,13 +28,9 @@ class InvariantSearchConfig(Settings):
     n_anchors: int = Field(default=400, ge=10)
     # Base points with the most similar invariants that each anchor is tried on.
     n_neighbours: int = Field(default=30, ge=1)
-    # Samples for scoring a pose: half near its anchor, half anywhere.
-    n_score_samples: int = Field(default=FEW_POINTS, ge=20)
     # Distinct poses that are refined coarsely, and those that are refined further.
     n_coarse: int = Field(default=600, ge=1)
     n_fine: int = Field(default=40, ge=1)
-    # Distinct poses handed on.
-    n_candidates: int = Field(default=N_CANDIDATES, ge=1)
     # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
     n_draws: int = Field(default=N_DRAWS, ge=2)
 
@@ -53,7 +49,7 @@ def invariant_search(
     tell(f"scoring {neighbours.size} hypotheses")
     evidence = weigh_samples(base, target)
     poses = frame_hypotheses(base, target, anchors, neighbours)
-    rows = judging_samples(poses.anchors_target, target, config.n_score_samples, rng)
+    rows = judging_samples(poses.anchors_target, target, FEW_POINTS, rng)
     length = common_length(base, target)
     sd, same = pose_inaccuracy(length), same_pose(length)
     center = target.samples.mean(axis=0)
@@ -74,7 +70,7 @@ def invariant_search(
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
+    keep = distinct_poses(poses.rotations, moved, scores, *same, N_CANDIDATES)
     keep = keep[np.isfinite(scores[keep])]
     candidates = tuple(
         Candidate(poses.pose(k, moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep.tolist()
@@ -87,13 +83,7 @@ def invariant_search(
 
 
 def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator) -> Indices:
-    """Draw target points whose gradient is strong against its uncertainty.
-
-    Returns
-    -------
-    (a,) int array
-        Rows of ``target.points``.
-    """
+    """Draw target points (rows) whose gradient is strong against its uncertainty."""
     g2, tiny = gradient_norm(target.point_gradient) ** 2, np.finfo(float).tiny
     # Between 0 and 1, and 1 in a uniform field: a very strong gradient is told no better than a strong one.
     share = (g2 + tiny) / (g2 + target.gradient_sd**2 + np.median(g2) + tiny)
@@ -102,14 +92,9 @@ def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator
 
 
 def similar_points(base: PreparedMap, target: PreparedMap, anchors: Indices, n_neighbours: int) -> Indices:
-    """Base points whose invariants are nearest to those of each anchor, whitened by their uncertainty.
+    """Base points (a, k) whose invariants are nearest to those of each anchor, whitened by their uncertainty.
 
     Points stand half of `SAMPLING` apart, where invariants differ by that share of their spread over both maps.
-
-    Returns
-    -------
-    (a, k) int array
-        Rows of ``base.points``.
     """
     both = np.concatenate([base.invariants, target.invariants])
     spread = np.median(np.abs(both - np.median(both, axis=0)), axis=0) / ndtri(0.75)
@@ -125,13 +110,7 @@ def similar_points(base: PreparedMap, target: PreparedMap, anchors: Indices, n_n
 
 
 def judging_samples(anchors: Points, target: PreparedMap, n_samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Choose samples for scoring each anchor's poses: half within two lengthscales, the rest anywhere.
-
-    Returns
-    -------
-    (a, n_samples) int array
-        Rows of ``target.samples``.
-    """
+    """Samples (a, n) for scoring each anchor's poses: half within two lengthscales, the rest anywhere."""
     n = len(target.samples)
     rows = rng.integers(0, n, (len(anchors), n_samples))
     _near_first(
@@ -196,16 +175,7 @@ def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[n
 
 
 def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:
-    """Poses that map each anchor and its frame onto each of its neighbours and their frames.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    anchors : (a,) int array
-        Rows of ``target.points``.
-    neighbours : (a, k) int array
-        Rows of ``base.points``.
-    """
+    """Poses that map each anchor and its frame onto each of its neighbours (a, k) and their frames."""
     rows, base_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1]), neighbours.ravel()
     base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
     target_frames = point_frames(target.point_field, target.point_gradient)[anchors[rows]]

@@ -20,24 +20,12 @@ EVERY_LEAF = np.iinfo(np.int64).max
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NeighbourTree:
-    """Points in the order of the tree's leaves, and the planes that divide them.
+    """Points in the order of the tree's leaves, and the planes that divide them."""
 
-    Attributes
-    ----------
-    points : (n, d) float32 array
-        Leaf by leaf.
-    rows : (n,) int32 array
-        Row of each among the points given.
-    axes : (m,) int32 array
-        Axis that each inner node splits; node k has children 2 k + 1 and 2 k + 2.
-    values : (m,) float32 array
-        Coordinate of each split.
-    """
-
-    points: np.ndarray
-    rows: np.ndarray
-    axes: np.ndarray
-    values: np.ndarray
+    points: np.ndarray  # (n, d) float32: leaf by leaf
+    rows: np.ndarray  # (n,) int32: row of each among the points given
+    axes: np.ndarray  # (m,) int32: axis that each inner node splits; node k has children 2 k + 1 and 2 k + 2
+    values: np.ndarray  # (m,) float32: coordinate of each split
 
     @classmethod
     def of(cls, points: np.ndarray) -> "NeighbourTree":
@@ -60,19 +48,9 @@ class NeighbourTree:
         return cls(points[order], order, axes, values)
 
     def query(self, targets: np.ndarray, k: int, n_leaves: int = EVERY_LEAF) -> tuple[Indices, Matrix]:
-        """Rows of the k nearest points of each target, nearest first, and their squared distances.
+        """Rows (t, k) of the k nearest points of each target, nearest first, and their squared distances.
 
-        Parameters
-        ----------
-        targets : (t, d) array
-        k : int
-        n_leaves : int
-            That are looked into for each, at most: with few, points that are near, not always the nearest.
-
-        Returns
-        -------
-        rows : (t, k) int array
-        distance2 : (t, k) array
+        At most ``n_leaves`` are looked into for each: with few, points that are near, not always the nearest.
         """
         targets = np.ascontiguousarray(targets, dtype=np.float32)
         if k > len(self.points):

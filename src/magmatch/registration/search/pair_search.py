@@ -22,51 +22,36 @@ from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Vectors
 
+# Shortest and longest pair, in the base's correlation length.
+MIN_DISTANCE, MAX_DISTANCE = 0.8, 6.2
+
 
 class PairSearchConfig(Settings):
-    """Counts and scales of the search; lengths in the base's correlation length."""
+    """Counts of the search."""
 
-    # Shortest and longest pair.
-    min_distance: float = Field(default=0.8, gt=0)
-    max_distance: float = Field(default=6.2, gt=0)
     # Most pairs in the table; points that would give more are thinned further.
     max_pairs: int = Field(default=600_000, ge=1000)
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
     n_pairs: int = Field(default=FEW_POINTS, ge=1)
     n_neighbours: int = Field(default=8, ge=1)
-    # Distinct poses that are refined coarsely, and handed on.
+    # Distinct poses that are refined coarsely.
     n_coarse: int = Field(default=120, ge=1)
-    n_candidates: int = Field(default=N_CANDIDATES, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PairTable:
-    """All pairs of base points that a walk can be compared with, indexed by their invariants; base model frame.
+    """All pairs of base points that a walk can be compared with, indexed by their invariants; base model frame."""
 
-    Attributes
-    ----------
-    positions : (k, 3) array, m
-    field : (k, 3) array, T
-    first, second : (p,) int arrays
-        Rows of the points that make each pair.
-    tree : NeighbourTree
-        Of the whitened invariants.
-    length : float, m
-        The base's correlation length.
-    sd_position, sd_field : float, m and T
-        Expected differences in position and field when another walk passes a point; for whitening and alignment.
-    field_norm, gradient_rms : float, T and T/m
-        Typical strength of the field, and rms of one component of its gradient.
-    """
-
-    positions: Points
-    field: Vectors
-    first: Indices
+    positions: Points  # (k, 3), m
+    field: Vectors  # (k, 3), T
+    first: Indices  # (p,) ints: rows of the points that make each pair
     second: Indices
-    tree: NeighbourTree
-    length: float
+    tree: NeighbourTree  # of the whitened invariants
+    length: float  # m: the base's correlation length
+    # m and T: expected differences when another walk passes a point; for whitening and alignment
     sd_position: float
     sd_field: float
+    # T and T/m: typical strength of the field, and rms of one component of its gradient
     field_norm: float
     gradient_rms: float
 
@@ -122,7 +107,7 @@ def pair_search(
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
     moved = poses.carry(center)
     scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, *same, config.n_candidates)
+    keep = distinct_poses(poses.rotations, moved, scores, *same, N_CANDIDATES)
     keep = keep[np.isfinite(scores[keep])]
     return SearchResult(
         tuple(Candidate(poses.pose(k, moved[k], center), float(scores[k])) for k in keep.tolist()),
@@ -134,17 +119,11 @@ def pair_search(
 def choose_pairs(
     walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator
 ) -> tuple[Indices, Indices]:
-    """Draw pairs of bins, long ones with differing fields first.
-
-    Returns
-    -------
-    two (n,) int arrays
-        Rows of the walk; empty where it is shorter than any pair of the table.
-    """
+    """Draw pairs of bins (rows of the walk), long ones with differing fields first; none if the walk is too short."""
     i, j = np.triu_indices(len(walk), 1)
     d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
-    longest = config.max_distance * table.length - table.sd_position
-    usable = np.flatnonzero((d > config.min_distance * table.length) & (d < longest))
+    longest = MAX_DISTANCE * table.length - table.sd_position
+    usable = np.flatnonzero((d > MIN_DISTANCE * table.length) & (d < longest))
     i, j, d = i[usable], j[usable], d[usable]
     change = np.linalg.norm(walk.field[i] - walk.field[j], axis=1)
     share = d * (table.sd_field + change)
@@ -154,36 +133,16 @@ def choose_pairs(
 
 
 def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int) -> tuple[Indices, Matrix]:
-    """Base pairs whose invariants are nearest to those of each of the walk's pairs.
+    """Base pairs (n, k), rows of the table, with the invariants nearest to those of each of the walk's pairs.
 
-    Returns
-    -------
-    rows : (n, k) int array
-        Rows of the table.
-    distance2 : (n, k) array
-        Squared distances in standard deviations.
+    Also their squared distances in standard deviations.
     """
     invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
     return table.nearest(invariants, n_neighbours)
 
 
 def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:
-    """Poses that put each of the walk's pairs onto base pairs.
-
-    Parameters
-    ----------
-    table : PairTable
-    walk : Walk
-    i, j : (n,) int arrays
-        The walk's pairs.
-    similar : (n, k) int array
-        Base pairs of each, rows of the table.
-
-    Returns
-    -------
-    Hypotheses
-        n k hypotheses, each about the middle of one of the walk's n pairs.
-    """
+    """Poses that put each of the walk's pairs onto base pairs (n, k), each about the middle of its pair."""
     middles = (walk.positions[i] + walk.positions[j]) / 2
     a, b = table.first[similar.ravel()], table.second[similar.ravel()]
     rows = np.repeat(np.arange(len(i)), similar.shape[1])
@@ -205,15 +164,15 @@ def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices,
     while True:
         rows = thin(x, spacing) if len(x) else np.zeros(0, dtype=np.int64)
         tree = cKDTree(x[rows]) if len(rows) else None
-        n = tree.count_neighbors(tree, config.max_distance * length) if tree else 0
+        n = tree.count_neighbors(tree, MAX_DISTANCE * length) if tree else 0
         if n <= config.max_pairs:
             break
         spacing *= COARSER
     pairs = np.zeros((0, 2), dtype=np.int64)
     if tree:
-        pairs = tree.query_pairs(config.max_distance * length, output_type="ndarray").astype(np.int64)
+        pairs = tree.query_pairs(MAX_DISTANCE * length, output_type="ndarray").astype(np.int64)
         d = np.linalg.norm(x[rows][pairs[:, 0]] - x[rows][pairs[:, 1]], axis=1)
-        pairs = pairs[d > config.min_distance * length]
+        pairs = pairs[d > MIN_DISTANCE * length]
     return rows, np.concatenate([pairs, pairs[:, ::-1]])
 
 

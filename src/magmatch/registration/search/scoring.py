@@ -21,27 +21,15 @@ from magmatch.typing import Points, Scalars, Vectors
 
 
 class Evidence(NamedTuple):
-    """The target's samples for a search, with the likelihood of an unrelated field for each.
+    """The target's samples for a search, with the likelihood of an unrelated field for each."""
 
-    Attributes
-    ----------
-    positions : (n, 3) array, m; field : (n, 3) array, T
-        Target's model frame.
-    deviation2 : (n,) array, T^2
-        Squared deviation from the target's median field, capped so that one magnet does not decide.
-    deviation_variance : float, T^2
-        V0, per component.
-    noise_variance : float, T^2
-        Both surveys' noise, per component.
-    field_rms, gradient_rms : float
-        Per component, T and T/m: by these, a pose error causes a field error.
-    """
-
-    positions: Points
-    field: Vectors
+    positions: Points  # (n, 3), m: target's model frame
+    field: Vectors  # (n, 3), T: in its axes
+    # (n,), T^2: squared deviation from the target's median field, capped so that one magnet does not decide
     deviation2: Scalars
-    deviation_variance: float
-    noise_variance: float
+    deviation_variance: float  # T^2: V0, per component
+    noise_variance: float  # T^2: both surveys' noise, per component
+    # T and T/m, per component: by these, a pose error causes a field error
     field_rms: float
     gradient_rms: float
 
@@ -50,16 +38,7 @@ EVIDENCE = record(Evidence, "f8[:,::1], f8[:,::1], f8[::1], f8, f8, f8, f8")
 
 
 def weigh_samples(base: PreparedMap, target: PreparedMap) -> Evidence:
-    """Collect the target's samples and the scales for scoring a pose.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-
-    Returns
-    -------
-    Evidence
-    """
+    """Collect the target's samples and the scales for scoring a pose."""
     deviation2 = ((target.sample_field - np.median(target.sample_field, axis=0)) ** 2).sum(axis=1)
     noise_variance = base.noise_sd**2 + target.noise_sd**2
     deviation_variance = max(float(np.median(deviation2)) / MEDIAN_CHI2_3, noise_variance)
@@ -86,25 +65,10 @@ def score_poses(
     sd_translation: float,
     outlier_share: float,
 ) -> Scalars:
-    """Score many poses.
+    """Log-likelihood ratio of each pose, summed over the samples (a, s) that judge its anchor's poses.
 
-    Parameters
-    ----------
-    poses : Hypotheses
-        h of them, about a anchors.
-    sample_rows : (a, s) int array
-        Which samples judge the poses of each anchor.
-    evidence : Evidence
-    base : PreparedMap
-    sd_rotation, sd_translation : float, rad and m
-        Remaining pose error; widens the expected residual.
-    outlier_share : float
-        eps, share of samples that may match nothing.
-
-    Returns
-    -------
-    (h,) array
-        Log-likelihood ratios summed over the samples.
+    The remaining pose error (rad, m) widens the expected residual; ``outlier_share`` of the samples may match
+    nothing.
     """
     out, rows, sd = np.zeros(len(poses.rotations)), np.ascontiguousarray(sample_rows), (sd_rotation, sd_translation)
 

@@ -28,24 +28,13 @@ REMEDY = "register shorter pieces, or correct the walk with magmatch slam"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Bend:
-    """The difference between the poses of the two halves of a walk's covered part.
+    """The difference between the poses of the two halves of a walk's covered part."""
 
-    Attributes
-    ----------
-    xi : (6,) array
-        From the first half's pose to the second's, rotation first (rad, m).
-    center : (3,) array, m
-        Point about which; both in the walk's axes.
-    covariance : (6, 6) array
-        Of xi, the sum of both halves' covariances.
-    reach : float
-        Root mean square distance along the path, of all the walk from the middle of the covered part, in the distance
-        between the halves' middles.
-    """
-
-    xi: np.ndarray
-    center: Vector3
-    covariance: Matrix
+    xi: np.ndarray  # (6,): from the first half's pose to the second's, rotation first (rad, m)
+    center: Vector3  # (3,), m: point about which; both in the walk's axes
+    covariance: Matrix  # (6, 6): of xi, the sum of both halves' covariances
+    # Root mean square distance along the path, of all the walk from the middle of the covered part, in the distance
+    # between the halves' middles
     reach: float
 
     @property
@@ -81,23 +70,12 @@ class Bend:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Half:
-    """One half of the covered part, refined by itself.
+    """One half of the covered part, refined by itself."""
 
-    Attributes
-    ----------
-    rows : (k,) int array
-        Of the walk's positions.
-    T_base_walk : RigidTransform
-    center : (3,) array, m
-        Point about which the covariance is stated, walk's axes.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the centre.
-    """
-
-    rows: Indices
+    rows: Indices  # (k,) ints: of the walk's positions
     T_base_walk: RigidTransform
-    center: Vector3
-    covariance: Covariance6
+    center: Vector3  # (3,), m: point about which the covariance is stated, walk's axes
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the centre
 
 
 def bend_between(T_base_walk: RigidTransform, positions: Points, is_covered: Mask, halves: list[Half]) -> Bend | None:

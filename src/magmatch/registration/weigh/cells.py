@@ -33,27 +33,13 @@ UNCHANGED_SHARES = tuple(_shares_left())
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NullModels:
-    """Null hypotheses of a pair: what either survey looks like on its own.
+    """Null hypotheses of a pair: what either survey looks like on its own."""
 
-    Attributes
-    ----------
-    target : NullModel
-        Of all its cells.
-    base : UnrelatedField
-        Which of its cells lie in the overlap depends on the pose.
-    base_cubes : (n,) int array
-        Cell that each of the base's samples lies in.
-    side : float, m
-        Of the cells.
-    noise_variance : float, T^2
-        Of one sample of both surveys together.
-    """
-
-    target: NullModel
-    base: UnrelatedField
-    base_cubes: Indices
-    side: float
-    noise_variance: float
+    target: NullModel  # of all its cells
+    base: UnrelatedField  # which of its cells lie in the overlap depends on the pose
+    base_cubes: Indices  # (n,) ints: cell that each of the base's samples lies in
+    side: float  # m: of the cells
+    noise_variance: float  # T^2: of one sample of both surveys together
 
     def of_base(self, positions: Points, field: Vectors) -> NullModel:
         """Of those samples of the base that a pose puts inside the target."""
@@ -87,30 +73,14 @@ def _in_cells(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CellComparison:
-    """Residuals of one survey's samples under the other's map, and their means over the survey's cells.
+    """Residuals of one survey's samples under the other's map, and their means over the survey's cells."""
 
-    Attributes
-    ----------
-    is_known : (n,) bool array
-        Samples where the map knows the field.
-    sample_chi2 : (n,) array
-        Squared residual of each sample over its expected variance.
-    rows : (r,) int array
-        Cells that lie in the overlap.
-    residual : (c, 3) array, T
-        Mean of each cell.
-    map_variance : (c,) array, T^2
-        Of the map.
-    drift_variance : (c,) array, T^2
-        Of one component, through the drift that either survey declares.
-    """
-
-    is_known: Mask
-    sample_chi2: Scalars
-    rows: Indices
-    residual: Vectors
-    map_variance: Scalars
-    drift_variance: Scalars
+    is_known: Mask  # (n,) bool: samples where the map knows the field
+    sample_chi2: Scalars  # (n,): squared residual of each sample over its expected variance
+    rows: Indices  # (r,) ints: cells that lie in the overlap
+    residual: Vectors  # (c, 3), T: mean of each cell
+    map_variance: Scalars  # (c,), T^2: of the map
+    drift_variance: Scalars  # (c,), T^2: of one component, through the drift that either survey declares
 
     @classmethod
     def of(
@@ -165,14 +135,8 @@ def agreeing_cells(
 ) -> tuple[Indices, float, float]:
     """Cells that the base explains, if something has changed in the others.
 
-    Returns
-    -------
-    rows : (r,) int array
-        The share of cells, those with the smallest residuals, that gives most evidence for the pose.
-    log_ratio : float, nats
-        Of these cells, minus the penalty.
-    price : float, nats
-        The penalty for choosing these cells.
+    Returns the share of cells, those with the smallest residuals, that gives most evidence for the pose; this
+    evidence minus the penalty for choosing these cells; and the penalty, nats.
     """
     chi2 = (seen.residual**2).sum(axis=1) / (null_model.noise + seen.map_variance)
     ordered, n = seen.rows[np.argsort(chi2[seen.rows], kind="stable")], len(seen.rows)

@@ -17,43 +17,24 @@ from magmatch.typing import Indices, Matrix, Scalars, Vector3, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseEvidence:
-    """Statistics of one refined pose.
-
-    Attributes
-    ----------
-    covariance : (6, 6) array or None
-        About the pose's centre, target's model axes, from the comparison of the fields alone.
-    overlap : float
-        Fraction of the target's samples where the base knows the field.
-    n_informative, n_good : int
-        Number of cells in the overlap whose field differs from the target's mean field, and of those that agree with
-        the base.
-    log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the log odds of this pose, with
-        the penalty for the search over all poses.
-    attainable : float, nats
-        The same, if the base explained all cells perfectly.
-    price : float, nats
-        The penalty alone, below 0.
-    residual : float
-        Robust normalised rms residual over the overlap.
-    misfit : float
-        Normalised rms of the cells' mean residuals, the larger of both surveys': about 1 when noise and the other
-        map's spread explain them.
-    change : Change or None
-        What was estimated to have changed; all figures but `overlap` then refer to the cells that it leaves.
-    """
+    """Statistics of one refined pose."""
 
     pose: RefinedPose
+    # (6, 6) or None: about the pose's centre, target's model axes, from the comparison of the fields alone
     covariance: Matrix | None
-    overlap: float
-    n_informative: int
-    n_good: int
+    overlap: float  # fraction of the target's samples where the base knows the field
+    n_informative: int  # cells in the overlap whose field differs from the target's mean field
+    n_good: int  # and those of them that agree with the base
+    # nats: ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``: the log odds of this pose,
+    # with the penalty for the search over all poses
     log_evidence: float
-    attainable: float
-    price: float
-    residual: float
+    attainable: float  # nats: the same, if the base explained all cells perfectly
+    price: float  # nats: the penalty alone, below 0
+    residual: float  # robust normalised rms residual over the overlap
+    # Normalised rms of the cells' mean residuals, the larger of both surveys': about 1 when noise and the other map's
+    # spread explain them
     misfit: float
+    # What was estimated to have changed; all figures but `overlap` then refer to the cells that it leaves
     change: "Change | None" = None
 
     @property
@@ -98,24 +79,13 @@ def overlap_weight(share: Scalars | float) -> Scalars:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Change:
-    """The change of the field between two surveys, under one pose.
+    """The change of the field between two surveys, under one pose."""
 
-    Attributes
-    ----------
-    field : (n, 3) array, T
-        The target's field minus the base's at the target's samples, target's model frame.
-    rows : (r,) int array
-        Cells that are used; in the others too much has changed.
-    unchanged : float
-        These as a share of the overlap's cells.
-    log_ratio : float, nats
-        Log-likelihood ratio of 'the base with this change' to 'an independent field' for these cells, minus the
-        penalty for choosing them.
-    """
-
-    field: Vectors
-    rows: Indices
-    unchanged: float
+    field: Vectors  # (n, 3), T: the target's field minus the base's at the target's samples, target's model frame
+    rows: Indices  # (r,) ints: cells that are used; in the others too much has changed
+    unchanged: float  # these as a share of the overlap's cells
+    # nats: log-likelihood ratio of 'the base with this change' to 'an independent field' for these cells, minus the
+    # penalty for choosing them
     log_ratio: float
 
 
@@ -129,22 +99,9 @@ def weigh_pose(
 ) -> PoseEvidence:
     """Weigh a pose by the cells for and against it.
 
-    The target's cells are compared with the base's map, and the base's cells with the target's map. Both estimate
-    one number, ``log p(both | pose) / p(base) p(target)``; their mean is the better estimate.
-
-    Parameters
-    ----------
-    base, target : PreparedMap
-    pose : RefinedPose
-    nulls : NullModels
-        Null hypotheses of this pair.
-    prior : PosePrior
-    change : Change, optional
-        What has changed between the surveys. Only the target's cells are then compared: it was estimated from them.
-
-    Returns
-    -------
-    PoseEvidence
+    The target's cells are compared with the base's map, and the base's cells with the target's map. Both estimate one
+    number, ``log p(both | pose) / p(base) p(target)``; their mean is the better estimate. With a change, only the
+    target's cells are compared: it was estimated from them.
     """
     field = pose.sensor.correct(target.sample_field)
     if change is not None:

@@ -25,7 +25,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.registration.weigh.unrelated_walk import UnrelatedWalk
+from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -33,16 +33,13 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 FREE_SDS = 5.0
 # Bins that something disturbs together, at least.
 PIECE_BINS = 5
+# Steps with like components, then steps that know how drifting poses couple them.
+COARSE_STEPS, FINE_STEPS = 5, 2
 
 
 class LineConfig(Settings):
     """Settings of the generalised least squares."""
 
-    # Steps with like components, then steps that know how drifting poses couple them.
-    n_coarse_steps: int = Field(default=5, ge=0)
-    n_fine_steps: int = Field(default=2, ge=1)
-    # Poses that take the fine steps.
-    n_fine: int = Field(default=N_REFINED, ge=1)
     # Penalty of a pose for each correlation length of path that it leaves unexplained, nats: outside the base map, as
     # there are many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
     price: float = Field(default=3.0, ge=0)
@@ -54,37 +51,18 @@ class LineConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LineEvidence:
-    """One pose of a walk at the optimum.
+    """One pose of a walk at the optimum."""
 
-    Attributes
-    ----------
-    T_base_target : RigidTransform
-        Base model frame from the walk's frame.
-    center : (3,) array, m
-        Point of the walk about which the covariance is stated, walk's frame.
-    covariance : (6, 6) array
-        Of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes.
-    overlap : float
-        Share of the bins inside the base map.
-    log_evidence : float, nats
-        ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, minus the penalty for the path
-        outside the map.
-    attainable : float, nats
-        The same, if the residuals were no larger than expected.
-    misfit : float
-        Normalised rms residual (1 when the covariance explains everything).
-    is_covered : (n,) bool array
-        Bins inside the base map.
-    """
-
-    T_base_target: RigidTransform
-    center: Vector3
-    covariance: Covariance6
-    overlap: float
+    T_base_target: RigidTransform  # base model frame from the walk's frame
+    center: Vector3  # (3,), m: point of the walk about which the covariance is stated, walk's frame
+    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes
+    overlap: float  # share of the bins inside the base map
+    # nats: ``log p(b | pose) - log p(b | unrelated) + 1/2 ln det 2 pi C + log prior``, minus the penalty for the path
+    # outside the map
     log_evidence: float
-    attainable: float
-    misfit: float
-    is_covered: Mask
+    attainable: float  # nats: the same, if the residuals were no larger than expected
+    misfit: float  # normalised rms residual (1 when the covariance explains everything)
+    is_covered: Mask  # (n,) bool: bins inside the base map
 
     @property
     def kind(self) -> Kind:
@@ -103,30 +81,13 @@ def weigh_walk(
     bending: np.ndarray | None = None,
     around: tuple[Vector3, float] | None = None,
 ) -> list[LineEvidence]:
-    """Refine poses of a walk and order them by their evidence.
+    """Refine poses of a walk, from starts between its frame and the base's, and order them by evidence, best first.
 
-    Parameters
-    ----------
-    base : PreparedMap
-    walk : Walk
-    starts : list of RigidTransform
-        Base model frame from the walk's frame.
-    noise : PathNoise
-    length : float, m
-        The base's correlation length.
-    prior : PosePrior
-    config : LineConfig
-    bending : (n, 6, m) array, optional
-        How m independent errors of unit variance turn (rad) and shift (m) each bin of a walk whose shape is known
-        by dead reckoning alone, about its own place, walk's axes; takes the place of the noise's drift.
-    around : (vector, float), optional
-        Mean of the field wherever the walk may be (T), walk's axes, and variance of a component about it (T^2): where
-        the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
-
-    Returns
-    -------
-    list of LineEvidence
-        Best first.
+    ``length``: the base's correlation length, m. ``bending`` (n, 6, m): how m independent errors of unit variance
+    turn (rad) and shift (m) each bin of a walk whose shape is known by dead reckoning alone, about its own place,
+    walk's axes; takes the place of the noise's drift. ``around``: mean of the field wherever the walk may be (T),
+    walk's axes, and variance of a component about it (T^2): where the heading is known, Earth's field speaks for no
+    place. Without it, any mean is as likely.
     """
     if not starts or len(walk) < MIN_BINS:
         return []
@@ -135,16 +96,16 @@ def weigh_walk(
     null = UnrelatedWalk.most_likely(walk, distance, noise, length, around)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
-    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), config.n_coarse_steps, is_full=False))
+    coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))
     if not len(coarse.chi2):
         return []
     roughly = _weigh(coarse, squares, null, config)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
-    best = coarse.rows(order[: config.n_fine])
-    settled = squares.run(best.rotations, best.centers, _strained(best), config.n_fine_steps, is_full=False)
-    fine = squares.run(settled.rotations, settled.centers, _strained(settled), config.n_fine_steps, is_full=True)
+    best = coarse.rows(order[:N_REFINED])
+    settled = squares.run(best.rotations, best.centers, _strained(best), FINE_STEPS, is_full=False)
+    fine = squares.run(settled.rotations, settled.centers, _strained(settled), FINE_STEPS, is_full=True)
     weighed = _weigh(_covered(fine), squares, null, config)
-    weighed += [roughly[k] for k in order[config.n_fine :]]
+    weighed += [roughly[k] for k in order[N_REFINED:]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
 

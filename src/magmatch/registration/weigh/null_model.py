@@ -29,19 +29,11 @@ CHANGED_MODES = 0.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CellMeans:
-    """Samples averaged over cubic cells of the target.
+    """Samples averaged over cubic cells of the target."""
 
-    Attributes
-    ----------
-    cell : (n,) int array
-        Which cell each sample belongs to; negative where its cell is left out.
-    counts : (c,) array
-    centers : (c, 3) array, m
-    """
-
-    cell: np.ndarray
-    counts: Scalars
-    centers: Points
+    cell: np.ndarray  # (n,) ints: which cell each sample belongs to; negative where its cell is left out
+    counts: Scalars  # (c,)
+    centers: Points  # (c, 3), m
 
     def mean(self, values: Matrix) -> Matrix:
         """Average rows over the cells: (c, k)."""
@@ -65,25 +57,13 @@ class CellMeans:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NullModel:
-    """Covariance of the cells' field under the null hypothesis.
-
-    Attributes
-    ----------
-    field : (c, 3) array, T
-        Mean field of each cell.
-    covariance : (c, c) array, T^2
-        Of one component between cells, noise left out.
-    noise : (c,) array, T^2
-        Variance of one component of each cell's mean.
-    roughness : float, T^2
-        Further variance that follows no smooth field.
-    """
+    """Covariance of the cells' field under the null hypothesis."""
 
     cells: CellMeans
-    field: Vectors
-    covariance: Matrix
-    noise: Scalars
-    roughness: float
+    field: Vectors  # (c, 3), T: mean field of each cell
+    covariance: Matrix  # (c, c), T^2: of one component between cells, noise left out
+    noise: Scalars  # (c,), T^2: variance of one component of each cell's mean
+    roughness: float  # T^2: further variance that follows no smooth field
 
     def log_ratio(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
         """Log of 'the base explains these cells' over 'unrelated field'.
@@ -140,20 +120,11 @@ def average_cells(positions: Points, side: float) -> CellMeans:
 
 @dataclass(frozen=True, slots=True)
 class UnrelatedField:
-    """A smooth random field with a rational-quadratic covariance, a mixture of lengthscales.
+    """A smooth random field with a rational-quadratic covariance, a mixture of lengthscales."""
 
-    Attributes
-    ----------
-    lengthscale : float, m
-    variance : float, T^2
-        Of one component.
-    roughness : float, T^2
-        Further variance that follows no smooth field.
-    """
-
-    lengthscale: float
-    variance: float
-    roughness: float
+    lengthscale: float  # m
+    variance: float  # T^2: of one component
+    roughness: float  # T^2: further variance that follows no smooth field
 
     @classmethod
     def most_likely(cls, cells: CellMeans, field: Vectors, noise: Scalars, lengthscale: float) -> "UnrelatedField":

@@ -7,11 +7,12 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.progress import tell
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
-from magmatch.registration.refine.sensors import is_soft_iron, levels_to_try
+from magmatch.registration.refine.sensors import MIN_GAIN, is_soft_iron, levels_to_try
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.change_search import ChangeSearch
 from magmatch.registration.weigh.evidence import PoseEvidence, weigh_pose
@@ -40,6 +41,7 @@ def rank_poses(
     seed: int,
 ) -> list[PoseEvidence]:
     """Refine candidates and order them by their evidence, best first."""
+    tell("refining the best poses")
     nulls = null_models_of(base, target)
 
     def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
@@ -74,7 +76,7 @@ def _let_sensors_differ(best: PoseEvidence, weigh: Weigh, settings: RefinementCo
         if is_soft_iron(settings.sensor, level) and best.pose.sensor_sd[0] == alike:
             break  # sensors that differ in no bias and no scale
         freer = weigh(best.pose.T_base_target, settings.for_ranking(), level)
-        if freer.log_evidence > best.log_evidence + settings.sensor.min_gain:
+        if freer.log_evidence > best.log_evidence + MIN_GAIN:
             best = freer
     return best
 

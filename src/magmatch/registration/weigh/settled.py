@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A weighed pose of two maps as it is stated: with the pose prior, and with what no residual shows."""
+"""A weighed pose as it is stated: with the pose prior, and with what no residual shows."""
 
 from dataclasses import replace
+
+import numpy as np
 
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
 from magmatch.registration.weigh.evidence import PoseEvidence
+from magmatch.registration.weigh.line_evidence import LineEvidence
 from magmatch.registration.weigh.map_covariance import map_covariance
 
 
@@ -33,3 +36,8 @@ def settled(
     if not pose.is_beside_change:
         covariance = enclosing(covariance, map_covariance(base, target, pose.pose, config, seed))
     return replace(pose, covariance=covariance + drift_covariance(pose.pose))
+
+
+def with_frame_error(pose: LineEvidence, pose_sd: float) -> LineEvidence:
+    """Widen by an error of a walk's frame as a whole: the base's own stretches show how poses drift, but not this."""
+    return replace(pose, covariance=pose.covariance + np.diag([0.0] * 3 + [pose_sd**2] * 3))

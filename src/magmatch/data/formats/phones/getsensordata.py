@@ -26,8 +26,6 @@ def is_getsensordata(head: bytes) -> bool:
 def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
     """Read the sensors that are wanted, on the app's clock.
 
-    Notes
-    -----
     The app's times come in bursts; the sensors' own are even. So a row's time is its sensor's, moved by the median of
     what the app's clock is ahead: of all sensors together where they share a clock.
     """

@@ -14,7 +14,7 @@ from magmatch.typing import Mask, Matrix, Vector3, Vectors
 
 # Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
 LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
-STRENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0)
+STRENGTHS = (0.0, *np.exp2(range(-1, 3)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -23,22 +23,12 @@ class UnrelatedWalk:
 
     It includes the walk's own errors, and their variation between walks, as a pose does; otherwise a rough walk would
     match any calm region.
-
-    Attributes
-    ----------
-    field : (n, 3) array, T
-        Minus the mean that it has at any place.
-    covariance : (n, n) array, T^2
-        Of each component.
-    noise : PathNoise
-    favour : float, nats
-        Gain in likelihood because its parameters are chosen on the walk itself.
     """
 
-    field: Vectors
-    covariance: Matrix
+    field: Vectors  # (n, 3), T: minus the mean that it has at any place
+    covariance: Matrix  # (n, n), T^2: of each component
     noise: PathNoise
-    favour: float
+    favour: float  # nats: gain in likelihood because its parameters are chosen on the walk itself
 
     @classmethod
     def most_likely(

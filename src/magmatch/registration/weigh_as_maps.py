@@ -9,7 +9,7 @@ from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.candidate import Candidate, SearchResult
-from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.strategy import Pair, Weighed, pair_maps
 from magmatch.registration.weigh.line_evidence import LineEvidence
 
 
@@ -18,7 +18,7 @@ def weigh_as_maps(
 ) -> Weighed[Any, Any, Any]:
     """Refine and weigh them from both sides: the residuals along this base's path cannot be learned."""
     tell("weighing the walk's poses from both sides")
-    as_maps = mapped.pair_with(pair.base.base, pair.prior.volume)
+    as_maps = pair_maps(pair.base.base, mapped.prepared, mapped.config.prior, pair.prior.volume)
     to_model = pair.T_target_model.inv() * as_maps.T_target_model
     poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
     return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))

@@ -44,7 +44,7 @@ def naming_drift(
 
     def searched(half: Walk) -> list[LineEvidence]:
         found = strategy.search(replace(pair, target=half))
-        return weighed(half, [best, *(one.T_base_target for one in found.candidates)])
+        return weighed(half, [best, *found.poses])
 
     halves = [one for _, one in weigh_halves(walk, np.arange(len(walk)), searched)]
     evidence = [effective_evidence(one.log_evidence, one.misfit) for one in halves]

@@ -13,7 +13,7 @@ from magmatch.field.build import build_map
 from magmatch.geometry import path_walked
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.halves import naming_drift
+from magmatch.registration.find_drift import naming_drift
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.prepared.walk import is_line
 from magmatch.registration.result import Alternative, RegistrationResult, Status
