@@ -178,6 +178,27 @@ def test_surveys_that_are_none_are_refused(bad, survey):
     assert words in is_refused(lambda: call(survey))
 
 
+BAD_SAMPLES = {
+    "no time": (None, [2e-5, 0, -4e-5], "t: expected one number, in s, got None"),
+    "text for a time": ("now", [2e-5, 0, -4e-5], "t: expected one number, in s, got text"),
+    "many times": (
+        np.arange(9.0),
+        [2e-5, 0, -4e-5],
+        "t: expected one finite number, in s, got an array of shape (9,)",
+    ),
+    "a row of rows": (0.0, [[2e-5, 0, -4e-5]], "got an array of shape (1, 3); give x, y, z of one sample"),
+    "a magnitude": (0.0, 5e-5, "got an array of shape (); give x, y, z of one sample"),
+    "NaN": (0.0, [np.nan, 0, -4e-5], "got [nan, 0.0, -4e-05]; leave such samples out"),
+    "microtesla": (0.0, [20.0, 0, -40.0], "if it is in uT, multiply by 1e-6"),
+}
+
+
+@pytest.mark.parametrize("bad", BAD_SAMPLES)
+def test_samples_that_are_none_are_refused_by_a_localizer(bad, field_map):
+    t, field, words = BAD_SAMPLES[bad]
+    assert words in is_refused(lambda: mm.Localizer(field_map).update(t, RigidTransform.identity(), field))
+
+
 TAKES_SURVEYS = {
     "register base": mm.register,
     "register target": lambda s, m: mm.register(m, s),
@@ -299,6 +320,10 @@ BAD_FRAMES = {
     "decimal commas": (lambda f: mm.Survey.from_dataframe(f.assign(by="2,5")), "text such as '2,5'"),
     "times of day": (lambda f: mm.Survey.from_dataframe(f.assign(t="12:00:01")), "to_datetime"),
     "one name twice": (lambda f: mm.Survey.from_dataframe(f[[*COLUMNS, "bx"]]), "found 2 of that name"),
+    "all names twice": (
+        lambda f: mm.Survey.from_dataframe(f.assign(t=np.arange(N))[["t", "t", *COLUMNS]], "uT"),
+        "one column for t, found 2",
+    ),
     "words": (lambda f: mm.Survey.from_dataframe(f.assign(by="a")), "by"),
     "NaN": (lambda f: mm.Survey.from_dataframe(f.assign(by=np.nan)), "by"),
     "twice": (lambda f: mm.Survey.from_dataframe(f.join(f["x"].rename("X"))[["x", *COLUMNS]]), "x"),

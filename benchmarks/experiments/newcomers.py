@@ -15,11 +15,12 @@ Right: within 0.5 m (museum: 1 m) and 3 degrees or two stated standard deviation
 (1 m) and 8 degrees: headings are known so well. With odometry right is within three stated standard deviations,
 or refused with a reason that names drift: found in the halves of the walk, or as a question.
 Maps of bases are made before, once, and are not in the seconds. Rows stay in FOLDER, a second run goes on where the
-first ended. ``--quick`` takes every eighth pair, ``--pairs`` lists all.
+first ended. Planar rows come first; a run that ends early has the same share of every kind of pair.
+``--quick`` takes every eighth pair, ``--pairs`` lists all.
 """
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache, partial
 from itertools import combinations, product
 from pathlib import Path
@@ -120,6 +121,16 @@ def pairs(data: Path, out: Path) -> Iterator[str]:
         yield f"odo-odo {others(walk)[-1]} {walk}"
 
 
+def evenly(names: Iterable[str]) -> list[str]:
+    """Pairs in an order of which every beginning has the same share of every kind and place."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in sorted(names, key=lambda name: crc32(name.encode())):
+        kind, _, walk = name.split(" ")
+        groups.setdefault((kind, walk.split("_")[0]), []).append(name)
+    share = {name: (k + 0.5) / len(group) for group in groups.values() for k, name in enumerate(group)}
+    return sorted(share, key=lambda name: share[name])
+
+
 def one(data: Path, out: Path, name: str) -> dict[str, Any]:
     """Register one pair: name is ``KIND BASE TARGET MODE``."""
     kind, base_walk, walk, mode = name.split(" ", 3)
@@ -201,10 +212,8 @@ def main() -> None:
     )  # fmt: skip
     logging.getLogger("magmatch").setLevel(logging.ERROR)
     asked.out.mkdir(parents=True, exist_ok=True)
-    drawn = {pair: crc32(pair.encode()) for pair in pairs(asked.data, asked.out)}
-    # In an order of their own, those that drift last: a run that ends early has some of every kind.
-    order = sorted(drawn, key=lambda pair: (pair.startswith("odo"), drawn[pair] % 8 > 0, drawn[pair]))
-    names = [f"{pair} {mode}" for pair in order if drawn[pair] % 8 == 0 or not asked.quick for mode in MODES]
+    wanted = [pair for pair in pairs(asked.data, asked.out) if crc32(pair.encode()) % 8 == 0 or not asked.quick]
+    names = [f"{pair} {mode}" for mode in reversed(MODES) for pair in evenly(wanted)]
     make = partial(one, asked.data, asked.out)
     found = kept(asked.out / "rows.jsonl", names, make, jobs=asked.jobs, minutes=asked.minutes)
     show(COLUMNS, table([Row(row) for row in found.values()]), asked.save, found.values())

@@ -32,7 +32,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
     """Native float64 of anything that holds plain real numbers; their shape is only stated, in messages."""
     if type(values) is np.ndarray and values.dtype == np.float64 and values.dtype.isnative:
         return values
-    expected = f"numbers of shape {shape}"
+    expected = f"one number{shape[2:]}" if shape.startswith("()") else f"numbers of shape {shape}"
     # Of pint, astropy and xarray; a table of pandas has columns, of whatever name.
     unit = next((getattr(values, n) for n in ("units", "unit") if hasattr(values, n)), None)
     if unit is not None and not hasattr(values, "columns"):
@@ -48,6 +48,8 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
     if array.dtype.kind not in "iuf":
         kind = _KINDS.get(array.dtype.kind, f"{found(values)} of dtype {array.dtype}")
         advice = _ADVICE.get(array.dtype.kind, "convert it to float64 first")
+        if values is None:
+            _refuse(name, expected, "None", "")
         text = next((cell for cell in array.flat if isinstance(cell, str)), None)
         if hasattr(values, "positions"):
             advice = "give its .positions"

@@ -293,6 +293,12 @@ def test_bad_points_are_refused_by_line(case, place, out, run, tmp_path):
     assert_refused(run("query", place / "base.map", points, "--out", out / "q.csv"), words, out)
 
 
+def test_a_map_and_points_that_are_swapped_are_told_by_the_map(place, out, run, tmp_path):
+    points = written(tmp_path, "p.csv", "x,y,z\n0,0,0\n")
+    outcome = run("query", points, place / "base.map", "--out", out / "q.csv")
+    assert_refused(outcome, "p.csv: expected a saved map", out)
+
+
 def truncated(raw: bytes) -> bytes:
     return raw[: len(raw) // 2]
 

@@ -57,6 +57,7 @@ TABLE_CASES = {
     "header and blank lines": (table("", "", ",,,,,"), ["header row but no samples"]),
     "no header": ("\n".join(rows()), ["line 1", "header row", "found numbers"]),
     "header commented out": ("# " + HEADER + "\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
+    "other names commented out": ("#x0,x1,x2,y0,y1,y2\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
     "prose": ("Dear reader,\nthis is a letter.\n", ["expected columns", "bx", "found dear reader"]),
     "missing column": (table(*rows(), header="x,y,z,bx,by,up"), ["missing bz", "found x, y, z, bx, by, up"]),
     "missing several": (table(*rows(), header="lat,lon,alt,bx,by,bz"), ["missing x, y, z", "found lat, lon, alt"]),

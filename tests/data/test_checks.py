@@ -68,6 +68,14 @@ SAID = {
     "constant field": (lambda s: replace(s, field=0 * s.field + 30e-6), "field is constant"),
     "weak field": (lambda s: replace(s, field=s.field / 100), "unusual on Earth"),
     "strong field": (lambda s: replace(s, field=s.field * 100), "unusual on Earth"),
+    "rows in teslas": (
+        lambda s: replace(s, field=s.field * share(s, 1e-6)),
+        "9 of 50 .* below 1 nT: rows in two units",
+    ),
+    "rows in nanoteslas": (
+        lambda s: replace(s, field=s.field * share(s, 1e3)),
+        "9 of 50 .* above 20 mT: rows in two units",
+    ),
     "tiny": (lambda s: replace(s, positions=s.positions * 1e-4), "span only"),
     "huge": (lambda s: replace(s, positions=s.positions * 5e3, times=1e4 * s.times), "span 14.* km"),
     "milliseconds": (lambda s: replace(s, times=1e5 * s.times), "a sample every 5e.04 s: are they in ms"),
@@ -78,6 +86,11 @@ SAID = {
     ),
     "too fast": (lambda s: replace(s, times=s.times / 100), "moves at .* m/s"),
 }
+
+
+def share(survey, factor, n=9):
+    """A factor of the last rows."""
+    return np.where(np.arange(len(survey)) < len(survey) - n, 1.0, factor)[:, None]
 
 
 def tilted_plane():

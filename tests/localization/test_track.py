@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is written of a track is what was known, at the times it was known for."""
 
+from dataclasses import replace
+
 import numpy as np
 
 import magmatch as mm
@@ -35,3 +37,13 @@ def test_the_result_reads_back_as_it_was_written(followed, tmp_path):
     assert result.first_fix[0] == followed.log.times[np.argmax(followed.track.is_stated)]
     assert result.segments[0].t0 == followed.log.times[0]
     assert result.segments[-1].t1 == followed.log.times[-1]
+
+
+def test_a_log_that_is_never_found_says_first_what_is_wrong_with_it(followed):
+    log, track = followed.log, followed.track
+    nowhere = [replace(e, matrix=None) for e in track.estimates]
+    unturned = replace(log, field=log.orientations.inv().apply(log.field))
+    wrong = replace(track, log=unturned, estimates=nowhere).result()
+    assert wrong.reason.startswith("the field vectors look like those of a sensor that turns")
+    assert wrong.reason.endswith(nowhere[-1].reason)
+    assert replace(track, estimates=nowhere).result().reason == nowhere[-1].reason

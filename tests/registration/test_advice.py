@@ -15,6 +15,7 @@ from magmatch.registration.result import RegistrationResult, Status
 
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 ANY_POSE, UPRIGHT = PosePriorConfig(), PosePriorConfig(is_gravity_aligned=True)
+PLANAR = PosePriorConfig(is_planar=True)
 
 
 def survey(height=2.0, wild=5e-6, n=200, seed=0):
@@ -75,6 +76,13 @@ def test_else_more_survey_or_a_better_known_pose_helps():
     assert "survey more" in said
     # What a disturbed place does to vectors is no turning sensor.
     assert diagnosis({"base": survey(wild=15e-6), "target": ROOM}) == ""
+
+
+def test_what_is_known_already_is_not_asked_for():
+    assert "--gravity-aligned" in asked(ROOM, ROOM)
+    for known in (UPRIGHT, PLANAR):
+        assert "--gravity-aligned" not in asked(ROOM, ROOM, known)
+        assert "--prior-pose" in asked(ROOM, ROOM, known)
 
 
 def test_an_inconsistent_answer_gets_one_clause_more_and_three_sentences_at_most():

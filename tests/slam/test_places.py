@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log that may be anywhere on its earlier path: where it is searched for, and what it must show to be tied there."""
+"""A log that may be anywhere on its earlier path: where it is searched for, and what ties it there."""
 
 from dataclasses import replace
 

@@ -167,3 +167,13 @@ def test_a_straight_line_has_an_outline_too(pair):
     p = np.column_stack([np.linspace(0, 2, 50), np.zeros(50), np.zeros(50)])
     line = replace(pair.target, positions=p[::-1], field=np.full(p.shape, 3e-5))
     assert len(poses_figure(pair.base, line, [RigidTransform.identity()]).data[1].x) == 50
+
+
+def test_a_wide_band_does_not_flatten_the_field(pair):
+    compared = compare(pair.base_map, pair.target_map, pair.accepted.T_base_target, pair.accepted)
+    vague = replace(compared, expected_sd=np.full_like(compared.expected_sd, 1e-3))
+    for k, axis in enumerate(("yaxis", "yaxis2", "yaxis3")):
+        low, high = along_figure(vague).layout[axis].range
+        lines = 1e6 * np.concatenate([compared.measured[:, k], compared.expected[compared.is_known, k]])
+        assert low <= lines.min() <= lines.max() <= high
+        assert high - low < 1.5 * np.ptp(lines)

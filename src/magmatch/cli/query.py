@@ -37,8 +37,8 @@ def query(
     from magmatch.field.query import query_map
 
     check_outputs((out,), inputs=(field_map, points))
+    loaded = read_map(field_map)  # first: what is swapped is no map
     p_map = read_points(points, Layouts({("", "length_unit"): length_unit}).of())
-    loaded = read_map(field_map)
     table = query_map(loaded, p_map, with_gradient=gradient)
     write_table(out, table)
     n_known = int(loaded.knows(p_map).sum())

@@ -144,6 +144,11 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
 def _doubt_field(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
     if float(survey.field.std(axis=0).max()) < CONSTANT_FIELD:
         yield f"the field is constant (varies less than {field_text(CONSTANT_FIELD)}): nothing tells places apart"
+    magnitude, (low, high) = np.linalg.norm(survey.field, axis=1), MEDIAN_FIELD
+    for n, side, bound in (((magnitude < low).sum(), "below", low), ((magnitude > high).sum(), "above", high)):
+        if n:
+            text = f"{n} of {len(survey)} samples have a field {side} {field_text(bound)}"
+            yield f"{text}: rows in two units, or a sensor that fails?"
 
 
 def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:

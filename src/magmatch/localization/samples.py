@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from magmatch.arguments import numbers_of
+from magmatch.arguments import found, numbers_of
 from magmatch.compiled import compiled
 from magmatch.data.checks import MAX_FIELD
 from magmatch.typing import Matrix, Vector3
@@ -74,11 +74,15 @@ class Samples:
         """Say what is wrong; an odometry that began anew is followed from there."""
         one = self.last[0]
         if fault == BAD_TIME:
-            msg = f"t: expected a finite number of seconds, got {t!r:.40}"
+            msg = f"t: expected one finite number, in s, got {found(t)}"
         elif fault == BAD_POSE:
             msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
         elif fault == BAD_FIELD:
-            msg = f"field: expected three finite numbers, in T, got {np.asarray(b)!r:.60}; leave such samples out"
+            is_row, got = np.shape(b) == (3,), np.asarray(b)
+            advice = "leave such samples out" if is_row else "give x, y, z of one sample"
+            msg = (
+                f"field: expected three finite numbers, in T, got {got.tolist() if is_row else found(got)}; {advice}"
+            )
         elif fault == LARGE_FIELD:
             size = math.sqrt(one["next_z"] @ one["next_z"])
             msg = f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"

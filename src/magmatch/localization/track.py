@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch._version import __version__
+from magmatch.data.diagnoses import diagnose
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.data.tables.tum import write_poses
@@ -91,8 +92,10 @@ class Track:
         """What was found, as a document."""
         times, is_stated, last = self.log.times, self.is_stated, self.estimates[-1]
         assert times is not None
+        wrong = [] if is_stated.any() else diagnose(self.log)
+        reason = "; ".join([*map(str, wrong[:1]), last.reason])
         found = LocalizationResult(
-            LocalizationStatus.NEVER, last.reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
+            LocalizationStatus.NEVER, reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
             seconds=dict(self.seconds), config=self.config.model_dump(mode="json"), version=__version__,
             inputs=tuple(describe_input(s) for s in (*(m.survey for m in self.maps), self.log)),
         )  # fmt: skip

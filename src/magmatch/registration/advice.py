@@ -56,7 +56,8 @@ def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
         return (
             "both surveys are flat: if z is up in both, use --gravity-aligned (--planar if their heights agree too)"
         )
-    return "if they do share a region, survey more of it, or state what is known of the pose (--gravity-aligned)"
+    more = "--prior-pose" if is_known else "--gravity-aligned"
+    return f"if they do share a region, survey more of it, or state what is known of the pose ({more})"
 
 
 def of_odometry(surveys: Mapping[str, Survey]) -> list[str]:

@@ -16,6 +16,7 @@ MEANING = {
     "like this, and so does one place when something went wrong with the data.",
 }
 
+IF_UPRIGHT = "If z points up in both surveys, pass --gravity-aligned: fewer poses are then possible."
 # What helps, the most likely first.
 NEXT_STEPS = {
     Status.ACCEPTED: (
@@ -27,7 +28,7 @@ NEXT_STEPS = {
     Status.AMBIGUOUS: (
         "Look at the other poses below. If you know roughly where the target was, pass --prior-pose and register "
         "again.",
-        "If z points up in both surveys, pass --gravity-aligned: fewer poses are then possible.",
+        IF_UPRIGHT,
         "Survey more of the surroundings, in base or target, until they include something that does not repeat (a "
         "door, a pillar, the end of a row of racks).",
     ),
@@ -42,8 +43,8 @@ NEXT_STEPS = {
         "If the base was made with --domain, check that the box contains the place.",
     ),
     Status.UNINFORMATIVE: (
-        "If z points up in both surveys, or you know the pose roughly, pass --gravity-aligned or --prior-pose: the "
-        "field then has less to determine.",
+        IF_UPRIGHT,
+        "If you know the pose roughly, pass --prior-pose: the field then has less to determine.",
         "Survey nearer to iron (walls, floors with rebar, furniture), or a larger region.",
         "Check the units and the resolution of the field: 'magmatch info' shows how much it varies in each survey.",
     ),
@@ -78,7 +79,9 @@ def percent(probability: float) -> str:
 
 def next_steps(result: RegistrationResult) -> list[str]:
     """What the user can do, the most promising first."""
-    steps = list(NEXT_STEPS[result.status])
+    prior = result.config.get("prior", {})
+    is_upright = prior.get("is_gravity_aligned") or prior.get("is_planar")
+    steps = [step for step in NEXT_STEPS[result.status] if step != IF_UPRIGHT or not is_upright]
     if result.alternatives and not result.is_accepted:
         steps.append(
             "The best candidate is drawn below and comes first under 'alternatives' in the result file. It is a "

@@ -93,7 +93,12 @@ def test_every_array_of_numbers_is_read_as_scipy_wrote_it(array, is_packed, tmp_
 
 
 BAD = {
-    "other names": ({"mag": FIELD}, None, "expected arrays x, y, z, bx, by, bz; found mag. say which"),
+    "other names": ({"mag": FIELD}, None, "expected arrays x, y, z, bx, by, bz; found mag. Say which"),
+    "only the times as named": (
+        {"a": FIELD, "t": TIMES},
+        None,
+        "expected arrays x, y, z, bx, by, bz; found a, t. Say",
+    ),
     "a name that is not there": (PLAIN, "bx=oops", "expected arrays oops; found "),
     "three columns for one": (NESTED, COLUMNS.replace(":1", "", 1), "expected one column of 40 x 3, data.pos:1"),
     "a fourth of three columns": (NESTED, COLUMNS.replace(":3", ":4", 1), "found 'data.pos:4'"),

@@ -20,7 +20,7 @@ from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
-_HINT = "say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
+_HINT = "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 
 
 def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
@@ -46,7 +46,7 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
             if name.partition(":")[0] in lower
         }
         missing = [name for name in theirs if known[name] not in columns]
-        if missing or not columns:
+        if missing or not columns.keys() - {"t"}:
             wanted = ", ".join(missing) or "x, y, z, bx, by, bz"
             raise DataFormatError(
                 place, f"expected arrays {wanted}; found {listed(_names(place, is_v5=is_v5))}. {_HINT}"

@@ -74,13 +74,13 @@ def _expect_names(theirs: Any) -> None:
 def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
     """A column as finite float64; dates as seconds since 1970."""
     try:
+        if np.ndim(column) == 2:
+            msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
+            raise ValueError(msg)  # noqa: TRY301
         if ours == "t" and getattr(column.dtype, "kind", "") == "M":
             dates = np.asarray(column, dtype="datetime64[ns]")
             require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
             return seconds_of(dates.astype(np.int64).tolist())
-        if np.ndim(column) == 2:
-            msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
-            raise ValueError(msg)  # noqa: TRY301
         return column_of(column, ours, "any unit", n)
     except ValueError as error:
         raise DataFormatError(name, str(error)) from None

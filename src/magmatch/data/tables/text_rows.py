@@ -34,7 +34,8 @@ def names_of(
         names.pop()
     if all(_is_number(name) for name in names):
         message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
-        if any(len(set(comment.replace(",", " ").lower().split()) & set(known)) > 2 for comment in comments):
+        above = comments[-1].replace(",", " ").replace(";", " ").split() if comments else []
+        if len(above) == len(names) and not any(map(_is_number, above)):
             message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
         raise DataFormatError(path, message, line=line)
     for name in names:

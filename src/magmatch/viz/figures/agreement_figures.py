@@ -159,7 +159,13 @@ def along_figure(compared: Comparison) -> "Figure":
         for along, values, style in styles:
             drawn = {"mode": "lines", "hoverinfo": "skip", "showlegend": k == 0} | style
             figure.add_trace(go.Scatter(x=along, y=for_display(values), **drawn), row=k + 1, col=1)
-        figure.update_yaxes(title_text=f"b{'xyz'[k]} (uT)", gridcolor=PAPER, zeroline=False, row=k + 1, col=1)
+        # Where the map ends, the band is many times as wide as the field: it may leave the panel, the lines may not.
+        lines = np.concatenate([measured[:, k], said[known]])
+        margin = 0.1 * np.ptp(lines)
+        figure.update_yaxes(
+            title_text=f"b{'xyz'[k]} (uT)", gridcolor=PAPER, zeroline=False,
+            range=[lines.min() - margin, lines.max() + margin], row=k + 1, col=1,
+        )  # fmt: skip
     figure.update_xaxes(title_text="sample", gridcolor=PAPER, zeroline=False, row=3, col=1)
     figure.update_layout(height=480)
     rms = float(np.sqrt(((measured - expected)[known] ** 2).sum(axis=1).mean()))
