@@ -25,6 +25,7 @@ from magmatch.serve.logs.remarks import in_query_words
 from magmatch.serve.logs.work import WhereOfLog, picture_of, read_question, work_on_log
 from magmatch.serve.logs.workers import LogWorkers
 from magmatch.serve.messages import write_sample
+from magmatch.serve.openapi import openapi
 from magmatch.serve.refusals import RefusedError
 
 
@@ -252,6 +253,26 @@ def test_what_is_odd_about_a_log_is_told_to_its_sender_and_nobody_else(hall, tmp
         assert str(tmp_path) not in str(found["warnings"])
     assert found["reason"].startswith("target: the field is constant")
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("verb", "schema"), [("localize", "Localization"), ("register", "Registration")])
+def test_answers_are_as_the_openapi_document_says(hall, tmp_path, verb, schema):
+    hall.walk(2)[0].save(tmp_path / "log")
+    config = ServeConfig(states=tmp_path)
+    found = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", read_question(verb, []), config)
+    assert set(found) - set(openapi()["components"]["schemas"][schema]["properties"]) == {"schema"}
+
+
+@pytest.mark.parametrize("home", ["/", "nowhere", None])
+def test_a_service_whose_user_has_no_home_still_says_why(hall, tmp_path, monkeypatch, home):
+    monkeypatch.delenv("HOME") if home is None else monkeypatch.setenv("HOME", home)
+    log = hall.walk(2)[0]
+    replace(log, field=np.tile([2e-5, 0.0, -4e-5], (len(log), 1))).save(tmp_path / "log")
+    found = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", WhereOfLog(), ServeConfig(states=tmp_path))
+    assert "the field is constant" in found["warnings"][0]
+    (tmp_path / "log").write_text("t,x/y\n1,2\n")
+    refused = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", WhereOfLog(), ServeConfig(states=tmp_path))
+    assert "x/y" in refused.message
 
 
 ADVICE = {

@@ -169,9 +169,10 @@ def _for_client(words: str, place: Path, upload: Path, question: LogQuestion) ->
     names = {upload: "log", upload.parent: "log", place: "maps", place.parent: "maps"}
     words = without_paths(words, names)
     switches = {name for name, one in type(question).model_fields.items() if one.annotation is bool}
-    return (
-        "" if str(Path.home()) in words else in_query_words(words, switches, set(SurveyFormat.model_fields) - FILES)
-    )
+    # Of a user without a home it is "/", "~" or empty.
+    home = os.path.expanduser("~")  # noqa: PTH111  # Path.home() raises an error instead
+    is_ours = len(home) > 1 and home in words
+    return "" if is_ours else in_query_words(words, switches, set(SurveyFormat.model_fields) - FILES)
 
 
 def _registered(known: Place, survey: Survey, question: PoseOfLog) -> dict[str, Any]:
