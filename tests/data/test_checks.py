@@ -106,6 +106,13 @@ def test_odd_survey_is_said_but_not_refused(name, room):
     assert re.search(words, warnings[0]), warnings
 
 
+def test_a_sensor_that_always_reads_the_same_is_said(room):
+    warnings = check_survey(replace(room, field=room.orientations.apply([2e-5, 0.0, 4e-5])))
+    assert any("constant in the sensor's axes (varies less than 1 nT): nothing tells" in one for one in warnings)
+    # Undone, the turns leave no scatter, which is no number to be told.
+    assert all(len(number) < 6 for one in warnings for number in re.findall(r"\d+", one)), warnings
+
+
 @pytest.mark.parametrize("declared", ["survey", "sensor"])
 def test_field_in_the_other_frame_than_declared_is_said(declared, room):
     inverse = declared == "survey"  # sensor vectors taken for survey vectors, or survey vectors turned once more

@@ -53,6 +53,12 @@ def test_what_is_wrong_with_both_is_said_once():
     assert said.count("--field-frame sensor") == 1
 
 
+def test_a_field_that_is_the_same_everywhere_is_said_first():
+    answer = RegistrationResult(Status.INCONSISTENT, "probably different places", None)
+    said = with_advice(answer, {"base": ROOM, "target": survey(wild=0.0)}, ANY_POSE).reason
+    assert said.startswith("target: the field is constant (varies less than 1 nT): nothing tells places apart; prob")
+
+
 def test_nothing_is_wrong_with_surveys_as_they_should_be():
     assert diagnosis({"base": ROOM, "target": FLAT}) == ""
 
@@ -121,7 +127,7 @@ def test_where_z_is_said_to_be_up_in_both_a_refusal_begins_with_fields_that_cont
 
 def test_where_positions_follow_a_path_odometry_is_asked_about_once_and_whose():
     rows = np.linspace(0, 4 * np.pi, 300)
-    path = Survey(np.column_stack([rows, np.sin(rows), 0 * rows]), EARTH + np.zeros((300, 3)))
+    path = Survey(np.column_stack([rows, np.sin(rows), 0 * rows]), EARTH + 1e-6 * np.sin(rows)[:, None])
     assert of_odometry({"base": ROOM, "target": ROOM}) == []
     assert "the base are" in of_odometry({"base": path, "target": ROOM})[0]
     assert "the target are" in of_odometry({"base": ROOM, "target": path})[0]

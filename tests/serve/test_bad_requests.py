@@ -156,6 +156,15 @@ def test_what_is_not_http_is_refused(door, words):
     with socket.create_connection((host, int(port)), timeout=30) as wire:
         wire.sendall(words)
         assert wire.recv(65536).split()[1] in {b"400", b"431", b"505"}
+    assert "Invalid" not in door.words()
+
+
+@pytest.mark.parametrize("path", ["/", "/maps", "/live/more", "/nothing"])
+def test_a_websocket_of_another_path_is_told_so(door, path):
+    with pytest.raises(InvalidStatus) as refused:
+        connect(door.live.replace("/live", path), proxy=None).close()
+    assert refused.value.response.status_code == 404
+    assert is_a_sentence_of_its_own(json.loads(refused.value.response.body)["message"])
 
 
 HELLOS = {

@@ -72,6 +72,35 @@ def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
         assert (status, json.loads(said)["map"]) == (200, "other.map")
 
 
+def test_an_emptied_folder_is_served_on_and_says_so(hall, other, tmp_path):
+    folder, gone = tmp_path / "maps", tmp_path / "gone"
+    folder.mkdir()
+    shutil.copy(hall.map, folder / "hall.map")
+    (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
+    body = survey_csv(hall.walk(2)[0], tmp_path)
+    with serving(folder, "--config", tmp_path / "limits.yaml") as service:
+        assert service.ask("/localize", body)[0] == 200
+        # The clients' states lie in the folder, too.
+        folder.rename(gone)
+        wait_until(lambda: b"is gone" in service.ask("/maps")[2])
+        status, _, said = service.ask("/localize", body)
+        assert (status, json.loads(said)["status"]) == (503, 503)
+        gone.rename(folder)
+        wait_until(lambda: json.loads(service.ask("/maps")[2])["fault"] is None)
+        (folder / "hall.map").unlink()
+        told = wait_until(lambda: json.loads(service.ask("/maps")[2])["fault"])
+        assert told == "maps: holds no map any more"
+        assert b"magmatch_map_fault 1.0" in service.ask("/metrics")[2]
+        assert last_answer(service, hall.walk(2)[0])["map"] == "hall.map"
+        assert service.ask("/localize", body)[0] == 200
+        shutil.copy(other, folder / "new")
+        (folder / "new").replace(folder / "other.map")
+        wait_until(lambda: [m["name"] for m in json.loads(service.ask("/maps")[2])["maps"]] == ["other.map"])
+        assert last_answer(service, hall.walk(2)[0])["map"] is None
+        assert service.words().count("holds no map any more") == 1
+        assert "Traceback" not in service.words()
+
+
 def survey_csv(log, tmp_path):
     log.save(tmp_path / "log.csv")
     return (tmp_path / "log.csv").read_bytes()
@@ -146,6 +175,23 @@ def test_foxglove_sees_hypotheses_and_a_map_whose_unknown_parts_are_nan():
     expected = np.array([1, np.nan, 3, 4, 5, 6], "<f4").tobytes()
     assert expected in seen[1].encode()
     assert "Vector3 { x: -1.0, y: 0.5, z: 1.5 }" in repr(seen[1])
+
+
+def test_foxglove_tells_clients_of_one_name_apart():
+    pytest.importorskip("foxglove")
+    from magmatch.serve.foxglove_feed import FoxgloveFeed
+
+    feed, seen = FoxgloveFeed(0), []
+    feed._frames, feed._scene = SimpleNamespace(log=seen.append), SimpleNamespace(log=lambda _: None)
+    about = {
+        "map": "hall",
+        "status": "localized",
+        "T_map_body": np.eye(4).tolist(),
+        "covariance_xy": [[1, 0], [0, 1]],
+    }
+    feed.show([about | {"client": client, "name": "replay"} for client in ("0a", "1b")])
+    feed.stop()
+    assert [f"replay {client}" in repr(seen[0]) for client in ("0a", "1b")] == [True, True]
 
 
 def test_foxglove_is_told_of_bodies(hall, tmp_path):

@@ -7,6 +7,7 @@ import os
 import pickle
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,15 @@ from magmatch.errors import ConfigurationError
 from magmatch.serve.allowance import Allowance, Allowances
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.tracker import Tracker, load_places
+from magmatch.serve.bodies.trackers import TrackerHandle
 from magmatch.serve.catalogue import Catalogue, look_at
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.keys import id_of, is_key, new_key
+from magmatch.serve.logs.remarks import in_query_words
 from magmatch.serve.logs.work import WhereOfLog, picture_of, read_question, work_on_log
 from magmatch.serve.logs.workers import LogWorkers
 from magmatch.serve.messages import write_sample
+from magmatch.serve.openapi import openapi
 from magmatch.serve.refusals import RefusedError
 
 
@@ -158,6 +162,45 @@ def test_a_map_is_new_once_nobody_writes_it(hall, tmp_path):
     assert (listing.served.names, listing.fault) == (["one.map", "three.map"], None)
 
 
+@pytest.mark.parametrize(("is_folder_left", "words"), [(True, "holds no map any more"), (False, "is gone")])
+def test_a_folder_that_is_emptied_or_gone_is_told(hall, tmp_path, is_folder_left, words):
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    shutil.copy(hall.map, folder / "one.map")
+    listing = Catalogue(folder, look_at(folder))
+    (folder / "one.map").unlink()
+    if not is_folder_left:
+        folder.rmdir()
+    assert [listing.newer() for _ in range(3)] == [None] * 3
+    assert listing.document()["fault"] == f"maps: {words}"
+    assert listing.served.names == ["one.map"]
+
+
+def test_a_process_that_follows_clients_is_started_until_it_can_be(tmp_path, monkeypatch):
+    tries = []
+
+    async def revived():
+        handle = TrackerHandle(tmp_path, ServeConfig(states=tmp_path))
+
+        async def start():
+            tries.append(1)
+            if len(tries) < 12:
+                raise OSError
+
+        monkeypatch.setattr(handle, "start", start)
+        await asyncio.wait_for(handle._revive(), 30)
+
+    monkeypatch.setattr("magmatch.serve.bodies.trackers.PAUSES", (0.0, 0.0))
+    asyncio.run(revived())
+    assert len(tries) == 12
+
+
+def test_a_token_that_is_refused_is_not_said(tmp_path):
+    with pytest.raises(ConfigurationError) as refused:
+        ServeConfig(states=tmp_path, token="a-token with a blank in it")
+    assert "blank" not in str(refused.value)
+
+
 def test_maps_that_vanished_are_not_a_client_s_fault_and_break_no_worker(hall, tmp_path):
     shutil.copy(hall.map, tmp_path / "hall.map")
     served = look_at(tmp_path)
@@ -196,6 +239,55 @@ def test_a_registration_is_told_of_the_vertical(hall, tmp_path, is_folder):
     question = read_question("register", [("planar", "1")])
     found = work_on_log(place, look_at(place), tmp_path / "log.csv", question, ServeConfig(states=tmp_path))
     assert found["config"]["prior"]["is_planar"]
+
+
+def test_what_is_odd_about_a_log_is_told_to_its_sender_and_nobody_else(hall, tmp_path, capfd):
+    log = hall.walk(2)[0]
+    replace(log, field=np.tile([2e-5, 0.0, -4e-5], (len(log), 1))).save(tmp_path / "log")
+    for verb in ("localize", "register"):
+        question = read_question(verb, [])
+        found = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", question, ServeConfig(states=tmp_path))
+        assert found["warnings"][0] == (
+            "log: the field is constant (varies less than 1 nT): nothing tells places apart"
+        )
+        assert str(tmp_path) not in str(found["warnings"])
+    assert found["reason"].startswith("target: the field is constant")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("verb", "schema"), [("localize", "Localization"), ("register", "Registration")])
+def test_answers_are_as_the_openapi_document_says(hall, tmp_path, verb, schema):
+    hall.walk(2)[0].save(tmp_path / "log")
+    config = ServeConfig(states=tmp_path)
+    found = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", read_question(verb, []), config)
+    assert set(found) - set(openapi()["components"]["schemas"][schema]["properties"]) == {"schema"}
+
+
+@pytest.mark.parametrize("home", ["/", "nowhere", None])
+def test_a_service_whose_user_has_no_home_still_says_why(hall, tmp_path, monkeypatch, home):
+    monkeypatch.delenv("HOME") if home is None else monkeypatch.setenv("HOME", home)
+    log = hall.walk(2)[0]
+    replace(log, field=np.tile([2e-5, 0.0, -4e-5], (len(log), 1))).save(tmp_path / "log")
+    found = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", WhereOfLog(), ServeConfig(states=tmp_path))
+    assert "the field is constant" in found["warnings"][0]
+    (tmp_path / "log").write_text("t,x/y\n1,2\n")
+    refused = work_on_log(hall.map, look_at(hall.map), tmp_path / "log", WhereOfLog(), ServeConfig(states=tmp_path))
+    assert "x/y" in refused.message
+
+
+ADVICE = {
+    "use --field-frame sensor (in Python field_frame)": "use field_frame=sensor",
+    "read as T; if the file is in uT, use --field-unit uT": "read as T; if the file is in uT, use field_unit=uT",
+    "use --target-field-frame survey": "use field_frame=survey",
+    "use --gravity-aligned (--planar if heights agree)": "use gravity_aligned=true (planar=true if heights agree)",
+    "wrong length unit (--length-unit), or --other": "wrong length unit (length_unit), or --other",
+}
+
+
+@pytest.mark.parametrize("words", ADVICE)
+def test_advice_is_in_words_of_the_query(words):
+    said = in_query_words(words, {"gravity_aligned", "planar"}, {"field_frame", "field_unit", "length_unit"})
+    assert said == ADVICE[words]
 
 
 def resident():

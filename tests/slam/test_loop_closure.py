@@ -63,9 +63,7 @@ def near(lone):
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
-    return SimpleNamespace(
-        window=window, base=places.stretch(closure.first), rough=rough, node=closure.first
-    )
+    return SimpleNamespace(window=window, base=places.stretch(closure.first), rough=rough, node=closure.first)
 
 
 def test_poses_that_are_no_longer_expected_are_not_weighed(near):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.arguments import expect_kind
-from magmatch.data.diagnoses import diagnose
+from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.units import (
@@ -34,7 +34,6 @@ FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than 
 SINCE_1970 = (9e8, 4.5e9)  # s; the years 1998 to 2112
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
-CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 
 
 # What to do about that which is no survey, by what it is.
@@ -142,8 +141,8 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
 
 
 def _doubt_field(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
-    if float(survey.field.std(axis=0).max()) < CONSTANT_FIELD:
-        yield f"the field is constant (varies less than {field_text(CONSTANT_FIELD)}): nothing tells places apart"
+    if words := constant_field(survey):
+        yield words
     magnitude, (low, high) = np.linalg.norm(survey.field, axis=1), MEDIAN_FIELD
     for n, side, bound in (((magnitude < low).sum(), "below", low), ((magnitude > high).sum(), "above", high)):
         if n:

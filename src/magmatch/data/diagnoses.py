@@ -42,6 +42,7 @@ OWN = "x, y, z"
 # Smallest singular value over the largest from which on directions of constants are told apart.
 DISTINCT = 1e-3
 
+CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 # Deg; indoors steel bends a place's mean field by some tens of them.
 PLAUSIBLE_BEND = 35.0
 
@@ -96,6 +97,16 @@ def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
     return [*_of_magnitude(survey, unit), *_of_frames(survey)]
 
 
+def constant_field(survey: Survey) -> str:
+    """In words, that the field varies nowhere, in the survey's or in the sensor's axes; empty if it does."""
+    read = survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
+    for field, where in ((survey.field, ""), (read, " in the sensor's axes")):
+        if float(field.std(axis=0).max()) < CONSTANT_FIELD:
+            least = field_text(CONSTANT_FIELD)
+            return f"the field is constant{where} (varies less than {least}): nothing tells places apart"
+    return ""
+
+
 def of_verticals(base: Survey, target: Survey) -> list[Diagnosis]:
     """Whether two surveys of one place, with z up in both, have fields of contradictory inclination."""
     dips = [inclination_deg(survey.field.mean(axis=0)) for survey in (base, target)]
@@ -140,10 +151,10 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
         undone["carried"] = q.apply(field), q
     mistake = None if q is None else _mistake_made(survey.positions, (field, q), undone)
     if mistake is not None:
-        name, times = mistake
+        name, share = mistake
         kind, words, remedy = MISTAKES[name]
         measured = f"the field vectors look like {words}{heading if name == 'heading' else ''}"
-        yield Diagnosis(kind, f"{measured} (with that undone they scatter {times:.1f} times less)", remedy)
+        yield Diagnosis(kind, f"{measured} (with that undone they scatter {share:.0%} as much)", remedy)
     elif survey.orientations is None:
         if np.linalg.norm(field.mean(axis=0)) < TURNING * np.linalg.norm(field, axis=1).mean():
             measured = "the field vectors point every way, as those of a sensor do that turns"
@@ -157,13 +168,13 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
 
 
 def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]) -> tuple[str, float] | None:
-    """The mistake whose correction scatters least, and how many times less than as declared; None if none does."""
+    """The mistake whose correction scatters least, and as what share of the declared; None if none does."""
     scatter = _Scatter.of(points)
     for free_iron in (True,) if _stands_still(*declared) else (False, True):
         least, name = min((scatter(*turned, free_iron=free_iron), name) for name, turned in undone.items())
         as_declared = scatter(*declared, free_iron=free_iron)
         if least < LESS * as_declared:
-            return name, as_declared / max(least, np.finfo(float).tiny)
+            return name, least / as_declared
     return None
 
 

@@ -211,4 +211,7 @@ class Belief:
             return "the place is found, but not to the required accuracy"
         if found.rivals > found.null:
             return f"the best pose has probability {found.best:.2g}, others {found.rivals:.2g} together"
-        return f"the best pose has probability {found.best:.2g}: the body is not in the map, or has moved too little"
+        return (
+            f"the best pose has probability {found.best:.2g}: the body is not in the map, "
+            "or the field along its path has too little structure so far"
+        )

@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.atlas.atlas import Atlas, AtlasEntry
 from magmatch.atlas.retrieval import count_votes, shortlist
-from magmatch.data.checks import CONSTANT_FIELD
+from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap

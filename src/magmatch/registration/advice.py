@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magmatch.data.diagnoses import diagnose, of_verticals
+from magmatch.data.diagnoses import constant_field, diagnose, of_verticals
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
@@ -21,7 +21,7 @@ def with_advice(
     """A refusal, its reason extended by a survey's fault or, if no single pose fits, by remedies."""
     if answer.is_accepted:
         return answer
-    if wrong := diagnosis(surveys) or contradiction(surveys, prior):
+    if wrong := without_structure(surveys) or diagnosis(surveys) or contradiction(surveys, prior):
         return replace(answer, reason=f"{wrong}; {answer.reason}")
     rigid = (Status.INCONSISTENT, Status.AMBIGUOUS, Status.NO_OVERLAP)
     if DRIFTS in answer.reason or answer.status not in rigid:
@@ -29,6 +29,11 @@ def with_advice(
     remedies = [remedy(surveys, prior)] if answer.status is Status.INCONSISTENT else []
     remedies += of_odometry(surveys)
     return replace(answer, reason="; ".join([answer.reason, *remedies])) if remedies else answer
+
+
+def without_structure(surveys: Mapping[str, Survey]) -> str:
+    """In one clause, the first survey whose field is constant; empty if there is none."""
+    return next((f"{side}: {words}" for side, survey in surveys.items() if (words := constant_field(survey))), "")
 
 
 def diagnosis(surveys: Mapping[str, Survey]) -> str:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is asked for at which path, and what is answered."""
 
+import logging
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
@@ -26,7 +27,9 @@ from magmatch.serve.openapi import openapi, openapi_page
 from magmatch.serve.refusals import RefusedError
 from magmatch.serve.service import Service
 
+log = logging.getLogger(__name__)
 PAGE = files("magmatch.serve") / "page"
+WORDS = {404: "nothing is at this path; /docs lists what is", 405: "this path takes another method; see /docs"}
 
 
 def build_app(service: Service) -> Starlette:
@@ -46,6 +49,7 @@ def build_app(service: Service) -> Starlette:
             Route("/register", partial(_log, service, "register"), methods=["POST"]),
             WebSocketRoute("/live", partial(_admit, service, _live)),
             WebSocketRoute("/watch", partial(_admit, service, _watch)),
+            WebSocketRoute("/{path:path}", partial(_nowhere, service)),
         ],
         middleware=[Middleware(Gate, config=service.config, metrics=service.metrics)],
         exception_handlers=dict.fromkeys((RefusedError, HTTPException, 500), partial(_explain, service)),
@@ -72,14 +76,18 @@ async def _log(service: Service, verb: Verb, request: Request) -> Response:
     """Let a worker answer a question of a log."""
     question = read_question(verb, request.query_params.multi_items())
     served, logs = service.catalogue.served, service.workers
-    with logs.room(), TemporaryDirectory(prefix=checkpoints.UPLOAD, dir=service.config.states) as folder:
-        upload = Path(folder) / "log"
-        await receive_log(request, upload, service.config)
-        # A cluster does not see this folder, and nobody's token is its business.
-        is_here = service.config.dask is None
-        work, sent = (work_on_log, upload) if is_here else (work_on_sent_log, upload.read_bytes())
-        config = service.config.model_copy(update={"token": None})
-        document = await logs.run(work, service.place, served, sent, question, config)
+    try:
+        with logs.room(), TemporaryDirectory(prefix=checkpoints.UPLOAD, dir=service.config.states) as folder:
+            upload = Path(folder) / "log"
+            await receive_log(request, upload, service.config)
+            # A cluster does not see this folder, and nobody's token is its business.
+            is_here = service.config.dask is None
+            work, sent = (work_on_log, upload) if is_here else (work_on_sent_log, upload.read_bytes())
+            config = service.config.model_copy(update={"token": None})
+            document = await logs.run(work, service.place, served, sent, question, config)
+    except OSError as error:
+        log.warning("a log that was sent could not be kept: %s", error)
+        raise RefusedError(503, "the service cannot write the log to its disk; send it later", 30) from None
     service.metrics.logs.labels(verb).inc()
     return JSONResponse(document)
 
@@ -102,14 +110,17 @@ async def _admit(
         service.leave()
 
 
+async def _nowhere(service: Service, socket: WebSocket) -> None:
+    await socket.send_denial_response(_refusal(service, RefusedError(404, WORDS[404])))
+
+
 async def _explain(service: Service, _: Request, error: Exception) -> Response:
     """A refusal for whatever went wrong; the server logs what is its own fault."""
     if isinstance(error, RefusedError):
         return _refusal(service, error)
     if not isinstance(error, HTTPException):
         return _refusal(service, RefusedError(500, "the service made a mistake; please report it"))
-    words = {404: "nothing is at this path; /docs lists what is", 405: "this path takes another method; see /docs"}
-    answer = _refusal(service, RefusedError(error.status_code, words.get(error.status_code, error.detail)))
+    answer = _refusal(service, RefusedError(error.status_code, WORDS.get(error.status_code, error.detail)))
     answer.headers.update(error.headers or {})
     return answer
 

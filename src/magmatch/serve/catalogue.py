@@ -54,9 +54,13 @@ class Catalogue:
             self.fault = str(error)
             return None
         except OSError:
-            return None  # a file that goes while it is looked at
+            if not self.place.exists():
+                self.fault = f"{self.place}: is gone"
+            return None  # or a file that goes while it is looked at
         if now == self.served:
             self.fault = None
+        elif not now.maps:
+            self.fault = f"{self.place}: holds no map any more"
         before, self._seen = self._seen, now
         is_new = now != self.served and now.maps and now.version not in self._refused
         return now if is_new and now == before else None

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of the service: where it listens, whom it answers, and the bounds of what it takes."""
 
+import re
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -12,6 +13,7 @@ from magmatch.settings import Settings
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 # What a token has to hold so that nobody guesses it.
 LEAST_TOKEN = 16
+TOKEN = re.compile(rf"[A-Za-z0-9._~-]{{{LEAST_TOKEN},}}")
 
 
 class ServeConfig(Settings):
@@ -21,7 +23,7 @@ class ServeConfig(Settings):
     host: str = "127.0.0.1"
     port: int = Field(default=8123, ge=0, le=65535)
     # Whoever asks has to know it.
-    token: str | None = Field(default=None, min_length=LEAST_TOKEN, pattern=r"^[A-Za-z0-9._~-]+$")
+    token: str | None = None
     # Web pages from elsewhere that may ask, such as https://maps.example.org: that of a reverse proxy.
     origins: tuple[str, ...] = ()
     # Where states are kept, and for how long after a client's last sample, s.
@@ -62,6 +64,15 @@ class ServeConfig(Settings):
     # Port of Foxglove's protocol on this machine, for ROS users' viewers; none unless given.
     foxglove_port: int | None = Field(default=None, ge=0, le=65535)
     localizer: LocalizerConfig = Field(default_factory=LocalizerConfig)
+
+    @field_validator("token")
+    @classmethod
+    def _is_hard_to_guess(cls, token: str | None) -> str | None:
+        # Not said back: words of a command that fails are kept in logs.
+        if token is not None and not TOKEN.fullmatch(token):
+            msg = f"expected at least {LEAST_TOKEN} letters, digits or . _ ~ -, found {len(token)} characters"
+            raise ValueError(msg)
+        return token
 
     @field_validator("origins")
     @classmethod

@@ -51,7 +51,8 @@ class FoxgloveFeed:
             T = np.array(body["T_map_body"])
             q = Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
             p = m.Vector3(x=T[0, 3], y=T[1, 3], z=T[2, 3])
-            parent, child = body["map"] or "map", body["name"] or body["client"]
+            # A frame has one place, and nothing keeps clients from one name.
+            parent, child = body["map"] or "map", f"{body['name']} {body['client']}".strip()
             turn = m.Quaternion(x=q[0], y=q[1], z=q[2], w=q[3])
             frames.append(
                 m.FrameTransform(

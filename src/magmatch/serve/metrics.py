@@ -27,6 +27,8 @@ class Metrics:
         self.refused = Counter("magmatch_refused", "What could not be done, by its status", ["status"], **own)
         self.logs = Counter("magmatch_logs", "Whole logs that were worked on", ["verb"], **own)
         self.restarts = Gauge("magmatch_tracker_restarts", "Trackers that died and were started again", **own)
+        self.maps = Gauge("magmatch_maps", "Maps that are served", **own)
+        self.fault = Gauge("magmatch_map_fault", "1 while newer maps cannot be served; /maps says why", **own)
         self.renewals = Counter("magmatch_map_renewals", "Times that maps were loaded again", **own)
 
     def text(self) -> bytes:

@@ -74,6 +74,11 @@ def openapi() -> dict[str, Any]:
         schema = TypeAdapter(kind).json_schema(ref_template="#/components/schemas/{model}")
         schemas.update(schema.pop("$defs", {}))
         schemas[name] = schema
+    for name, _ in answers:
+        schemas[name]["properties"]["warnings"] = {"type": "array", "items": {"type": "string"}}
+    row = {"type": "array", "items": {"type": "number"}, "minItems": 8, "maxItems": 8}
+    words = "Stated poses: t, x, y, z, qx, qy, qz, qw."
+    schemas["Localization"]["properties"]["trajectory"] = {"type": "array", "items": row, "description": words}
     schemas["Refusal"] = {
         "type": "object",
         "properties": {"type": {"const": "error"}, "status": {"type": "integer"}, "message": {"type": "string"}},

@@ -76,8 +76,13 @@ def replay(
                     return sender.result()
         except errors.InvalidStatus as error:
             said = _sentence(error.response.body)
-            msg = f"{url}: refused with {error.response.status_code}{said}"
-            if error.response.status_code != 503:
+            status = error.response.status_code
+            msg = (
+                f"{url}: refused with {status}: {said}"
+                if said
+                else f"{url}: no service of maps answers there ({status})"
+            )
+            if status != 503:
                 raise ReplayError(msg) from None
         except errors.ConnectionClosed as error:
             code = 1006 if error.rcvd is None else error.rcvd.code
@@ -153,6 +158,6 @@ class _Sender:
 
 def _sentence(body: bytes | None) -> str:
     try:
-        return f": {json.loads(body or b'')['message']}"
+        return str(json.loads(body or b"")["message"])
     except (ValueError, KeyError, TypeError):
         return ""

@@ -33,7 +33,8 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     settings = uvicorn.Config(
         build_app(service), http="h11", loop="asyncio", ws=Wire, ws_max_size=config.max_message,
         ws_per_message_deflate=False, h11_max_incomplete_event_size=MAX_HEAD, lifespan="off", log_config=None,
-        access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5, backlog=BACKLOG,
+        log_level="error", access_log=False, server_header=False, proxy_headers=False,
+        timeout_graceful_shutdown=5, backlog=BACKLOG,
     )  # fmt: skip
     server = _Server(settings, service, lambda: on_start(address_of(listening)))
     with listening:

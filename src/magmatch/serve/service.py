@@ -48,6 +48,8 @@ class Service:
             await self.trackers.start()
             until_end.push_async_callback(self.trackers.stop)
             self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
+            self.metrics.maps.set_function(lambda: len(self.catalogue.served.maps))
+            self.metrics.fault.set_function(lambda: self.catalogue.fault is not None)
             self.workers = LogWorkers(self.config)
             until_end.callback(self.workers.close)
             self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
@@ -136,16 +138,14 @@ class Service:
         await loop.run_in_executor(None, checkpoints.sweep, self.config.states, self.config.keep)
 
     async def _look(self) -> None:
-        loop = asyncio.get_running_loop()
+        loop, before = asyncio.get_running_loop(), self.catalogue.fault
         newer = await loop.run_in_executor(None, self.catalogue.newer)
-        if newer is None:
-            return
-        log.info("maps have changed: loading them")
-        faults = await self.trackers.renew()
-        self.catalogue.settle(newer, faults)
-        self.metrics.renewals.inc()
-        for fault in faults:
-            log.warning("the maps as they were are served on: %s", fault)
+        if newer is not None:
+            log.info("maps have changed: loading them")
+            self.catalogue.settle(newer, await self.trackers.renew())
+            self.metrics.renewals.inc()
+        if self.catalogue.fault not in {None, before}:
+            log.warning("the maps as they were are served on: %s", self.catalogue.fault)
 
 
 async def _again(job: Any, every: float) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import logit
 
 from magmatch.atlas.retrieval import MAX_SHORTLIST, count_votes, shortlist
-from magmatch.data.checks import CONSTANT_FIELD, extent
+from magmatch.data.checks import extent
+from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.progress import counted, tell
 from magmatch.registration.clock import Clock

@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 from collections import deque
 from collections.abc import Callable
+from itertools import chain, repeat
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from time import monotonic
@@ -151,7 +152,7 @@ class TrackerHandle:
         if self._process is not None:
             await self._loop.run_in_executor(None, self._process.join, STOP_WITHIN)
         self.n_restarts += 1
-        for pause in PAUSES:  # a map may be half replaced
+        for pause in chain(PAUSES, repeat(PAUSES[-1])):  # maps may be half replaced, or gone for hours
             try:
                 await self.start()
                 break

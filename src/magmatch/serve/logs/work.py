@@ -34,6 +34,7 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.serve.catalogue import Listing
 from magmatch.serve.config import ServeConfig
+from magmatch.serve.logs.remarks import in_query_words, listening
 from magmatch.serve.refusals import RefusedError, without_paths
 from magmatch.settings import of_vertical
 from magmatch.viz.figures.plotting import magnitude_ut
@@ -127,10 +128,8 @@ def work_on_log(
     except MagmatchError as error:
         is_of_maps = isinstance(error, DataFormatError) and error.path.parent == place
         status = 501 if isinstance(error, MissingExtraError) else 503 if is_of_maps else 422
-        names = {upload: "log", upload.parent: "log", place: "maps", place.parent: "maps"}
-        words = without_paths(str(error), names)
-        is_ours = isinstance(error, DataFormatError) and str(Path.home()) in words
-        return RefusedError(status, "log: cannot be read" if is_ours else words)
+        words = _for_client(str(error), place, upload, question)
+        return RefusedError(status, words or "log: cannot be read")
     except Exception:
         log.exception("a log was not worked on")
         return RefusedError(500, "the service made a mistake with this log; please report it")
@@ -150,14 +149,30 @@ def work_on_sent_log(
 
 def _answer(place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig) -> dict[str, Any]:
     _refuse_bombs(upload, config.max_unpacked)
-    survey = read_survey(upload, question.format)
-    if len(survey) > config.max_log:
-        raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
-    survey, known = replace(survey, name="log"), _place(place, served)
-    if isinstance(question, PoseOfLog):
-        return _registered(known, survey, question)
-    assert isinstance(question, WhereOfLog)
-    return _localized(known, survey, question, config.localizer)
+    with listening() as remarks:
+        survey = read_survey(upload, question.format)
+        if len(survey) > config.max_log:
+            raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
+        survey, known = replace(survey, name="log"), _place(place, served)
+        if isinstance(question, PoseOfLog):
+            document = _registered(known, survey, question)
+        else:
+            assert isinstance(question, WhereOfLog)
+            document = _localized(known, survey, question, config.localizer)
+    told = (_for_client(words, place, upload, question) for words in (document["reason"], *remarks))
+    document["reason"], *others = told
+    return document | {"warnings": list(dict.fromkeys(words for words in others if words))}
+
+
+def _for_client(words: str, place: Path, upload: Path, question: LogQuestion) -> str:
+    """Words of the library as a client may read them; empty where they are of this machine."""
+    names = {upload: "log", upload.parent: "log", place: "maps", place.parent: "maps"}
+    words = without_paths(words, names)
+    switches = {name for name, one in type(question).model_fields.items() if one.annotation is bool}
+    # Of a user without a home it is "/", "~" or empty.
+    home = os.path.expanduser("~")  # noqa: PTH111  # Path.home() raises an error instead
+    is_ours = len(home) > 1 and home in words
+    return "" if is_ours else in_query_words(words, switches, set(SurveyFormat.model_fields) - FILES)
 
 
 def _registered(known: Place, survey: Survey, question: PoseOfLog) -> dict[str, Any]:
