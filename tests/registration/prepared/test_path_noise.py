@@ -20,6 +20,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.registration.prepared.path_noise import (
     PathNoise,
     Stretch,
+    learn_path_noise,
     likelier_of_kinds,
     most_likely,
     predict_stretches,
@@ -233,3 +234,14 @@ def test_stretches_that_the_posterior_knows_are_the_same_however_it_is_inflated(
         np.testing.assert_allclose(other.map_sd, 100 * one.map_sd, rtol=1e-9)
     n_bins = [sum(len(one.positions) for one in each) for each in (by_spread, much)]
     assert n_bins[0] < n_bins[1]
+
+
+@pytest.mark.parametrize("stated", [0.0, 0.3])
+def test_where_drift_cannot_be_learned_a_pose_is_not_stated_better_than_where_it_can(stated):
+    """A line passed once holds out nothing; CEA's positions drift by 0.05 field lengths, a museum's by 0.18."""
+    x = np.c_[np.linspace(0, 6, 200), np.zeros((200, 2))]
+    survey = Survey(x, some_field(1).evaluate(x).field, pose_sd=stated)
+    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
+    _, live = learn_path_noise(build_map(survey, numbers), 2.0, np.random.default_rng(0))
+    assert not live.is_learned
+    assert live.drift_sd == pytest.approx(max(stated, 0.16))
