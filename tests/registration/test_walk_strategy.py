@@ -26,7 +26,12 @@ BEST = LineEvidence(
 )  # fmt: skip
 STRATEGY = WalkStrategy(None, None, RegistrationConfig(), 0, lambda: None)
 PAIR = Pair(
-    WalkIndex(prepared_map(some_field(1), POSITIONS), 2.0, LEARNED, None), WALK, PosePrior(1.0), 2.0, T_BASE, T_WALK
+    WalkIndex(prepared_map(some_field(1), POSITIONS), 2.0, LEARNED, LEARNED, None),
+    WALK,
+    PosePrior(1.0),
+    2.0,
+    T_BASE,
+    T_WALK,
 )
 
 

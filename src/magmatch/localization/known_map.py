@@ -60,7 +60,7 @@ class KnownMap:
     def of(cls, place: FieldMap | MapIndex) -> "KnownMap":
         """Make a map, or one that is indexed, ready."""
         index = prepare_index(place, RegistrationConfig())
-        base, noise = index.base, index.walks.noise
+        base, noise = index.base, index.walks.live_noise
         raster = rasterize(base.field_map, RASTER_SPACING * index.length, base.draws())
         anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]
         field_sd, values = float(np.sqrt(base.sample_field.var(axis=0).mean())), raster.values.copy()

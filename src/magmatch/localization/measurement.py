@@ -12,7 +12,7 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.bins import Bin
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.state import BIAS, ERROR, GAIN, MISFIT, PLACE, SCALE, Model, N, correct, predict, settle
+from magmatch.localization.state import BIAS, ERROR, GAIN, MISFIT, N_READ, PLACE, Model, N, correct, predict, settle
 from magmatch.registration.prepared.raster import find_cell, interpolate
 
 # A bin and the odometry that leads to it: turn, shift (m, in the axes of the body before) and time (s) from the bin
@@ -169,16 +169,16 @@ def _linearise(h, step, out, model, H, r):  # type: ignore[no-untyped-def]
 
 @compiled
 def _spread(P, H, nugget, PH, S):  # type: ignore[no-untyped-def]
-    """P H^T and H P H^T + nugget (upper half); the odometry's scale enters no reading."""
+    """P H^T and H P H^T + nugget (upper half); slopes and the odometry's scale enter no reading."""
     for i in range(N):
         for a in range(3):
             total = 0.0
-            for j in range(SCALE):
+            for j in range(N_READ):
                 total += P[i, j] * H[a, j]
             PH[i, a] = total
     for a in range(3):
         for e in range(a, 3):
             total = nugget if a == e else 0.0
-            for j in range(SCALE):
+            for j in range(N_READ):
                 total += H[a, j] * PH[j, e]
             S[a, e] = total

@@ -35,13 +35,15 @@ class NullModel:
     def __init__(self, known: KnownMap, model: Model, config: LocalizerConfig) -> None:
         # A field turned by the errors of orientations varies, too.
         turned = 2 * known.field_rms**2 * known.noise.attitude_sd**2
+        # A smooth misfit is nothing that an unrelated field, smooth itself, lacks.
+        rough = turned if model.misfit_is_smooth else turned + model.misfit_variance
         self._model = model
         kinds = list(product(LENGTHSCALES, STRENGTHS, NOISES, (config.calibrated_bias_sd, config.bias_sd)))
         self._start = np.zeros(len(kinds), UNRELATED)
         mean, variances = _constant_elsewhere(known, config)
         for one, (lengthscale, strength, noise, bias) in zip(self._start, kinds, strict=True):
             one["rate"], one["variance"] = np.sqrt(3) / (lengthscale * known.length), (strength * known.field_sd) ** 2
-            one["misfit"] = noise**2 * (model.misfit_variance + turned)
+            one["misfit"] = noise**2 * rough
             one["nugget"] = noise**2 * model.nugget_variance
             one["x"][CONSTANT:BIAS:4] = mean
             alike = [one["variance"], one["variance"], one["misfit"]]

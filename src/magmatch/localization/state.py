@@ -2,9 +2,9 @@
 """Hypotheses: each an error-state Kalman filter of the body's pose and of what else makes the readings differ.
 
 State: attitude R and position p of the body (model frame), bias b of the sensor (body axes, T) and its gain, the
-map's misfit c along the path (model frame, of unit variance, an Ornstein-Uhlenbeck process as `PathNoise` has it),
-the map's own error e (the same, but smooth: a Matern-3/2 process and its slope) and the odometry's scale. Error:
-``R = Exp(theta) R_hat``, the others by their difference; in this order, N in all.
+map's misfit c along the path (model frame, of unit variance, an Ornstein-Uhlenbeck or Matern-3/2 process as
+`PathNoise` has it), the map's own error e (the same, always Matern-3/2), the slopes of both and the odometry's scale.
+Error: ``R = Exp(theta) R_hat``, the others by their difference; N in all, of which a reading depends on the first.
 """
 
 from typing import NamedTuple
@@ -14,17 +14,19 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.matern import transition
+from magmatch.localization.matern import transition, transition_of
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import Matrix, Vector3
 
-THETA, PLACE, BIAS, MISFIT, ERROR, SLOPE, GAIN, SCALE, N = 0, 3, 6, 9, 12, 15, 18, 19, 20
+THETA, PLACE, BIAS, MISFIT, ERROR, GAIN, MISFIT_SLOPE, ERROR_SLOPE, SCALE, N = 0, 3, 6, 9, 12, 15, 16, 19, 22, 23
+N_READ = MISFIT_SLOPE
 # One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the
 # search for it cost, and that bins gained that are no longer kept.
 HYPOTHESIS = np.dtype(
     [
-        ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("e", "f8", 3), ("slope", "f8", 3),
-        ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)), ("earlier", "f8"),
+        ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("e", "f8", 3),
+        ("c_slope", "f8", 3), ("e_slope", "f8", 3), ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)),
+        ("earlier", "f8"),
     ]
 )  # fmt: skip
 
@@ -39,6 +41,7 @@ class Model(NamedTuple):
     bias_drift: float
     misfit_variance: float
     misfit_length: float
+    misfit_is_smooth: bool
     map_factor2: float
     error_rate: float
     nugget_variance: float
@@ -67,6 +70,7 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
         bias_drift=config.bias_drift**2,
         misfit_variance=noise.misfit_sd**2 + noise.constant_sd**2,
         misfit_length=noise.misfit_length,
+        misfit_is_smooth=noise.is_smooth,
         map_factor2=noise.map_factor**2,
         error_rate=RATE / noise.map_length,
         nugget_variance=noise.nugget_sd**2,
@@ -90,7 +94,7 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
     P = np.zeros((N, N))
     P[:3, :3] = sd[1] ** 2 * vertical + tilt**2 * level
     P[3:6, 3:6] = sd[0] ** 2 * level + height**2 * vertical
-    P[MISFIT:GAIN, MISFIT:GAIN] = np.eye(GAIN - MISFIT)
+    P[MISFIT:SCALE, MISFIT:SCALE] = np.eye(SCALE - MISFIT)
     P[GAIN, GAIN] = config.gain_sd**2
     P[SCALE, SCALE] = config.odometry.scale_sd**2
     return P
@@ -99,20 +103,20 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
 @compiled
 def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
     """Move a hypothesis on by odometry: turn dR and shift u in the axes of the body before it."""
-    R, p, c, e, slope, P = h.R, h.p, h.c, h.e, h.slope, h.P
+    R, p, c, e, c_slope, e_slope, P = h.R, h.p, h.c, h.e, h.c_slope, h.e_slope, h.P
     d = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
     f = 1 + h.scale
     wx = R[0, 0] * u[0] + R[0, 1] * u[1] + R[0, 2] * u[2]
     wy = R[1, 0] * u[0] + R[1, 1] * u[1] + R[1, 2] * u[2]
     wz = R[2, 0] * u[0] + R[2, 1] * u[1] + R[2, 2] * u[2]
-    fade = np.exp(-d / model.misfit_length)
+    m00, m01, m10, m11 = transition_of(model.misfit_is_smooth, d / model.misfit_length)
     f00, f01, f10, f11 = transition(model.error_rate * d)
     p[0] += f * wx
     p[1] += f * wy
     p[2] += f * wz
     for a in range(3):
-        c[a] *= fade
-        e[a], slope[a] = f00 * e[a] + f01 * slope[a], f10 * e[a] + f11 * slope[a]
+        c[a], c_slope[a] = m00 * c[a] + m01 * c_slope[a], m10 * c[a] + m11 * c_slope[a]
+        e[a], e_slope[a] = f00 * e[a] + f01 * e_slope[a], f10 * e[a] + f11 * e_slope[a]
     # P = F P F^T, rows then columns: a turn theta carries the step with it, theta x (f w).
     for j in range(N):
         tx, ty, tz, ds = P[0, j], P[1, j], P[2, j], P[SCALE, j]
@@ -120,29 +124,35 @@ def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
         P[4, j] += f * (tz * wx - tx * wz) + wy * ds
         P[5, j] += f * (tx * wy - ty * wx) + wz * ds
         for a in range(3):
-            x, v = P[ERROR + a, j], P[SLOPE + a, j]
-            P[MISFIT + a, j] *= fade
-            P[ERROR + a, j], P[SLOPE + a, j] = f00 * x + f01 * v, f10 * x + f11 * v
+            x, v = P[MISFIT + a, j], P[MISFIT_SLOPE + a, j]
+            P[MISFIT + a, j], P[MISFIT_SLOPE + a, j] = m00 * x + m01 * v, m10 * x + m11 * v
+            x, v = P[ERROR + a, j], P[ERROR_SLOPE + a, j]
+            P[ERROR + a, j], P[ERROR_SLOPE + a, j] = f00 * x + f01 * v, f10 * x + f11 * v
     for i in range(N):
         tx, ty, tz, ds = P[i, 0], P[i, 1], P[i, 2], P[i, SCALE]
         P[i, 3] += f * (ty * wz - tz * wy) + wx * ds
         P[i, 4] += f * (tz * wx - tx * wz) + wy * ds
         P[i, 5] += f * (tx * wy - ty * wx) + wz * ds
         for a in range(3):
-            x, v = P[i, ERROR + a], P[i, SLOPE + a]
-            P[i, MISFIT + a] *= fade
-            P[i, ERROR + a], P[i, SLOPE + a] = f00 * x + f01 * v, f10 * x + f11 * v
+            x, v = P[i, MISFIT + a], P[i, MISFIT_SLOPE + a]
+            P[i, MISFIT + a], P[i, MISFIT_SLOPE + a] = m00 * x + m01 * v, m10 * x + m11 * v
+            x, v = P[i, ERROR + a], P[i, ERROR_SLOPE + a]
+            P[i, ERROR + a], P[i, ERROR_SLOPE + a] = f00 * x + f01 * v, f10 * x + f11 * v
     # Of a stationary process as much comes back as the step forgets.
     g00, g01, g11 = 1 - f00 * f00 - f01 * f01, -f00 * f10 - f01 * f11, 1 - f10 * f10 - f11 * f11
+    n00, n01, n11 = 1 - m00 * m00 - m01 * m01, -m00 * m10 - m01 * m11, 1 - m10 * m10 - m11 * m11
     for a in range(3):
         P[a, a] += model.tilt_walk * d
         P[3 + a, 3 + a] += model.place_walk * d
         P[BIAS + a, BIAS + a] += model.bias_drift * dt
-        P[MISFIT + a, MISFIT + a] += 1 - fade * fade
+        P[MISFIT + a, MISFIT + a] += n00
+        P[MISFIT_SLOPE + a, MISFIT_SLOPE + a] += n11
+        P[MISFIT + a, MISFIT_SLOPE + a] += n01
+        P[MISFIT_SLOPE + a, MISFIT + a] += n01
         P[ERROR + a, ERROR + a] += g00
-        P[SLOPE + a, SLOPE + a] += g11
-        P[ERROR + a, SLOPE + a] += g01
-        P[SLOPE + a, ERROR + a] += g01
+        P[ERROR_SLOPE + a, ERROR_SLOPE + a] += g11
+        P[ERROR + a, ERROR_SLOPE + a] += g01
+        P[ERROR_SLOPE + a, ERROR + a] += g01
         for k in range(3):
             vertical = up[a] * up[k] * d
             P[a, k] += (model.turn_walk - model.tilt_walk) * vertical
@@ -163,13 +173,14 @@ def move(bank, dR, u, up, model):  # type: ignore[no-untyped-def]
 @compiled
 def correct(h, dx):  # type: ignore[no-untyped-def]
     """Add an error to a hypothesis: ``R = Exp(theta) R``."""
-    R, p, b, c, e, slope = h.R, h.p, h.b, h.c, h.e, h.slope
+    R, p, b, c, e, c_slope, e_slope = h.R, h.p, h.b, h.c, h.e, h.c_slope, h.e_slope
     for a in range(3):
         p[a] += dx[PLACE + a]
         b[a] += dx[BIAS + a]
         c[a] += dx[MISFIT + a]
         e[a] += dx[ERROR + a]
-        slope[a] += dx[SLOPE + a]
+        c_slope[a] += dx[MISFIT_SLOPE + a]
+        e_slope[a] += dx[ERROR_SLOPE + a]
     h.gain += dx[GAIN]
     h.scale += dx[SCALE]
     angle = np.sqrt(dx[0] ** 2 + dx[1] ** 2 + dx[2] ** 2)

@@ -103,4 +103,4 @@ class BaseMaker:
         prepared = prepare(field_map, N_DRAWS, np.random.default_rng(0))
         prepared = replace(prepared, correlation_length=self.length)
         table = tabulate_pairs(prepared, self.length, self.noise.total_sd, self.config.search)
-        return Base(survey, node, WalkIndex(prepared, self.length, self.noise, table))
+        return Base(survey, node, WalkIndex(prepared, self.length, self.noise, self.noise, table))

@@ -16,7 +16,15 @@ from hand_made import some_field
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely, predict_stretches
+from magmatch.field.fit import fit_posterior
+from magmatch.registration.prepared.path_noise import (
+    PathNoise,
+    Stretch,
+    learn_path_noise,
+    likelier_of_kinds,
+    most_likely,
+    predict_stretches,
+)
 
 NOISE = PathNoise(1.1e-6, 0.8, 0.3e-6, 0.5e-6, 1.4, 0.6, 0.02, 0.06, 4.0, spread=0.4, n_stretches=9)
 
@@ -41,6 +49,24 @@ def test_a_components_covariance_is_the_sum_of_what_lasts_what_is_shared_the_map
         expected += 1.4**2 * sd[i] * sd[j] * np.exp(-(d[i, j] ** 2) / (2 * 0.6**2)) + (i == j) * 0.3e-6**2
         np.testing.assert_allclose(found[i, j], expected, rtol=1e-12)
     np.testing.assert_array_equal(NOISE.isotropic(d, np.stack([sd, sd]))[1], found)
+
+
+def test_a_smooth_misfit_is_a_matern_process_and_of_the_same_variance():
+    _, d, sd, _, _ = some_path()
+    smooth = replace(NOISE, is_smooth=True)
+    x = np.sqrt(3) * d / 0.8
+    change = 1.1e-6**2 * ((1 + x) * np.exp(-x) - np.exp(-d / 0.8))
+    np.testing.assert_allclose(smooth.isotropic(d, sd) - NOISE.isotropic(d, sd), change, atol=1e-24)
+
+
+@pytest.mark.parametrize("is_smooth", [False, True])
+def test_residuals_say_whether_the_misfit_is_smooth(is_smooth):
+    true = replace(NOISE, misfit_sd=2e-6, nugget_sd=1e-7, drift_sd=0.01, attitude_sd=2e-3, map_factor=0.3)
+    true = replace(true, is_smooth=is_smooth)
+    guess = replace(NOISE, spread=0.5, n_stretches=0)
+    found = likelier_of_kinds(guess, stretches_of(true, 12, 5, n=16))
+    assert found.is_smooth == is_smooth
+    assert found.n_stretches == 12
 
 
 def test_components_are_coupled_by_what_the_walkers_frame_drifts_and_turns():
@@ -171,7 +197,7 @@ def test_left_out_stretches_hold_the_field_where_they_lie_and_what_the_rest_miss
     survey = Survey(x, truth.evaluate(x).field + noise * np.random.default_rng(0).standard_normal(x.shape))
     numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=noise, spacing=0.25)
     field_map = build_map(survey, numbers)
-    found = predict_stretches(field_map, length, np.random.default_rng(0))
+    found, _ = predict_stretches(field_map, length, np.random.default_rng(0))
     T = field_map.T_map_model
     z = []
     for one in found:
@@ -186,3 +212,36 @@ def test_left_out_stretches_hold_the_field_where_they_lie_and_what_the_rest_miss
     # Two of five stretches of five lengths of this path of 34 m.
     assert len(found) == pytest.approx(0.4 * 34 / 2.5, abs=1.5)
     assert 0.6 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.4
+
+
+def test_stretches_that_the_posterior_knows_are_the_same_however_it_is_inflated():
+    """Inflation makes up for errors that no spread predicts; it says nothing of how far other passes are."""
+    angle = np.linspace(0, 6 * np.pi, 700)
+    x = (1.0 + 0.01 * angle)[:, None] * np.c_[np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)]
+    field = some_field(1).evaluate(x).field + 3e-7 * np.random.default_rng(0).standard_normal(x.shape)
+    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
+    field_map = build_map(Survey(x, field), numbers)
+    samples = field_map.survey.transformed(field_map.T_map_model.inv())
+    found = []
+    for inflation in (1.0, 100.0):
+        h = replace(field_map.hyperparameters, inflation=inflation)
+        inflated = replace(field_map, posterior=fit_posterior(samples, h, field_map.config))
+        found.append(predict_stretches(inflated, 0.5, np.random.default_rng(0)))
+    (_, little), (by_spread, much) = found
+    assert len(little) == len(much) > 0
+    for one, other in zip(little, much, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+        np.testing.assert_allclose(other.map_sd, 100 * one.map_sd, rtol=1e-9)
+    n_bins = [sum(len(one.positions) for one in each) for each in (by_spread, much)]
+    assert n_bins[0] < n_bins[1]
+
+
+@pytest.mark.parametrize("stated", [0.0, 0.3])
+def test_where_drift_cannot_be_learned_a_pose_is_not_stated_better_than_where_it_can(stated):
+    """A line passed once holds out nothing; CEA's positions drift by 0.05 field lengths, a museum's by 0.18."""
+    x = np.c_[np.linspace(0, 6, 200), np.zeros((200, 2))]
+    survey = Survey(x, some_field(1).evaluate(x).field, pose_sd=stated)
+    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
+    _, live = learn_path_noise(build_map(survey, numbers), 2.0, np.random.default_rng(0))
+    assert not live.is_learned
+    assert live.drift_sd == pytest.approx(max(stated, 0.16))

@@ -34,7 +34,7 @@ from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.index/4"
+SCHEMA = "magmatch.index/5"
 SUFFIX = ".index"
 # Arrays of `PreparedMap` and of `PairTable` that are stored as they are.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
@@ -128,6 +128,7 @@ class MapIndex:
                 "tree.values": table.tree.values,
             }
             attributes["noise"] = asdict(self.walks.noise)
+            attributes["live_noise"] = asdict(self.walks.live_noise)
             attributes["table"] = {name: float(getattr(table, name)) for name in TABLE_SCALARS}
         write_mapped(path, SCHEMA, attributes, arrays)
 
@@ -183,7 +184,8 @@ class IndexFile:
         if not self.is_whole:
             return _index_over(base, self.config)
         table = self.table()
-        index = MapIndex(base, partial(WalkIndex, base, table.length, PathNoise(**about["noise"]), table))
+        noise, live_noise = PathNoise(**about["noise"]), PathNoise(**about["live_noise"])
+        index = MapIndex(base, partial(WalkIndex, base, table.length, noise, live_noise, table))
         assert index.walks.table is table
         return index
 

@@ -16,12 +16,14 @@ class WalkIndex:
 
     base: PreparedMap
     length: float  # m: the base's correlation length
-    noise: PathNoise  # what residuals of another walk look like
+    # What residuals of another walk look like, for registrations and for localisation
+    noise: PathNoise
+    live_noise: PathNoise
     table: PairTable
 
 
 def index_walks(base: PreparedMap, config: PairSearchConfig, rng: np.random.Generator) -> WalkIndex:
     """Learn the residuals' covariance and list the base's pairs of points, once for all walks."""
     length = base.correlation_length
-    noise = learn_path_noise(base.field_map, length, rng)
-    return WalkIndex(base, length, noise, tabulate_pairs(base, length, noise.total_sd, config))
+    noise, live_noise = learn_path_noise(base.field_map, length, rng)
+    return WalkIndex(base, length, noise, live_noise, tabulate_pairs(base, length, noise.total_sd, config))

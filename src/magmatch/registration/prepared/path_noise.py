@@ -31,6 +31,9 @@ STRETCH_LENGTH = 5.0
 # the number of stretches that the guess of the latter counts as.
 LOG_SD = 0.5
 PRIOR_STRETCHES = 5
+# Guess of the drift of positions in localisation, field lengths: the mean of what could be learned (CEA, InfCenter,
+# the museum's routes 1 to 3: 0.05 to 0.18). From much less the likelihood, flat near none, never leads to it.
+DRIFT = 0.08
 # Where the search for parameters ends (natural log, about the guesses): beyond, covariances are singular to rounding.
 FARTHEST = 10 * LOG_SD
 
@@ -39,8 +42,9 @@ FARTHEST = 10 * LOG_SD
 class PathNoise:
     """Covariance of the residuals along a path, in addition to the map's own."""
 
-    misfit_sd: float  # T: correlated part, of covariance ``sd^2 exp(-d / length)``
-    misfit_length: float  # m
+    # T and m: correlated part, ``sd^2 exp(-d / length)``, or if it is smooth a Matern-3/2 process of this lengthscale
+    misfit_sd: float
+    misfit_length: float
     nugget_sd: float  # T: independent part of each bin
     constant_sd: float  # T: constant of the whole walk
     map_factor: float  # on the map's own standard deviation
@@ -50,6 +54,7 @@ class PathNoise:
     drift_length: float  # m
     spread: float = LOG_SD  # standard deviation, between walks, of the logarithm of the covariance's common factor
     n_stretches: int = 0  # number of held-out stretches that it was learned from
+    is_smooth: bool = False  # whether the correlated part is
 
     @property
     def is_learned(self) -> bool:
@@ -78,7 +83,8 @@ class PathNoise:
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""
-        C = self.misfit_sd**2 * np.exp(-distance / self.misfit_length) + self.constant_sd**2
+        x = (np.sqrt(3) if self.is_smooth else 1.0) * distance / self.misfit_length
+        C = self.misfit_sd**2 * ((1 + x) * np.exp(-x) if self.is_smooth else np.exp(-x)) + self.constant_sd**2
         map_sd = self.map_factor * map_sd
         C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / self.map_length) ** 2)
         C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
@@ -114,8 +120,14 @@ class Stretch:
     field: Vectors
 
 
-def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generator) -> PathNoise:
-    """Most likely covariance of residuals for a walk through a map."""
+def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generator) -> tuple[PathNoise, PathNoise]:
+    """Most likely covariance of residuals for a walk through a map: for registrations and for localisation.
+
+    The decisions of registrations were fitted with a rough misfit, and with stretches that the map knows well even
+    by its inflated spread. In localisation the misfit is as smooth as the stretches say, and stretches are trusted
+    by the posterior itself: its inflation, which makes up for errors that no spread predicts, is no distance. What
+    its positions drift is guessed as large as it was learned elsewhere, so that a pose is not stated too well.
+    """
     h = field_map.hyperparameters
     guess = PathNoise(
         misfit_sd=h.noise_sd,
@@ -128,52 +140,85 @@ def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generato
         drift_sd=max(field_map.survey.pose_sd, 0.02 * length),
         drift_length=4 * length,
     )
-    stretches = predict_stretches(field_map, length, rng)
-    tell(f"learning the residuals along a path from {len(stretches)} left-out stretches")
-    if not stretches:
-        return guess
-    return most_likely(guess, stretches)
+    stretches, by_posterior = predict_stretches(field_map, length, rng)
+    tell(f"learning the residuals along a path from {len(by_posterior)} left-out stretches")
+    live_guess = replace(guess, drift_sd=max(guess.drift_sd, DRIFT * length))
+    return (
+        most_likely(guess, stretches) if stretches else guess,
+        likelier_of_kinds(live_guess, by_posterior) if by_posterior else live_guess,
+    )
 
 
-def predict_stretches(field_map: FieldMap, length: float, rng: np.random.Generator) -> list[Stretch]:
-    """Hold out some stretches of the survey's path at a time and predict them from the rest."""
+def predict_stretches(
+    field_map: FieldMap, length: float, rng: np.random.Generator
+) -> tuple[list[Stretch], list[Stretch]]:
+    """Hold out some stretches of the survey's path at a time and predict them from the rest.
+
+    Returns
+    -------
+    by_spread, by_posterior : lists of Stretch
+        Bins that the rest knows: by its inflated standard deviation, and by that of the posterior itself.
+    """
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     number = (path_walked(samples.positions) / (STRETCH_LENGTH * length)).astype(np.int64)
-    found = []
+    found: tuple[list[Stretch], list[Stretch]] = ([], [])
     for is_left_out in folds_of(number):
-        found += _predict(field_map, samples, is_left_out, number, length, rng)
-    return [found[k] for k in even_choice(len(found), FEW_POINTS)]
+        for kept, more in zip(found, _predict(field_map, samples, is_left_out, number, length, rng), strict=True):
+            kept.extend(more)
+    by_spread, by_posterior = ([kept[k] for k in even_choice(len(kept), FEW_POINTS)] for kept in found)
+    return by_spread, by_posterior
 
 
 def _predict(
     field_map: FieldMap, samples: Survey, is_left_out: Mask, number: Indices, length: float, rng: np.random.Generator
-) -> list[Stretch]:
-    """Held-out stretches as predicted from the rest of the survey."""
+) -> tuple[list[Stretch], list[Stretch]]:
+    """Held-out stretches as predicted from the rest of the survey, as `predict_stretches` has them."""
     h = field_map.hyperparameters
     rest = fit_posterior(samples.subset(~is_left_out), h, field_map.config)
     x, b, number = samples.positions[is_left_out], samples.field[is_left_out], number[is_left_out]
     values = rest.evaluate(x, order=1)
     draws = [rest.evaluate(x, 0, w).field for w in rest.draw_weights(N_DRAWS, rng)]
     sd = np.sqrt(np.mean([((d - values.field) ** 2).mean(axis=1) for d in draws], axis=0))
+    assert values.gradient is not None
+    columns = (x, b - values.field, sd, values.gradient, b)
     # Bins that the rest hardly knows say little about residuals where a map does know the field.
-    is_known = rest.knows(x) & (sd < 0.5 * h.signal_sd)
+    known, least = rest.knows(x), 0.5 * h.signal_sd
+    by_spread, by_posterior = (
+        _stretches(columns, number, known & (each < least), SAMPLING * length) for each in (sd, sd / h.inflation)
+    )
+    return by_spread, by_posterior
+
+
+def _stretches(columns: tuple[np.ndarray, ...], number: Indices, is_known: Mask, side: float) -> list[Stretch]:
+    """Those of samples' columns with enough bins of a side (m) that are known."""
     found = []
     for k in np.unique(number):
         rows = np.flatnonzero((number == k) & is_known)
-        if len(rows) < MIN_BINS or values.gradient is None:
+        if len(rows) < MIN_BINS:
             continue
-        bins = bin_along_path(np.ascontiguousarray(x[rows]), SAMPLING * length)
+        bins = bin_along_path(np.ascontiguousarray(columns[0][rows]), side)
         if bins[-1] + 1 >= MIN_BINS:
-            found.append(Stretch(*(bin_means(v[rows], bins) for v in (x, b - values.field, sd, values.gradient, b))))
+            found.append(Stretch(*(bin_means(column[rows], bins) for column in columns)))
     return found
 
 
 def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     """Maximum-likelihood parameters for the stretches' residuals, under a weak prior about a guess."""
+    return _maximise(guess, stretches)[0]
+
+
+def likelier_of_kinds(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
+    """The same, with a misfit that is rough or smooth: whichever makes the residuals likelier."""
+    found = [_maximise(replace(guess, is_smooth=is_smooth), stretches) for is_smooth in (False, True)]
+    return min(found, key=lambda one: one[1])[0]
+
+
+def _maximise(guess: PathNoise, stretches: list[Stretch]) -> tuple[PathNoise, float]:
+    """The most likely parameters, and minus their log posterior but for a constant."""
     # Imported here, since the import takes longer than registering a room, and only an index needs it.
     from scipy.optimize import minimize
 
-    names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches")]
+    names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches", "is_smooth")]
     center = np.log([getattr(guess, name) for name in names])
     stacks = _stack_alike(stretches)
 
@@ -188,7 +233,8 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
         return np.concatenate(chi2), np.concatenate(half_log_det)
 
     def noise_at(offset: np.ndarray) -> PathNoise:
-        return PathNoise(*np.exp(center + np.clip(offset, -FARTHEST, FARTHEST)).tolist())
+        values = np.exp(center + np.clip(offset, -FARTHEST, FARTHEST)).tolist()
+        return replace(guess, **dict(zip(names, values, strict=True)))
 
     def cost(offset: np.ndarray) -> float:
         chi2, half_log_det = whiten(noise_at(offset))
@@ -202,7 +248,7 @@ def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     excess = max(float(np.mean(np.log(chi2 / n_values) ** 2 - 2 / n_values)), 0.0)
     # The guess counts as much as a few stretches.
     spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(chi2) * excess) / (PRIOR_STRETCHES + len(chi2))
-    return replace(noise, spread=float(np.sqrt(spread2)), n_stretches=len(chi2))
+    return replace(noise, spread=float(np.sqrt(spread2)), n_stretches=len(chi2)), float(found.fun)
 
 
 def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:
