@@ -52,6 +52,16 @@ def test_draws_spread_no_wider_than_the_covariance_says_and_those_of_a_spline_as
         assert ratio.min() > 0.88
 
 
+def test_without_factors_the_mean_is_the_same(posterior):
+    q, mean = np.r_[queries(), FAR], posterior.without_factors()
+    for order in (0, 1):
+        np.testing.assert_array_equal(mean.evaluate(q, order).field, posterior.evaluate(q, order).field)
+    np.testing.assert_array_equal(mean.evaluate(q, 1).gradient, posterior.evaluate(q, 1).gradient)
+    if isinstance(posterior, SplinePosterior):
+        with pytest.raises(RuntimeError, match="factors of this posterior are not kept"):
+            mean.covariance(q)
+
+
 def test_second_derivatives_are_differences_of_the_gradient(posterior):
     q, e = queries(20), 1e-6
     second = posterior.evaluate(q, 2).second

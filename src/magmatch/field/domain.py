@@ -2,7 +2,7 @@
 """A map declared for a box: inside the box it is its model, outside it is the prior."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -98,6 +98,10 @@ class BoundedPosterior:
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """See `Posterior.draw_weights`."""
         return self.inner.draw_weights(n_draws, rng)
+
+    def without_factors(self) -> Posterior:
+        """See `Posterior.without_factors`."""
+        return replace(self, inner=self.inner.without_factors())
 
     def knows(self, points: Points) -> Mask:
         """See `Posterior.knows`."""

@@ -84,6 +84,9 @@ class Posterior(Protocol):
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """Posterior samples for `evaluate`, n_draws of them, in the model's own representation."""
 
+    def without_factors(self) -> "Posterior":
+        """The mean alone, where many are kept: draws and covariances can no longer be asked for."""
+
     def knows(self, points: Points) -> Mask:
         """Where the model has basis functions informed by data; elsewhere it falls back to the prior."""
 

@@ -22,8 +22,8 @@ from magmatch.typing import Indices, Vector3
 
 # Posterior samples that give a base's spread.
 N_DRAWS = 6
-# Stretches kept in memory as bases, at about 10 MB each.
-MOST_BASES = 128
+# Stretches kept in memory as bases, at about a megabyte each.
+MOST_BASES = 1024
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -101,6 +101,12 @@ class BaseMaker:
         samples = survey.transformed(T.inv())
         field_map = FieldMap(survey, fit_posterior(samples, self.numbers, settings), T, settings, T, samples)
         prepared = prepare(field_map, N_DRAWS, np.random.default_rng(0))
-        prepared = replace(prepared, correlation_length=self.length)
+        mean = field_map.posterior.without_factors()
+        prepared = replace(
+            prepared,
+            field_map=replace(field_map, posterior=mean),
+            posterior=mean,
+            correlation_length=self.length,
+        )
         table = tabulate_pairs(prepared, self.length, self.noise.total_sd, self.config.search)
         return Base(survey, node, WalkIndex(prepared, self.length, self.noise, self.noise, table))

@@ -25,6 +25,16 @@ class Factors:
         """One factor for everything."""
         return cls(lambda _: factor, factor)
 
+    @classmethod
+    def gone(cls) -> "Factors":
+        """None: who asks for one is told."""
+
+        def refuse(_: type[np.floating]) -> CholeskyFactor:
+            msg = "the factors of this posterior are not kept: only its mean can be evaluated"
+            raise RuntimeError(msg)
+
+        return cls(refuse)
+
     @property
     def full(self) -> CholeskyFactor:
         """In double precision."""

@@ -224,6 +224,10 @@ class InducingPosterior:
         white = self.white[:, None] + solve_triangular(self.factor, noise, lower=True, trans=1)
         return np.ascontiguousarray(self.model.weights_of(white).T)
 
+    def without_factors(self) -> "InducingPosterior":
+        """It is small as it is."""
+        return self
+
     def knows(self, points: Points) -> Mask:
         """Whether each point lies near a sample of the region the model was laid over."""
         p, model = np.asarray(points, dtype=np.float64), self.model

@@ -139,6 +139,10 @@ class TiledPosterior:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
         return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
 
+    def without_factors(self) -> "TiledPosterior":
+        """Few factors are ever kept."""
+        return self
+
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
         p = np.asarray(points, dtype=np.float64)
