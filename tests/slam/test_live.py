@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
-from magmatch.errors import SurveyError
 from magmatch.registration.config import PRESETS
 
 
@@ -90,11 +89,14 @@ def test_bad_samples_are_refused_and_harm_nothing():
         (np.nan, [3e-5, 0, 0], "t"),
         (100.0, [np.nan, 0, 0], "field"),
         (100.0, [3e-5, 0], "field"),
+        (100.0, [30.0, 0, 0], "multiply by 1e-6"),
     ]:
         with pytest.raises(ValueError, match=said):
             session.add(t, T, field)
     with pytest.raises(TypeError, match="T_odom_body"):
         session.add(100.0, np.eye(4), [3e-5, 0, 0])
+    with pytest.raises(ValueError, match="T_odom_body: expected finite numbers"):
+        session.add(100.0, RigidTransform.from_translation([np.inf, 0, 0]), [3e-5, 0, 0])
     feed(session, log, range(20, 40))
     session.finish("walk.csv")
     assert len(session.given[0]) == 40
@@ -104,7 +106,7 @@ def test_microtesla_taken_for_tesla_are_refused_on_the_way():
     log, _ = drifting_walk(Place(1), 1)
     session = mm.Session()
     log = replace(log, field=1e6 * log.field)
-    with pytest.raises(SurveyError, match="T"):
+    with pytest.raises(ValueError, match="multiply by 1e-6"):
         feed(session, log)
 
 

@@ -121,6 +121,7 @@ def test_neither_times_nor_orientations_are_needed():
     [
         ([], ValueError, "at least one log"),
         ("walk.csv", TypeError, "Survey"),
+        (3.0, TypeError, "logs: expected Survey"),
         ([Survey(np.zeros((3, 3)), np.full((3, 3), 3e-5))], SurveyError, "at least 10 samples"),
         ([Survey(np.zeros((20, 3)), np.full((20, 3), 3e-5))], SurveyError, "one point"),
     ],

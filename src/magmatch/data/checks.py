@@ -75,6 +75,11 @@ def require_part(survey: Any, layout: SurveyFormat | None = None) -> None:
         _require_possible_field(survey, layout)
 
 
+def too_large(size: float) -> str:
+    """What to say of a single sample whose field, of some size in T, is none that a magnetometer reads."""
+    return f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
+
+
 def extent(survey: Survey) -> Scalars:
     """Size of the samples' box along each axis: (3,), m."""
     return np.asarray(np.ptp(survey.positions, axis=0))

@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.arguments import found, numbers_of
 from magmatch.compiled import compiled
-from magmatch.data.checks import MAX_FIELD
+from magmatch.data.checks import MAX_FIELD, too_large
 from magmatch.typing import Matrix, Vector3
 
 # A body that moves faster has not moved: its odometry began anew, m/s (and m, of clocks that jitter).
@@ -84,8 +84,7 @@ class Samples:
                 f"field: expected three finite numbers, in T, got {got.tolist() if is_row else found(got)}; {advice}"
             )
         elif fault == LARGE_FIELD:
-            size = math.sqrt(one["next_z"] @ one["next_z"])
-            msg = f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
+            msg = too_large(math.sqrt(one["next_z"] @ one["next_z"]))
         elif fault == BACKWARD:
             msg = f"t: expected a time after {one['t']:.9g} s, got {one['next_t']:.9g}"
         else:

@@ -20,9 +20,9 @@ def require_base(base: Any) -> None:
         require_survey(base)
 
 
-def require_target(target: Any) -> None:
+def require_target(target: Any, name: str = "target") -> None:
     """Raise an error unless this can be the target of a registration."""
-    expect_kind(target, "target", (Survey, FieldMap), ADVICE | {"MapIndex": "its map is in .field_map"})
+    expect_kind(target, name, (Survey, FieldMap), ADVICE | {"MapIndex": "its map is in .field_map"})
     if isinstance(target, Survey):
         require_survey(target)
 

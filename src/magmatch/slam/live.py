@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.arguments import column_of, expect_transform, points_of
-from magmatch.data.checks import require_survey
+from magmatch.data.checks import MAX_FIELD, require_survey, too_large
 from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
@@ -55,11 +55,16 @@ class LiveLog:
     def add(self, t: float, T_odom_body: RigidTransform, field: Any) -> bool:
         """Add a sample; returns whether poses or windows changed.
 
-        `ValueError` where the time does not increase or a number is not finite: the sample is not added.
+        `ValueError` where the time does not increase or a number is impossible: the sample is not added.
         """
         t = float(column_of([t], "t", "s", 1)[0])
         expect_transform(T_odom_body, "T_odom_body")
         b = points_of(np.reshape(field, (1, -1)), "field", "T", "sample")[0]
+        if not np.isfinite(T_odom_body.as_matrix()).all():
+            msg = "T_odom_body: expected finite numbers, got NaN or infinity; leave such samples out"
+            raise ValueError(msg)
+        if (size := float(np.linalg.norm(b))) > MAX_FIELD:
+            raise ValueError(too_large(size))
         if self._t and t <= self._t[-1]:
             msg = f"expected a time after {self._t[-1]:.9g} s, that of the sample before, got {t:.9g}"
             raise ValueError(msg)

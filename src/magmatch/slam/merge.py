@@ -92,8 +92,8 @@ def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
     if len(surveys) < 2:
         msg = f"expected at least two surveys to merge, got {len(surveys)}"
         raise ValueError(msg)
-    for survey in surveys:
-        require_target(survey)
+    for k, survey in enumerate(surveys):
+        require_target(survey, f"surveys[{k}]")
     return list(surveys)
 
 

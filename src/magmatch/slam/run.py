@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`slam`: logs whose poses drift in, corrected logs in one frame out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from magmatch.arguments import expect_kind
@@ -50,7 +50,8 @@ def slam(
         The table holds no fixed points, or one that no log passed; says which and why.
     """
     # A path or a DataFrame has parts, too, but none that is a log.
-    if isinstance(logs, str) or (hasattr(logs, "columns") and not isinstance(logs, Survey)):
+    has_logs = isinstance(logs, Iterable) and not isinstance(logs, str) and not hasattr(logs, "columns")
+    if not has_logs and not isinstance(logs, Survey):
         require_survey(logs, name="logs")
     config, given = config or SlamConfig(), [logs] if isinstance(logs, Survey) else list(logs)
     expect_kind(config, "config", (SlamConfig,))
