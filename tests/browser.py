@@ -85,7 +85,8 @@ class Browser:
         self.resize(width, height)
         self.events.clear()
         url = address.resolve().as_uri() if isinstance(address, Path) else address
-        self.call("Page.navigate", url=url)
+        if failed := self.call("Page.navigate", url=url).get("errorText"):
+            raise ConnectionError(f"{url}: {failed}")
         self.wait_for("document.readyState === 'complete'")
 
     def resize(self, width: int, height: int) -> None:
@@ -141,7 +142,9 @@ class Browser:
         end = monotonic() + self.patience
         while not is_done():
             if monotonic() > end:
-                raise TimeoutError(f"the page did not get to: {what}; it said {self.errors()}")
+                shown = self.call("Runtime.evaluate", expression="location.href + ': ' + document.body?.innerText")
+                msg = f"the page did not get to: {what}; it said {self.errors()}, it shows {shown['result'].get('value')!r}"
+                raise TimeoutError(msg)
             select.select([], [], [], 0.05)
 
     def _next(self) -> dict[str, Any]:

@@ -95,9 +95,10 @@ class Service:
     async def watched(self) -> AsyncIterator[asyncio.Queue[str]]:
         """Pictures as they come; whoever is slow sees the latest."""
         queue: asyncio.Queue[str] = asyncio.Queue(1)
+        # The first picture has the trails; `_draw` fills the queue only from then on.
+        queue.put_nowait(self._snapshot(await self.trackers.watch(with_trail=True)))
         self._watchers.add(queue)
         try:
-            await queue.put(self._snapshot(await self.trackers.watch(with_trail=True)))
             yield queue
         finally:
             self._watchers.discard(queue)

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whoever watches is sent a first picture, however many pictures come while it is made."""
+
+import json
+from contextlib import ExitStack
+
+from websockets.sync.client import connect
+
+from serving import client, serving
+
+
+def test_every_watcher_gets_a_first_picture_while_pictures_come_fast(hall, tmp_path):
+    config = tmp_path / "fast.yaml"
+    config.write_text("draw_every: 0.0005\ntrackers: 1\n")
+    with serving(hall.map, "--config", config) as service, client(service, name="one"), ExitStack() as open_ones:
+        for _ in range(40):
+            watcher = open_ones.enter_context(connect(service.url.replace("http", "ws") + "/watch", proxy=None))
+            first = json.loads(watcher.recv(timeout=20))
+            assert [body["name"] for body in first["bodies"]] == ["one"]
+            assert "trail" in first["bodies"][0]
