@@ -101,12 +101,28 @@ def of_node(near, node):
 
 def test_what_was_searched_holds_what_is_expected_there_more_closely_but_not_elsewhere_or_anywhere(near):
     T, C, node = near.rough.T_base_log, near.rough.covariance, near.window.T_log_node
-    searched = Searched(near.rough, [])
-    assert searched.holds(near.rough, node)
-    assert searched.holds(Rough(T, C / 4), node)
+    searched = Searched(near.rough, near.rough, [])
+    assert searched.holds(near.rough, near.window)
+    assert searched.holds(Rough(T, C / 4), near.window)
     for moved in (RigidTransform.from_translation([0.7, 0, 0]), pose([0, 0, 0.4], [0, 0, 0])):
-        assert not searched.holds(Rough(T * node * moved * node.inv(), C / 4), node)
-    assert not searched.holds(Rough(T, 4 * C), node)
+        assert not searched.holds(Rough(T * node * moved * node.inv(), C / 4), near.window)
+    assert not searched.holds(Rough(T, 4 * C), near.window)
+
+
+def test_what_was_weighed_stands_where_the_graph_expects_it_as_it_did(near):
+    T, C, node = near.rough.T_base_log, near.rough.covariance, near.window.T_log_node
+    searched = Searched(near.rough, near.rough, [])
+
+    def stands(moved, C):
+        return searched.stands(Rough(T * node * moved * node.inv(), C), near.window)
+
+    sd = np.sqrt(C[3, 3])
+    assert stands(pose([0, 0, 0], [0.2 * sd, 0, 0]), C)
+    assert stands(pose([0, 0, 0], [0, 0, 0]), 1.1 * C)
+    assert not stands(pose([0, 0, 0], [sd, 0, 0]), C)
+    assert not stands(pose([0, 0, 0], [0, 0, 0]), 2 * C)
+    assert not stands(pose([0, 0, 0], [0, 0, 0]), C / 2)
+    assert not Searched(near.rough, None, []).stands(near.rough, near.window)
 
 
 FREE, ALIGNED, PLANAR = (

@@ -187,20 +187,19 @@ class Places:
             among = nodes
             nodes = self.steps(lambda: self.likely(window, among)[None])[0].astype(np.int64)
         expected = expected_beside(window, nodes, self.graph)
-        searched = self.searched.setdefault(window.node, {})
-        before = {
-            a: searched[a]
-            for a, rough in expected.items()
-            if a in searched and searched[a].holds(rough, window.T_log_node)
-        }
+        known = self.searched.setdefault(window.node, {})
+        before = {a: known[a] for a, rough in expected.items() if a in known and known[a].holds(rough, window)}
 
         def look() -> list[Candidate]:
             return near_candidates(window, expected, before, self.graph, self.stretch)
 
         found = of_numbers(self.steps(lambda: numbers_of(look())))
         for a, rough in expected.items():
-            where = before[a].expected if a in before else rough
-            searched[a] = Searched(where, [c.match.T_base_log for c in found if c.node == a])
+            here = [c for c in found if c.node == a]
+            if a not in before:
+                known[a] = Searched(rough, rough, here)
+            elif not before[a].stands(rough, window):
+                known[a] = replace(before[a], weighed=rough, found=here)
         return found
 
     def likely(self, window: Window, nodes: Indices) -> Indices:
@@ -288,6 +287,13 @@ class Places:
         self.graph.edges = odometry_graph(self.paths, config).edges
         log.info("odometry drifts by %.2g m and %.2g deg in 10 m", *config.odometry.sd)
 
+    def forget(self) -> None:
+        """Back to odometry alone, as it is known now; what was searched is to be weighed anew."""
+        forget_closures(self.graph)
+        self.searched = {
+            node: {a: replace(s, weighed=None) for a, s in known.items()} for node, known in self.searched.items()
+        }
+
     def _repeats(self) -> Iterator[Stretch]:
         windows = {w.node: w for path in self.paths for w in path.windows}
         pairs = {(c.first, c.second): c.T_first_second for c in self.graph.closures}
@@ -353,7 +359,7 @@ def find(
                 places.close_near(places.paths, ENOUGH, SURE)
                 places.learn_noise()
                 places.learn_drift()
-                forget_closures(places.graph)
+                places.forget()
             with clock("closures"):
                 places.close(places.paths)
                 places.learn_drift()

@@ -32,6 +32,8 @@ MOST_CANDIDATES = 12
 # Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
 # simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
+# Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
+SAME_PRIOR = 0.1
 # The base about a node.
 Stretch = Callable[[int], Base]
 
@@ -72,13 +74,30 @@ class Searched:
     """A stretch that was searched for a window."""
 
     expected: Rough  # where
-    poses: list[RigidTransform]  # what was found: base's frame from the log's
+    weighed: Rough | None  # where it was expected when what was found was weighed last; None to weigh it anew
+    found: list[Candidate]
 
-    def holds(self, now: Rough, T_log_node: RigidTransform) -> bool:
+    def holds(self, now: Rough, window: Window) -> bool:
         """Whether the pose expected now is within what was searched, but for a tail."""
-        off = (self.expected.T_base_log * T_log_node).inv() * now.T_base_log * T_log_node
-        moved = np.linalg.norm([off.rotation.as_rotvec(), off.translation], axis=1)
+        moved = np.linalg.norm(np.split(_moved(self.expected, now, window), 2), axis=1)
         return bool(np.all(moved + (REACH - 1) * now.largest_sds <= REACH * self.expected.largest_sds))
+
+    def stands(self, now: Rough, window: Window) -> bool:
+        """Whether it is expected where it was when it was weighed: the divergence of the two priors is small."""
+        if self.weighed is None:
+            return False
+        drifts = window.config.drifts
+        r = _moved(self.weighed, now, window)[drifts]
+        before, after = ((rough.covariance + NODE_COVARIANCE)[np.ix_(drifts, drifts)] for rough in (self.weighed, now))
+        ratio = np.linalg.solve(before, after)
+        off = r @ np.linalg.solve(before, r)
+        return bool(0.5 * (np.trace(ratio) - len(r) - np.linalg.slogdet(ratio)[1] + off) < SAME_PRIOR)
+
+
+def _moved(before: Rough, now: Rough, window: Window) -> Scalars:
+    """By how much the expected pose of a window's node has moved: rotation vector and shift."""
+    off = (before.T_base_log * window.T_log_node).inv() * now.T_base_log * window.T_log_node
+    return np.concatenate([off.rotation.as_rotvec(), off.translation])
 
 
 def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
@@ -110,14 +129,17 @@ def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[in
 def near_candidates(
     window: Window, expected: dict[int, Rough], searched: dict[int, Searched], graph: PoseGraph, stretch: Stretch
 ) -> list[Candidate]:
-    """Where a window may lie on stretches about other nodes; what was searched before is not searched again."""
+    """Where a window may lie on stretches about other nodes; what was searched or weighed before is not again."""
     found: list[Candidate] = []
     for a, rough in expected.items():
-        known = searched[a].poses if a in searched else None
+        before = searched.get(a)
+        if before is not None and before.stands(rough, window):
+            some = before.found
+        else:
+            known = None if before is None else [c.match.T_base_log for c in before.found]
+            some = _candidates(window, stretch(a), rough, graph.center, known, a)
         # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
-        for c in _candidates(window, stretch(a), rough, graph.center, known, a):
-            if not any(_is_same(c, k, graph, window.length) for k in found):
-                found.append(c)
+        found += [c for c in some if not any(_is_same(c, k, graph, window.length) for k in found)]
     return found
 
 

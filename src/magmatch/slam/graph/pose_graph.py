@@ -8,7 +8,8 @@ from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import csc_array
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -91,12 +92,11 @@ class PoseGraph:
 
     def tied(self) -> Indices:
         """For each log, the first log that closures connect it to."""
-        root = np.arange(len(self.lasting))
-        for c in self.closures:
-            if c.is_kept:
-                a, b = root[self.log[c.first]], root[self.log[c.second]]
-                root[root == max(a, b)] = min(a, b)
-        return root
+        n = len(self.lasting)
+        ties = [(c.first, c.second) for c in self.closures if c.is_kept]
+        one, other = self.log[np.array(ties, np.int64).reshape(-1, 2)].T
+        group = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(n, n)), directed=False)[1]
+        return np.asarray(np.unique(group, return_index=True)[1][group])
 
     def fixed_by(self, root: Indices) -> dict[int, Indices]:
         """Fixed points of each group of logs that has any."""

@@ -15,8 +15,10 @@ from magmatch.slam.graph.normal_equations import closure_rows, hold_scale, norma
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 from magmatch.slam.graph.ties import N_LASTING
 
-# Most steps, number of steps before closures may lose weight, and the step size that ends the iteration.
-MOST_STEPS, TRUSTING_STEPS, SMALL = 40, 5, 1e-4
+# Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
+MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
+# Largest turn of a step, rad: beyond it, equations are not linear.
+MOST_TURN = 0.3
 # Largest log odds of a closure, nats: with more, it could never be rejected.
 MOST_ODDS = 12.0
 
@@ -24,24 +26,24 @@ MOST_ODDS = 12.0
 def solve(graph: PoseGraph) -> None:
     """Most likely poses; closures that the rest contradicts lose their weight."""
     _bring_to_fixed(graph)
-    doubts_from = TRUSTING_STEPS
-    for step in range(MOST_STEPS):
+    is_doubted = not graph.closures
+    for _ in range(MOST_STEPS):
         H, v = hold_scale(graph, *normal_equations(graph)[:2])
         xi = -graph.factor(csc_array(H)).solve(v)
         n = len(graph.p)
+        largest = np.abs(xi[: 6 * n].reshape(n, 6)[:, :3]).max()
+        xi *= min(1.0, MOST_TURN / max(largest, 1e-300))
         turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
-        largest = np.abs(turns).max()
-        if largest > 0.3:
-            # Not yet converged: a contradiction now may disappear.
-            doubts_from = step + 1 + TRUSTING_STEPS
-            turns, shifts, xi = turns * 0.3 / largest, shifts * 0.3 / largest, xi * 0.3 / largest
         graph.p = graph.p + np.einsum("nij,nj->ni", graph.R, shifts)
         graph.R = graph.R @ Rotation.from_rotvec(turns).as_matrix()
         graph.lasting = graph.lasting + xi[6 * n :].reshape(-1, N_LASTING)
-        if step >= doubts_from:
-            _doubt(graph)
-        if np.abs(xi).max() < SMALL and (step > doubts_from + 1 or not graph.closures):
+        moved = np.abs(xi).max()
+        if is_doubted and moved < SMALL:
             break
+        # Of poses that still move, a contradiction may disappear.
+        if moved < NEAR:
+            _doubt(graph)
+            is_doubted = True
     # How well the scale is known is no less for that.
     graph.factor(csc_array(normal_equations(graph)[0]))
     _bring_home(graph)
