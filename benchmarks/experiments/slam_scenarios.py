@@ -136,9 +136,9 @@ def nees_of(session: mm.Session, p: np.ndarray, turned: Rotation) -> float:
     Of nodes at true places p, in axes that odometry had turned.
     """
     graph = session.graph
-    e = np.einsum("nji,nj->ni", graph.R, graph.p - graph.p[0] - turned[0].inv().apply(p - p[0]))
     tied = np.flatnonzero(graph.component() == graph.component()[0])[1:]
-    e, C = e[tied, :2], graph.marginals()[tied, 3:5, 3:5]
+    e = (graph.p - graph.p[0] - turned[0].inv().apply(p - p[0]))[tied, :2]
+    C = session.covariances_of_place(tied)[:, :2, :2]
     return float(np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]).mean() / 2)
 
 

@@ -313,8 +313,7 @@ class Session:
         component, graph = self.graph.component(), self.graph
         if len(nodes) and graph.is_fixed(int(nodes[0])):
             return list(graph.marginals()[nodes])
-        starts = [np.array([np.argmax(component == component[node])]) for node in nodes]
-        return [graph.relative_covariances(start, int(node))[0] for start, node in zip(starts, nodes, strict=True)]
+        return [graph.covariance_from(int(np.argmax(component == component[node])), int(node)) for node in nodes]
 
 
 def _place_and_turn(C: Covariance6) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import lasting_errors
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.graph.normal_equations import counted, normal_equations, residual_between
+from magmatch.slam.graph.normal_equations import counted, hold_scale, normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.ties import Closure, Edges
@@ -137,8 +137,7 @@ def test_covariances_are_those_of_the_dense_inverse():
     graph.closures = [between(true, 0, 5), between(true, 1, 6)]
     solve(graph)
     solve(graph)  # The factors are of where it began: again, they are of where it ends.
-    H = normal_equations(graph)[0].toarray()
-    C = np.linalg.inv(H)
+    C = np.linalg.inv(hold_scale(graph, *normal_equations(graph)[:2])[0].toarray())
     for k, own in enumerate(graph.marginals()):
         np.testing.assert_allclose(own, C[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], rtol=1e-3, atol=1e-9)
     second = 8
@@ -147,6 +146,27 @@ def test_covariances_are_those_of_the_dense_inverse():
         J[:, 6 * second : 6 * second + 6] = np.eye(6)
         J[:, 6 * first : 6 * first + 6] = -adjoint(graph.pose(second).inv() * graph.pose(first))
         np.testing.assert_allclose(found, J @ C @ J.T, rtol=1e-3, atol=1e-9)
+
+
+def test_revisits_do_not_tell_the_scale_and_what_is_stated_says_so():
+    """Errors over stated covariances, of logs whose scale, steps and closures are drawn as they are said to be."""
+    true, rng = ring(25, laps=3), np.random.default_rng(4)
+    config = SlamConfig(is_planar=True, odometry=OdometryConfig(scale_sd=0.05, turn_sd=0.0))
+    pairs = [(i, j) for j in range(25) for i in range(j - 5) if np.linalg.norm(true[i] - true[j]) < 1.5]
+    nees = []
+    for _ in range(60):
+        scale = np.exp(0.05 * rng.standard_normal())
+        noise = 0.02 * rng.standard_normal(true.shape) * [1, 1, 0]
+        graph = graph_of(true / scale + np.cumsum(noise, axis=0), config, looseness=0.2)
+        # The map that a closure was found with is made of odometry, so it is in its unit.
+        off = np.sqrt(np.diag(TIGHT))[3:] * rng.standard_normal((len(pairs), 3)) * [1, 1, 0]
+        graph.closures = [between(true / scale, i, j, error) for (i, j), error in zip(pairs, off, strict=True)]
+        solve(graph)
+        for node in (4, 12, 20):
+            e = graph.R[node].T @ (graph.p[node] - graph.p[0] - (true[node] - true[0]))
+            C = graph.covariance_from(0, node)[3:5, 3:5]
+            nees.append(e[:2] @ np.linalg.solve(C, e[:2]) / 2)
+    assert 0.7 < np.mean(nees) < 1.4
 
 
 def test_a_wrong_closure_is_voted_out_and_the_right_ones_stay():

@@ -72,20 +72,19 @@ def counted(graph: PoseGraph) -> Scalars:
 def hold_scale(graph: PoseGraph, H: coo_array, v: np.ndarray) -> tuple[coo_array, np.ndarray]:
     """The same equations with the mean scale of each component held, unless fixed points tell it.
 
-    Revisits show no scale, only that of one log relative to another's. Without this, a map shrinks or grows by what
-    covariances of closures or of odometry are too small.
+    Without this, a map shrinks or grows by what covariances of closures or of odometry are too small, and they would
+    say that the scale is known.
     """
-    component = graph.component()
-    fixed = [] if graph.fixed is None else component[graph.fixed.one].tolist()
-    of_logs = component[np.unique(graph.log, return_index=True)[1]]
-    names = [name for name in np.unique(of_logs) if name not in fixed]
-    J = np.zeros((len(names), len(v)))
-    for row, name in zip(J, names, strict=True):
-        logs = np.flatnonzero(of_logs == name)
+    held = graph.scaled_logs().values()
+    J = np.zeros((len(held), len(v)))
+    for row, logs in zip(J, held, strict=True):
         row[_lasting_columns(graph, logs)[:, 0]] = 1 / len(logs)
-    held = J @ np.concatenate([np.zeros(6 * len(graph.p)), graph.lasting.ravel()])
+    off = J @ np.concatenate([np.zeros(6 * len(graph.p)), graph.lasting.ravel()])
     A = coo_array(J)
-    return (H + A.T @ A / SURE**2).tocoo(), v + J.T @ held / SURE**2
+    more = coo_array(A.T @ A / SURE**2)
+    # A sum would drop entries that happen to be zero, where the inverse is not.
+    at = tuple(np.concatenate([of_H, of_more]) for of_H, of_more in zip(H.coords, more.coords, strict=True))
+    return coo_array((np.concatenate([H.data, more.data]), at), shape=H.shape), v + J.T @ off / SURE**2
 
 
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:

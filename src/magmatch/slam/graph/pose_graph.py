@@ -156,7 +156,7 @@ class PoseGraph:
         return self._lu
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
-        """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6)."""
+        """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6), odometry's unit."""
         assert self._lu is not None
         C_as = self._columns(np.array([second])).reshape(-1, 6, 6)
         # How a perturbation of each first node moves the second, in the second's axes: the adjoint of where it is.
@@ -167,6 +167,26 @@ class PoseGraph:
         AC = A @ C_as[firsts]
         found = C_as[second] + A @ self.marginals()[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
+
+    def covariance_from(self, first: int, node: int) -> Covariance6:
+        """Of ``T_first_node Exp(xi)`` for nodes of one component, in metres: with how well its scale is known."""
+        C = self.relative_covariances(np.array([first]), node)[0]
+        logs = self.scaled_logs().get(int(self.component()[node]), [])
+        if len(logs) and len(self.edges.first):
+            # Each log's scale is as likely as stated by itself, so their mean is known by so much better.
+            along = (self.p[node] - self.p[first]) @ self.R[node] * self.config.odometry.scale_sd
+            C[3:, 3:] += np.outer(along, along) / len(logs)
+        return np.asarray(C)
+
+    def scaled_logs(self) -> dict[int, Indices]:
+        """Logs of each component whose scale nothing tells: revisits show only that of one log relative to another's.
+
+        Fixed points would tell it.
+        """
+        component = self.component()
+        fixed = [] if self.fixed is None else component[self.fixed.one].tolist()
+        of_logs = component[np.unique(self.log, return_index=True)[1]]
+        return {int(name): np.flatnonzero(of_logs == name) for name in np.unique(of_logs) if name not in fixed}
 
     def _columns(self, nodes: Indices) -> Matrix:
         """Covariance of all nodes with some: (6 n, 6 k)."""

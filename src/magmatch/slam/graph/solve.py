@@ -44,8 +44,6 @@ def solve(graph: PoseGraph) -> None:
         if moved < NEAR:
             _doubt(graph)
             is_doubted = True
-    # How well the scale is known is no less for that.
-    graph.factor(csc_array(normal_equations(graph)[0]))
     _bring_home(graph)
 
 
