@@ -139,7 +139,9 @@ def near_candidates(
             known = None if before is None else [c.match.T_base_log for c in before.found]
             some = _candidates(window, stretch(a), rough, graph.center, known, a)
         # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
-        found += [c for c in some if not any(_is_same(c, k, graph, window.length) for k in found)]
+        for c in some:
+            if not any(_is_same(c, k, graph, window.length) for k in found):
+                found.append(c)
     return found
 
 
