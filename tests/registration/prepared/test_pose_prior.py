@@ -238,7 +238,10 @@ def test_the_mean_density_over_a_pose_s_spread_is_that_of_many_draws(kind):
     M = np.linalg.qr(rng.standard_normal((6, 6)))[0] * 0.2 + np.eye(6)
     C = (M * sd) @ (M * sd).T
     draws = rng.multivariate_normal(np.zeros(6), C, 20_000)
-    at = [prior.log_density(T * perturbation(xi, CENTER), CENTER) for xi in draws]
+    R = (T.rotation * Rotation.from_rotvec(draws[:, :3])).as_matrix()
+    at = prior.log_densities(R, T.apply(CENTER + draws[:, 3:]), CENTER)
+    one_by_one = [prior.log_density(T * perturbation(xi, CENTER), CENTER) for xi in draws[:100]]
+    np.testing.assert_allclose(at[:100], one_by_one, rtol=1e-9)
     assert prior.log_density(T, CENTER, C) == pytest.approx(np.log(np.mean(np.exp(at))), abs=0.1)
     assert prior.log_density(T, CENTER, 1e-12 * C) == pytest.approx(prior.log_density(T, CENTER), abs=1e-6)
 
