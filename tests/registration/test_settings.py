@@ -56,8 +56,12 @@ CASES: dict[str, tuple[str, int, int, dict[str, Any], dict[str, Any]]] = {
     "walk, learned": ("office-hand-held", 3, 2000, {}, {"search": "pairs", "calibrate": False}),
     "paper": ("office-z30", 3, 300, {"noise_sd": 2e-6}, PAPER),
 }
-# Settings of a group show in these cases, asked in turn.
+# Settings of a group, or one alone, show in these cases, asked in turn.
 SHOWS = {
+    "field.leave_out_outliers": ["spiked"],
+    "invariants.n_fine": ["repeated"],
+    "prior.gravity_sd": ["upright"],
+    "prior.height_sd": ["level"],
     "field": ["room", "spiked"],
     "search": ["room"],
     "invariants": ["room", "repeated"],
@@ -67,21 +71,28 @@ SHOWS = {
     "refinement": ["room", "repeated", "biased"],
     "decision": ["room", "faint"],
 }
-# Values that are no number times a factor.
+# Values that are no number times a factor, or of which one shows sooner.
 WORDS: dict[str, tuple[Any, ...]] = {
     "field.prior": ("harmonic",),
+    "field.lengthscale": (0.5,),
+    "field.spacing": (0.45,),
     "field.domain": ((-1, -1, -1, 0.2, 1, 1),),
     "search": ("pairs",),
     "walks.search.max_pairs": (1000,),
+    "walks.search.n_coarse": (6,),
+    "keypoints.consensus.n_samples": (3,),
     "keypoints.consensus.sample_size": (2,),
     "prior.pose": ((9, 9, 9, 0, 0, 0, 1),),
     "keypoints.features.grid": ("path",),
     "refinement.sensor.mode": ("full",),
     "keypoints.features.spacing": (0.3,),
+    "keypoints.features.support_radius": (3.0,),
     "keypoints.features.component_range": (1e-5,),
     # Nearly nothing allowed, and nearly certainty asked for.
     "decision.min_probability": (1 - 1e-15, 0.5),
     "decision.max_sd_translation": (1e-4,),
+    "decision.max_sd_translation_in_lengths": (3e-4,),
+    "decision.max_sd_rotation": (1e-4,),
 }
 # Asked elsewhere: what 'auto' found, kept with the settings that it led to; settings of which the tests of their own
 # stage show both sides (`published/test_fitness_decision.py`, `refine/test_changes.py`,
@@ -164,7 +175,7 @@ SETTINGS = [
 @pytest.mark.parametrize(("name", "default"), SETTINGS)
 def test_a_setting_changes_an_answer_or_raises(name, default):
     group = "walks.search" if name.startswith("walks.search") else name.split(".")[0]
-    for case in SHOWS[name.split(".")[0]]:
+    for case in SHOWS.get(name) or SHOWS[name.split(".")[0]]:
         value_here = dict(leaves(RegistrationConfig.model_validate(CASES[case][4])))[name]
         for value in others(name, value_here if value_here is not None else default):
             try:

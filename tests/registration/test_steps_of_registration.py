@@ -178,15 +178,15 @@ def test_a_duplicated_sample_adds_next_to_nothing(seed):
     """
     made = simulate("office-random", seed, SimulationConfig(n_samples=300, room_size=(2.0, 2.0, 0.8)))
     numbers = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
-    config = RegistrationConfig.model_validate({"field": numbers, "calibrate": False})
+    config = RegistrationConfig.model_validate({"field": numbers, "changes": {"n_candidates": 1}, "calibrate": False})
 
     def times(n, survey):
         rows = np.repeat(np.arange(len(survey)), n)
         return Survey(survey.positions[rows], survey.field[rows])
 
-    once, target_twice, base_twice, both_twice = (
-        register(times(n, made.base), times(k, made.target), config) for n, k in ((1, 1), (1, 2), (2, 1), (2, 2))
-    )
+    bases = [prepare_index(build_map(times(n, made.base), config.field), config) for n in (1, 2)]
+    targets = [build_map(times(n, made.target), config.field) for n in (1, 2)]
+    once, target_twice, base_twice, both_twice = (register(b, t, config) for b in bases for t in targets)
     for result in (target_twice, base_twice, both_twice):
         assert result.is_accepted
         assert result.evidence["log_odds"] < 1.05 * once.evidence["log_odds"]

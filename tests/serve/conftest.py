@@ -11,16 +11,20 @@ pytest.importorskip("uvicorn")
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import make_index
 from serving import serving
 
 
 @pytest.fixture(scope="session")
 def hall(tmp_path_factory):
-    """A saved map, and walks through it: logs and true positions by seed."""
+    """A saved map with its index, and walks through it: logs and true positions by seed."""
     folder = tmp_path_factory.mktemp("hall")
     _, truth = drifting_walk(Place(1), 7, laps=4.0)
     noise = 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
     build_map(Survey(truth, Place(1).field(truth) + noise, name="hall")).save(folder / "hall.map")
+    # As the first service of it leaves it, and every process that is started finds it.
+    make_index(folder / "hall.map", RegistrationConfig())
 
     def walk(seed, laps=0.5):
         return drifting_walk(Place(1), seed, laps=laps, start=float(seed), bias=(2e-6, -1e-6, 1e-6))

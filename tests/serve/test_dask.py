@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whole logs on a Dask cluster: right answers, maps held in memory, and what is said when parts of it die."""
 
+import asyncio
 import json
 from contextlib import ExitStack, contextmanager
 
 import pytest
 
+from magmatch.errors import ConfigurationError
+from magmatch.serve.config import ServeConfig
 from magmatch.serve.logs.work import _place
+from magmatch.serve.service import Service
 from serving import serving, wait_until
 
 distributed = pytest.importorskip("distributed")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
-WORK = {"n_workers": 1, "threads_per_worker": 2, "processes": True, "dashboard_address": None, "silence_logs": 50}
+WORK = {"n_workers": 1, "threads_per_worker": 2, "dashboard_address": None, "silence_logs": 50}
 
 
 @contextmanager
-def cluster(port=0):
-    with distributed.LocalCluster(host="127.0.0.1", scheduler_port=port, **WORK) as one:
+def cluster(port=0, *, processes=True):
+    with distributed.LocalCluster(host="127.0.0.1", scheduler_port=port, processes=processes, **WORK) as one:
         yield one
 
 
@@ -44,13 +48,18 @@ def test_logs_are_worked_on_by_a_cluster_that_holds_the_maps_and_may_die(hall, t
         status, headers, said = asked(service, body)
         assert (status, said["message"].count("\n"), "retry-after" in headers) == (503, 0, True)
         assert service.ask("/health")[0] == 200
-        with cluster(port):
+        with cluster(port, processes=False):  # at hand at once
             assert wait_until(lambda: (now := asked(service, body))[0] == 200 and now)[2]["status"] == "localized"
 
 
-def test_a_cluster_that_is_not_there_is_said_so(hall, tmp_path):
-    with (
-        pytest.raises(AssertionError, match="expected a Dask scheduler"),
-        serving(hall.map, "--workers", "dask://127.0.0.1:9", "--states", tmp_path / "states"),
-    ):
-        pass
+def test_a_cluster_that_is_not_there_is_said_so_before_maps_are_loaded(hall, tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.serve.logs.workers.CONNECT_WITHIN", 0.2)
+    service = Service(hall.map, ServeConfig(states=tmp_path / "states", dask="tcp://127.0.0.1:9"))
+
+    async def run():
+        async with service.running():
+            pass
+
+    with pytest.raises(ConfigurationError, match="expected a Dask scheduler"):
+        asyncio.run(run())
+    assert not hasattr(service, "trackers")

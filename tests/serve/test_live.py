@@ -155,9 +155,10 @@ def test_a_bad_sample_is_told_and_forgotten(door, hall):
 
 
 @pytest.mark.slow
-def test_states_outlive_kills_of_trackers_and_of_the_service(hall, limits, tmp_path):
+def test_states_outlive_kills_of_trackers_and_of_the_service(hall, tmp_path):
+    (tmp_path / "often.yaml").write_text("checkpoint_every: 0.5\ntrackers: 1\n")
     rows = list(samples(hall.walk(6, laps=0.6)[0]))
-    options = ("--config", limits, "--states", tmp_path / "states")
+    options = ("--config", tmp_path / "often.yaml", "--states", tmp_path / "states")
     with serving(hall.map, *options) as service:
         with client(service) as one:
             key = one.welcome["key"]

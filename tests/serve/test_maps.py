@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 import threading
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from http.client import HTTPException
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +20,8 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.map import FieldMap
 from magmatch.localization.localize import localize
+from magmatch.registration.index.map_index import index_path
+from magmatch.serve.bodies import checkpoints
 from serving import client, samples, serving, wait_until
 
 pytestmark = pytest.mark.slow
@@ -29,9 +31,23 @@ pytestmark = pytest.mark.slow
 def other(tmp_path_factory):
     """A map of another hall."""
     path = tmp_path_factory.mktemp("other") / "other.map"
-    _, truth = drifting_walk(Place(2), 7, laps=4.0)
+    _, truth = drifting_walk(Place(2), 7, laps=2.0)
     build_map(Survey(truth, Place(2).field(truth), name="other")).save(path)
     return path
+
+
+@pytest.fixture
+def one_tracker(tmp_path):
+    """Settings under which one process follows clients."""
+    path = tmp_path / "one.yaml"
+    path.write_text("trackers: 1\n")
+    return path
+
+
+def copy_to(folder, path):
+    """Copy a map with its index."""
+    for each in (path, index_path(path)):
+        shutil.copy(each, folder)
 
 
 def last_answer(service, log, n=None, key=None):
@@ -45,7 +61,7 @@ def last_answer(service, log, n=None, key=None):
 def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
     folder = tmp_path / "maps"
     folder.mkdir()
-    shutil.copy(hall.map, folder / "hall.map")
+    copy_to(folder, hall.map)
     (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
     walk = drifting_walk(Place(2), 3, laps=0.4, start=1.0, turn=0.5)[0]
     with serving(folder, "--config", tmp_path / "limits.yaml") as service:
@@ -75,7 +91,7 @@ def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
 def test_an_emptied_folder_is_served_on_and_says_so(hall, other, tmp_path):
     folder, gone = tmp_path / "maps", tmp_path / "gone"
     folder.mkdir()
-    shutil.copy(hall.map, folder / "hall.map")
+    copy_to(folder, hall.map)
     (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
     body = survey_csv(hall.walk(2)[0], tmp_path)
     with serving(folder, "--config", tmp_path / "limits.yaml") as service:
@@ -194,14 +210,15 @@ def test_foxglove_tells_clients_of_one_name_apart():
     assert [f"replay {client}" in repr(seen[0]) for client in ("0a", "1b")] == [True, True]
 
 
-def test_foxglove_is_told_of_bodies(hall, tmp_path):
+def test_foxglove_is_told_of_bodies(hall, one_tracker, tmp_path):
     pytest.importorskip("foxglove")
     import socket
 
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with serving(hall.map, "--foxglove", port, "--states", tmp_path / "states") as service:
+    options = ("--states", tmp_path / "states", "--config", one_tracker)
+    with serving(hall.map, "--foxglove", port, *options) as service:
         said = last_answer(service, hall.walk(2)[0])
         url = f"ws://127.0.0.1:{port}"
         with connect(url, proxy=None, subprotocols=["foxglove.sdk.v1"], compression=None) as viewer:
@@ -218,53 +235,63 @@ def test_foxglove_is_told_of_bodies(hall, tmp_path):
                 seen += message if isinstance(message, bytes) else b""
 
 
-def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall, tmp_path):
+def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall, one_tracker, tmp_path):
     body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
-    with serving(hall.map, "--states", states) as service:
+    with serving(hall.map, "--states", states, "--config", one_tracker) as service:
         followers = children_of(service.process.pid)
-
-        def kill():
-            for pid in wait_until(lambda: set(children_of(service.process.pid)) - followers):
-                os.kill(pid, signal.SIGKILL)
-
         assert service.ask("/localize", body)[0] == 200
-        kill()
+        send_all(signal.SIGKILL, workers_of(service, followers))
         assert service.ask("/localize", body)[0] == 200
-        threading.Timer(0.1, kill).start()
-        assert service.ask("/localize", body)[0] == 200
+        with sent_to_stopped_workers(service, followers, body, states) as (stopped, answers):
+            send_all(signal.SIGKILL, stopped)
+        assert answers[0][0] == 200
         assert not list(states.glob("log-*"))
         # A service that is killed leaves a log, which the next one removes.
-        post = threading.Thread(target=lambda: suppressed(service.ask, "/localize", body))
-        kill()
-        post.start()
-        wait_until(lambda: list(states.glob("log-*")))
-        service.end(signal.SIGKILL)
-        post.join()
+        with sent_to_stopped_workers(service, followers, body, states) as (stopped, _):
+            service.end(signal.SIGKILL)
+            send_all(signal.SIGKILL, stopped)
     assert list(states.glob("log-*"))
-    with serving(hall.map, "--states", states):
+    with checkpoints.held(states):  # by which a service begins, and keeps others out
         assert not list(states.glob("log-*"))
 
 
-def test_a_log_that_is_worked_on_when_the_service_ends_is_to_be_sent_again(hall, tmp_path):
-    body, answers = survey_csv(hall.walk(2)[0], tmp_path), []
-    with serving(hall.map, "--states", tmp_path / "states") as service:
+def test_a_log_that_is_worked_on_when_the_service_ends_is_to_be_sent_again(hall, one_tracker, tmp_path):
+    body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
+    with serving(hall.map, "--states", states, "--config", one_tracker) as service:
         followers = children_of(service.process.pid)
         assert service.ask("/localize", body)[0] == 200
-        for pid in children_of(service.process.pid) - followers:
-            os.kill(pid, signal.SIGSTOP)
-        post = threading.Thread(target=lambda: answers.append(service.ask("/localize", body)))
-        post.start()
-        wait_until(lambda: list((tmp_path / "states").glob("log-*")))
-        service.end()
-        post.join()
+        with sent_to_stopped_workers(service, followers, body, states) as (_, answers):
+            service.end()
     assert answers[0][0] == 503
     assert json.loads(answers[0][2])["status"] == 503
 
 
+@contextmanager
+def sent_to_stopped_workers(service, followers, body, states):
+    """A log is with processes that have stopped, and is answered after the block; gives these and the answers."""
+    stopped, answers = workers_of(service, followers), []
+
+    def send():
+        with suppress(OSError, HTTPException):
+            answers.append(service.ask("/localize", body))
+
+    send_all(signal.SIGSTOP, stopped)
+    post = threading.Thread(target=send)
+    post.start()
+    wait_until(lambda: list(states.glob("log-*")))
+    yield stopped, answers
+    post.join()
+
+
+def send_all(sign, processes):
+    for pid in processes:
+        os.kill(pid, sign)
+
+
+def workers_of(service, followers):
+    """Processes that work on logs, once there are some: all but those that follow clients."""
+    return wait_until(lambda: children_of(service.process.pid) - followers)
+
+
 def children_of(pid):
     return set(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
-
-
-def suppressed(function, *arguments):
-    with suppress(OSError, HTTPException):
-        function(*arguments)

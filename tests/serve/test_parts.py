@@ -14,6 +14,11 @@ import numpy as np
 import pytest
 
 from magmatch.errors import ConfigurationError
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.map import FieldMap
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import index_key, index_path, open_index, prepare_index
 from magmatch.serve.allowance import Allowance, Allowances
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.tracker import Tracker, load_places
@@ -27,6 +32,7 @@ from magmatch.serve.logs.workers import LogWorkers
 from magmatch.serve.messages import write_sample
 from magmatch.serve.openapi import openapi
 from magmatch.serve.refusals import RefusedError
+from magmatch.serve.serve import index_once
 
 
 class Clock:
@@ -201,6 +207,23 @@ def test_a_token_that_is_refused_is_not_said(tmp_path):
     assert "blank" not in str(refused.value)
 
 
+def test_a_map_is_indexed_once_for_all_processes_that_the_service_starts(hall, tmp_path):
+    place, config = tmp_path / "small.map", RegistrationConfig()
+    numbers = FieldConfig(prior="spline", lengthscale=0.8, signal_sd=1e-5, noise_sd=3e-7, spacing=0.4)
+    build_map(hall.walk(2)[0].subset(np.arange(60)), numbers).save(place)
+    index_once(place)
+    whole = index_path(place).read_bytes()
+    assert open_index(place, config).is_whole
+    # What the registration of no walk leaves is not all that is needed.
+    prepare_index(FieldMap.load(place), config).save(index_path(place), index_key(place, config))
+    assert not open_index(place, config).is_whole
+    index_once(index_path(place))
+    assert index_path(place).read_bytes() == whole
+    made_at = index_path(place).stat().st_mtime_ns
+    index_once(place)
+    assert index_path(place).stat().st_mtime_ns == made_at
+
+
 def test_maps_that_vanished_are_not_a_client_s_fault_and_break_no_worker(hall, tmp_path):
     shutil.copy(hall.map, tmp_path / "hall.map")
     served = look_at(tmp_path)
@@ -234,7 +257,8 @@ def test_a_registration_is_told_of_the_vertical(hall, tmp_path, is_folder):
     if is_folder:
         place = tmp_path / "maps"
         place.mkdir()
-        shutil.copy(hall.map, place)
+        for path in (hall.map, index_path(hall.map)):
+            shutil.copy(path, place)
     hall.walk(2)[0].save(tmp_path / "log.csv")
     question = read_question("register", [("planar", "1")])
     found = work_on_log(place, look_at(place), tmp_path / "log.csv", question, ServeConfig(states=tmp_path))

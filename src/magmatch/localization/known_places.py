@@ -98,7 +98,7 @@ def open_place(path: Path, names: Collection[str] | None = None) -> Place:
     """Open a map, with its index if there is one, or a folder of maps, all or those of some names."""
     if is_folder(path):
         return open_atlas(path, names=names)
-    path = path.with_suffix("") if path.suffix == SUFFIX else path
+    path = map_of(path)
     if (found := sniff(path)) != "map":
         advice = "make a map with 'magmatch map SURVEY --out MAP'"
         raise DataFormatError(path, f"expected a saved map, found a {found} file; {advice}")
@@ -108,3 +108,8 @@ def open_place(path: Path, names: Collection[str] | None = None) -> Place:
         return field_map if index is None else index.load(field_map)
     except DataFormatError:  # an index is a cache
         return field_map
+
+
+def map_of(path: Path) -> Path:
+    """Path of a saved map, of which the index may be given."""
+    return path.with_suffix("") if path.suffix == SUFFIX else path

@@ -9,7 +9,10 @@ from pathlib import Path
 import uvicorn
 
 from magmatch.errors import ConfigurationError
-from magmatch.localization.known_places import open_place
+from magmatch.field.map import FieldMap
+from magmatch.localization.known_places import map_of, open_place
+from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import MapIndex, make_index
 from magmatch.serve.app import build_app
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.connections import Wire, cut_off
@@ -27,8 +30,7 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     had.
     """
     listening = _listen(config)
-    # Once, before several processes do: a folder's maps are indexed where they are not yet.
-    open_place(Path(place))
+    index_once(Path(place))
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
         build_app(service), http="h11", loop="asyncio", ws=Wire, ws_max_size=config.max_message,
@@ -39,6 +41,13 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     server = _Server(settings, service, lambda: on_start(address_of(listening)))
     with listening:
         server.run(sockets=[listening])
+
+
+def index_once(place: Path) -> None:
+    """Index maps where they are not yet: otherwise each process would prepare them again, and do so for each log."""
+    opened = open_place(place)
+    if isinstance(opened, FieldMap) or (isinstance(opened, MapIndex) and not opened.is_whole):
+        make_index(map_of(place), RegistrationConfig())
 
 
 class _Server(uvicorn.Server):

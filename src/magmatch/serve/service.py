@@ -44,17 +44,18 @@ class Service:
         """Everything is up for the block."""
         async with AsyncExitStack() as until_end:
             until_end.enter_context(checkpoints.held(self.config.states))
+            # First what may not be had, such as a cluster or a port: told before maps are loaded.
+            self.workers = LogWorkers(self.config)
+            until_end.callback(self.workers.close)
+            self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
+            if self.foxglove is not None:
+                until_end.callback(self.foxglove.stop)
             self.trackers = Trackers(self.place, self.config)
             await self.trackers.start()
             until_end.push_async_callback(self.trackers.stop)
             self.metrics.restarts.set_function(lambda: sum(handle.n_restarts for handle in self.trackers.handles))
             self.metrics.maps.set_function(lambda: len(self.catalogue.served.maps))
             self.metrics.fault.set_function(lambda: self.catalogue.fault is not None)
-            self.workers = LogWorkers(self.config)
-            until_end.callback(self.workers.close)
-            self.foxglove = None if self.config.foxglove_port is None else FoxgloveFeed(self.config.foxglove_port)
-            if self.foxglove is not None:
-                until_end.callback(self.foxglove.stop)
             jobs = {
                 self._sweep: SWEEP_EVERY, self._look: self.config.look_every, self._draw: self.config.draw_every,
                 self._show_maps: MAPS_EVERY,

@@ -10,8 +10,10 @@ from scipy.stats import multivariate_normal
 
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.prepared.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
+from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.register import register
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
 
@@ -83,12 +85,16 @@ def test_a_rough_pose_must_be_a_pose():
 
 @pytest.fixture(scope="module")
 def pair(make_exact_pair):
-    """One room seen twice, z up in both frames."""
+    """One room seen twice, z up in both frames; the first map prepared for all targets."""
     T = RigidTransform.from_components([0.7, -0.4, 0.2], Rotation.from_euler("z", 130, degrees=True))
-    return *make_exact_pair(11, T), T
+    base, target = make_exact_pair(11, T)
+    return prepare_index(base, FEW), target, T
 
 
-FEW = RegistrationConfig(invariants=InvariantSearchConfig(n_anchors=100, n_coarse=80, n_fine=15))
+FEW = RegistrationConfig(
+    invariants=InvariantSearchConfig(n_anchors=100, n_coarse=80, n_fine=15),
+    refinement=RefinementConfig(n_samples=800, n_ranking_samples=200),
+)
 
 
 def registered(base, target, **prior):
@@ -238,7 +244,10 @@ def test_the_mean_density_over_a_pose_s_spread_is_that_of_many_draws(kind):
     M = np.linalg.qr(rng.standard_normal((6, 6)))[0] * 0.2 + np.eye(6)
     C = (M * sd) @ (M * sd).T
     draws = rng.multivariate_normal(np.zeros(6), C, 20_000)
-    at = [prior.log_density(T * perturbation(xi, CENTER), CENTER) for xi in draws]
+    R = (T.rotation * Rotation.from_rotvec(draws[:, :3])).as_matrix()
+    at = prior.log_densities(R, T.apply(CENTER + draws[:, 3:]), CENTER)
+    one_by_one = [prior.log_density(T * perturbation(xi, CENTER), CENTER) for xi in draws[:100]]
+    np.testing.assert_allclose(at[:100], one_by_one, rtol=1e-9)
     assert prior.log_density(T, CENTER, C) == pytest.approx(np.log(np.mean(np.exp(at))), abs=0.1)
     assert prior.log_density(T, CENTER, 1e-12 * C) == pytest.approx(prior.log_density(T, CENTER), abs=1e-6)
 

@@ -20,7 +20,7 @@ T_BASE_TARGET = random_transform(np.random.default_rng(11))
 FIELD = FieldConfig(prior="divergence_free", lengthscale=0.6, signal_sd=2e-5, noise_sd=0.6e-6, spacing=0.45)
 
 
-def survey_of(source, seed, T_world_survey, n=1500):
+def survey_of(source, seed, T_world_survey, n=700):
     rng = np.random.default_rng(seed)
     x = rng.uniform(0, [3, 3, 0.6], (n, 3))
     b = source(x) + 0.5e-6 * rng.standard_normal((n, 3))
