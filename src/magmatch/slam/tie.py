@@ -88,7 +88,9 @@ class Searched:
             return False
         drifts = window.config.drifts
         r = _moved(self.weighed, now, window)[drifts]
-        before, after = ((rough.covariance + NODE_COVARIANCE)[np.ix_(drifts, drifts)] for rough in (self.weighed, now))
+        before, after = (
+            (rough.covariance + NODE_COVARIANCE)[np.ix_(drifts, drifts)] for rough in (self.weighed, now)
+        )
         ratio = np.linalg.solve(before, after)
         off = r @ np.linalg.solve(before, r)
         return bool(0.5 * (np.trace(ratio) - len(r) - np.linalg.slogdet(ratio)[1] + off) < SAME_PRIOR)
