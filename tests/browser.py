@@ -143,7 +143,8 @@ class Browser:
         while not is_done():
             if monotonic() > end:
                 shown = self.call("Runtime.evaluate", expression="location.href + ': ' + document.body?.innerText")
-                msg = f"the page did not get to: {what}; it said {self.errors()}, it shows {shown['result'].get('value')!r}"
+                value = shown["result"].get("value")
+                msg = f"the page did not get to: {what}; it said {self.errors()}, it shows {value!r}"
                 raise TimeoutError(msg)
             select.select([], [], [], 0.05)
 
