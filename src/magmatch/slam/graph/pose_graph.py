@@ -171,8 +171,8 @@ class PoseGraph:
     def covariance_from(self, first: int, node: int) -> Covariance6:
         """Of ``T_first_node Exp(xi)`` for nodes of one component, in metres: with how well its scale is known."""
         C = self.relative_covariances(np.array([first]), node)[0]
-        logs = self.scaled_logs().get(int(self.component()[node]), [])
-        if len(logs) and len(self.edges.first):
+        logs = self.scaled_logs().get(int(self.component()[node]))
+        if logs is not None and len(self.edges.first):
             # Each log's scale is as likely as stated by itself, so their mean is known by so much better.
             along = (self.p[node] - self.p[first]) @ self.R[node] * self.config.odometry.scale_sd
             C[3:, 3:] += np.outer(along, along) / len(logs)
