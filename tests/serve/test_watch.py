@@ -12,7 +12,8 @@ from serving import client, serving
 def test_every_watcher_gets_a_first_picture_while_pictures_come_fast(hall, tmp_path):
     config = tmp_path / "fast.yaml"
     config.write_text("draw_every: 0.0005\ntrackers: 1\n")
-    with serving(hall.map, "--config", config) as service, client(service, name="one"), ExitStack() as open_ones:
+    options = ("--config", config, "--states", tmp_path / "states")
+    with serving(hall.map, *options) as service, client(service, name="one"), ExitStack() as open_ones:
         for _ in range(40):
             watcher = open_ones.enter_context(connect(service.url.replace("http", "ws") + "/watch", proxy=None))
             first = json.loads(watcher.recv(timeout=20))
