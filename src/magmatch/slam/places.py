@@ -276,6 +276,7 @@ class Places:
         if len(stretches) < PRIOR_STRETCHES:
             return
         self.maker.learn(most_likely(self.maker.noise, stretches))
+        self._weigh_anew()
         log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
 
     def learn_drift(self) -> None:
@@ -285,11 +286,11 @@ class Places:
         self.maker.config = self.graph.config = config
         self.paths = [replace(p, windows=tuple(replace(w, config=config) for w in p.windows)) for p in self.paths]
         self.graph.edges = odometry_graph(self.paths, config).edges
+        self._weigh_anew()
         log.info("odometry drifts by %.2g m and %.2g deg in 10 m", *config.odometry.sd)
 
-    def forget(self) -> None:
-        """Back to odometry alone, as it is known now; what was searched is to be weighed anew."""
-        forget_closures(self.graph)
+    def _weigh_anew(self) -> None:
+        """Weigh again what was searched, as noise or drift are known otherwise now."""
         self.searched = {
             node: {a: replace(s, weighed=None) for a, s in known.items()} for node, known in self.searched.items()
         }
@@ -359,7 +360,7 @@ def find(
                 places.close_near(places.paths, ENOUGH, SURE)
                 places.learn_noise()
                 places.learn_drift()
-                places.forget()
+                forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
                 places.learn_drift()
