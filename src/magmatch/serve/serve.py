@@ -46,8 +46,10 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
 def index_once(place: Path) -> None:
     """Index maps where they are not yet: otherwise each process would prepare them again, and do so for each log."""
     opened = open_place(place)
-    if isinstance(opened, FieldMap) or (isinstance(opened, MapIndex) and not opened.is_whole):
-        make_index(map_of(place), RegistrationConfig())
+    if isinstance(opened, FieldMap):
+        make_index(map_of(place), RegistrationConfig(), opened)
+    elif isinstance(opened, MapIndex) and not opened.is_whole:
+        make_index(map_of(place), RegistrationConfig(), opened.field_map)
 
 
 class _Server(uvicorn.Server):
