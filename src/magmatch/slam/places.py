@@ -189,16 +189,17 @@ class Places:
         expected = expected_beside(window, nodes, self.graph)
         known = self.searched.setdefault(window.node, {})
         before = {a: known[a] for a, rough in expected.items() if a in known and known[a].holds(rough, window)}
+        standing = {a for a, searched in before.items() if searched.stands(expected[a], window)}
 
         def look() -> list[Candidate]:
-            return near_candidates(window, expected, before, self.graph, self.stretch)
+            return near_candidates(window, expected, before, standing, self.graph, self.stretch)
 
         found = of_numbers(self.steps(lambda: numbers_of(look())))
         for a, rough in expected.items():
             here = [c for c in found if c.node == a]
             if a not in before:
                 known[a] = Searched(rough, rough, here)
-            elif not before[a].stands(rough, window):
+            elif a not in standing:
                 known[a] = replace(before[a], weighed=rough, found=here)
         return found
 

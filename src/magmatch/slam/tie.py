@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Closures of one log: candidates of all windows are weighed together along the path; certain ones are kept."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,16 +129,23 @@ def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[in
 
 
 def near_candidates(
-    window: Window, expected: dict[int, Rough], searched: dict[int, Searched], graph: PoseGraph, stretch: Stretch
+    window: Window,
+    expected: dict[int, Rough],
+    searched: dict[int, Searched],
+    standing: Collection[int],
+    graph: PoseGraph,
+    stretch: Stretch,
 ) -> list[Candidate]:
-    """Where a window may lie on stretches about other nodes; what was searched or weighed before is not again."""
+    """Where a window may lie on stretches about other nodes.
+
+    What was searched before is not searched again, and on stretches where that is still ``standing`` not weighed.
+    """
     found: list[Candidate] = []
     for a, rough in expected.items():
-        before = searched.get(a)
-        if before is not None and before.stands(rough, window):
-            some = before.found
+        if a in standing:
+            some = searched[a].found
         else:
-            known = None if before is None else [c.match.T_base_log for c in before.found]
+            known = [c.match.T_base_log for c in searched[a].found] if a in searched else None
             some = _candidates(window, stretch(a), rough, graph.center, known, a)
         # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
         for c in some:
