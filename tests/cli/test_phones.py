@@ -73,6 +73,20 @@ def test_odometry_then_prepare_makes_a_survey(export, tmp_path, run):
     assert len(read_survey(tmp_path / "walk.csv")) > 1000
 
 
+def test_slam_takes_a_raw_log_as_with_poses_by_odometry(export, tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    raw = run("slam", export, "--out", tmp_path / "raw")
+    assert "Dead reckoning: " in raw.err
+    run("odometry", export, "--out", tmp_path / "walk.tum")
+    posed = run("slam", export, "--trajectory", tmp_path / "walk.tum", "--out", tmp_path / "posed")
+    assert raw.code == posed.code
+    assert raw.code in (0, 3)
+    raw, posed = (Trajectory.load(tmp_path / name / "walk.tum") for name in ("raw", "posed"))
+    moments = np.linspace(max(raw.times[0], posed.times[0]), min(raw.times[-1], posed.times[-1]), 50)
+    at = [np.column_stack([np.interp(moments, t.times, x) for x in t.positions.T]) for t in (raw, posed)]
+    np.testing.assert_allclose(*at, atol=0.05)
+
+
 def test_info_names_the_sensors_and_says_where_poses_come_from(export, run):
     outcome = run("info", export)
     assert outcome.code == 0

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_poses_of, read_samples
+from magmatch.cli.inputs import read_poses_of
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.sessions import deliver, require_pictures
 from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.walks import read_walk
 
 if TYPE_CHECKING:
     from magmatch.slam.config import SlamConfig
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "magmatch slam walk.csv --out corrected",
     "magmatch slam monday.mcap tuesday.mcap --out building",
+    "magmatch slam phone.zip --out floor",
     "magmatch slam robot.csv phone.csv --odometry-sd 0.1,1 --odometry-sd phone:0.5,8 --out hall",
     "magmatch slam phone.csv --field-frame sensor --field-unit uT --planar --out floor",
     "magmatch slam robot.csv --anchors points.csv --out hall",
@@ -32,7 +34,10 @@ SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
 @command("slam", EXAMPLES, surveys=())
 def slam(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs with odometry and field, each in its own frame.", metavar="LOG")
+        list[Path],
+        typer.Argument(
+            help="Logs with odometry and field, each in its own frame; or a phone's raw logs.", metavar="LOG"
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for trajectories, surveys, maps, graph, report and result.")],
     layouts: Layouts,
@@ -87,7 +92,7 @@ def slam(
     require_pictures(rerun)
     settings = SlamConfig() if config is None else merged(SlamConfig(), read_settings(config), config)
     settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
-    surveys = [read_samples(path, layouts) for path in logs]
+    surveys = [read_walk(path, layouts) for path in logs]
     if not any(":" not in text for text in odometry_sd or []):
         stated = {path.name: read_drift(path, layouts.of()) for path in logs}
         sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log with odometry for `localize` and `replay`; dead reckoning for a phone's log without poses."""
+"""A log with odometry for `slam`, `localize` and `replay`; dead reckoning for a phone's log without poses."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
