@@ -13,9 +13,11 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.prior_choice.numbers import likely_numbers
 from magmatch.field.priors import PRIORS
 from magmatch.geometry import path_walked
+from magmatch.registration.prepared.cubes import even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
 from magmatch.registration.prepared.prepared_map import correlation_length_of
+from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
 
 # Parts looked at, their length in lengthscales and most samples of each.
 N_PARTS = 8
@@ -23,10 +25,13 @@ PART_LENGTH = 25.0
 MOST_SAMPLES = 400
 # Parts too long are cut so often at most: of noise alone the lengthscale falls for ever.
 MOST_CUTS = 4
+# What the prior expects is computed on a path of so many field lengths, at so many points, of samples with so much
+# more noise that they say nothing.
+TUBE_LENGTH, N_POINTS, SILENT = 6.0, 20, 1e5
 
 
 def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
-    """Median numbers of short parts, and their median correlation length (m)."""
+    """Median numbers of short parts with an amplitude that holds for all, and their median correlation length (m)."""
     found: list[Hyperparameters] = []
     lengths = []
     n_parts = max(N_PARTS // len(surveys), 2)
@@ -47,7 +52,40 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
     medians = {name: float(np.median([getattr(h, name) for h in found])) for name in names}
     # Nothing shorter than two steps between samples can be seen: of a robot that stands, jitter.
     steps = np.concatenate([np.linalg.norm(np.diff(s.positions, axis=0), axis=1) for s in surveys])
-    return replace(found[0], **medians), max(float(np.median(lengths)), 2 * float(np.median(steps)))
+    length = max(float(np.median(lengths)), 2 * float(np.median(steps)))
+    return as_rough_as_measured(replace(found[0], **medians), surveys, length), length
+
+
+def as_rough_as_measured(numbers: Hyperparameters, surveys: Sequence[Survey], length: float) -> Hyperparameters:
+    """Numbers whose prior expects the gradient that is measured along the paths.
+
+    The evidence of short parts takes neighbouring samples as correlated, and so finds an amplitude too small for what
+    lies beside a path, where only the prior speaks: bases would be too sure of it by several times.
+    """
+    change2 = step2 = 0.0
+    for survey in surveys:
+        rows = bin_along_path(np.ascontiguousarray(survey.positions), BIN_LENGTH * length)
+        x, b, n = bin_means(survey.positions, rows), bin_means(survey.field, rows), np.bincount(rows)
+        # Bins next but one, without what the noise changes between them.
+        noise2 = numbers.noise_sd**2 * (1 / n[2:] + 1 / n[:-2])
+        change2 += float((((b[2:] - b[:-2]) ** 2).mean(axis=1) - noise2).sum())
+        step2 += float(((x[2:] - x[:-2]) ** 2).sum())
+    if change2 <= 0 or step2 <= 0:
+        return numbers
+    expected = float(np.median([_expected_square(survey, numbers, TUBE_LENGTH * length) for survey in surveys]))
+    return replace(numbers, prior_scale=numbers.prior_scale * float(np.sqrt(change2 / step2 / expected)))
+
+
+def _expected_square(survey: Survey, numbers: Hyperparameters, length: float) -> float:
+    """Mean square of an entry of the gradient in the middle part of a path, as the prior has it."""
+    walked = path_walked(survey.positions)
+    part = _part(survey, walked, 0.5, min(walked[-1], length))
+    samples = part.transformed(part.principal_frame().inv())
+    # Of samples that say nothing, the posterior is the prior.
+    silent = replace(numbers, noise_sd=SILENT * numbers.noise_sd)
+    posterior = fit_posterior(samples, silent, FieldConfig(leave_out_outliers=False))
+    C = posterior.covariance(samples.positions[even_choice(len(samples), N_POINTS)], order=1)[:, 3:, 3:]
+    return float(np.diagonal(C, axis1=1, axis2=2).mean()) / numbers.inflation**2
 
 
 def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:

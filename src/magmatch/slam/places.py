@@ -57,6 +57,8 @@ SURE = DecisionConfig().min_probability
 SURE_ODDS = float(logit(SURE))
 # Closures that noise and drift are learned from before the search proper: a tenth is left to what was guessed.
 ENOUGH = 9 * PRIOR_STRETCHES
+# Of the noise what a base itself states: closures' poses were fitted to the same residuals, mostly near its path.
+MAPS_OWN = ("map_factor", "map_length")
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
@@ -276,7 +278,7 @@ class Places:
         stretches = [s for s in self._repeats() if len(s.positions) >= MIN_BINS]
         if len(stretches) < PRIOR_STRETCHES:
             return
-        self.maker.learn(most_likely(self.maker.noise, stretches))
+        self.maker.learn(most_likely(self.maker.noise, stretches, MAPS_OWN))
         self._weigh_anew()
         log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
 

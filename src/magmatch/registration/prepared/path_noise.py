@@ -7,6 +7,7 @@ residuals' covariance maximise the likelihood under a weak prior, near which the
 place twice.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
@@ -202,9 +203,12 @@ def _stretches(columns: tuple[np.ndarray, ...], number: Indices, is_known: Mask,
     return found
 
 
-def most_likely(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
-    """Maximum-likelihood parameters for the stretches' residuals, under a weak prior about a guess."""
-    return _maximise(guess, stretches)[0]
+def most_likely(guess: PathNoise, stretches: list[Stretch], known: Collection[str] = ()) -> PathNoise:
+    """Maximum-likelihood parameters for the stretches' residuals, under a weak prior about a guess.
+
+    ``known``: names of those that the guess knows.
+    """
+    return _maximise(guess, stretches, known)[0]
 
 
 def likelier_of_kinds(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
@@ -213,12 +217,12 @@ def likelier_of_kinds(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
     return min(found, key=lambda one: one[1])[0]
 
 
-def _maximise(guess: PathNoise, stretches: list[Stretch]) -> tuple[PathNoise, float]:
+def _maximise(guess: PathNoise, stretches: list[Stretch], known: Collection[str] = ()) -> tuple[PathNoise, float]:
     """The most likely parameters, and minus their log posterior but for a constant."""
     # Imported here, since the import takes longer than registering a room, and only an index needs it.
     from scipy.optimize import minimize
 
-    names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches", "is_smooth")]
+    names = [f.name for f in fields(guess) if f.name not in ("spread", "n_stretches", "is_smooth", *known)]
     center = np.log([getattr(guess, name) for name in names])
     stacks = _stack_alike(stretches)
 

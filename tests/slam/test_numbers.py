@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hyperparameters of stretches: what a base says of the field beside the line that it was walked along."""
+
+import numpy as np
+
+import magmatch as mm
+from magmatch.geometry import rotation_matrix
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.scenarios import build_scene
+from magmatch.simulation.scene import Streams
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.places import begin
+
+
+def log_ratios(seed: int, beside: float) -> list[float]:
+    """Of a walk along a corridor, without drift: error over stated sd beside each window's path, natural log."""
+    config = SimulationConfig(pose_drift=0.0)
+    walk, scene = mm.simulate("corridor", seed, config).base, build_scene("corridor", config, Streams(seed))
+    places = begin([walk], SlamConfig())
+    found = []
+    for window in places.paths[0].windows[1:-1]:
+        base = places.stretch(window.node).index.base
+        along = np.gradient(window.survey.positions, axis=0)
+        points = window.survey.positions + beside * np.cross(
+            [0, 0, 1.0], along / np.linalg.norm(along, axis=1)[:, None]
+        )
+        at = base.T_map_model.inv().apply(points)
+        _, sd, _, is_known = base.raster.lookup(at)
+        predicted = base.posterior.evaluate(at).field @ rotation_matrix(base.T_map_model).T
+        error2 = ((predicted - scene.base_field(points)) ** 2).mean(axis=1)
+        found.append(0.5 * np.log(error2[is_known].mean() / (sd[is_known] ** 2).mean()))
+    return found
+
+
+def test_a_base_states_how_little_it_knows_beside_its_line():
+    ratios = [ratio for seed in (21, 22, 23) for ratio in log_ratios(seed, 0.15)]
+    # Errors were five times as large as stated (1.6) when the prior expected less than is measured along the path.
+    assert abs(np.mean(ratios)) < 0.7
+    assert np.std(ratios) < 0.7
+
+
+def test_a_walk_that_stands_still_has_numbers():
+    rng = np.random.default_rng(0)
+    positions, field = 1e-4 * rng.standard_normal((60, 3)), rng.normal(4e-5, 1e-6, (60, 3))
+    places = begin([mm.Survey(positions, field)], SlamConfig())
+    assert places.maker is not None
+    places.maker.numbers.check()
