@@ -79,8 +79,7 @@ def as_rough_as_measured(numbers: Hyperparameters, surveys: Sequence[Survey], le
 def _expected_square(survey: Survey, numbers: Hyperparameters, length: float) -> float:
     """Mean square of an entry of the gradient in the middle part of a path, as the prior has it."""
     walked = path_walked(survey.positions)
-    part = _part(survey, walked, 0.5, min(walked[-1], length))
-    samples = part.transformed(part.principal_frame().inv())
+    samples = _part(survey, walked, 0.5, min(walked[-1], length))
     # Of samples that say nothing, the posterior is the prior.
     silent = replace(numbers, noise_sd=SILENT * numbers.noise_sd)
     posterior = fit_posterior(samples, silent, FieldConfig(leave_out_outliers=False))
@@ -104,13 +103,14 @@ def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:
 
 
 def _part(survey: Survey, walked: np.ndarray, middle: float, length: float) -> Survey:
+    """Some samples about the middle of a part of a path, in their principal frame."""
     center = np.clip(middle * walked[-1], length / 2, walked[-1] - length / 2)
     steps = np.linspace(center - length / 2, center + length / 2, MOST_SAMPLES)
-    return survey.subset(np.unique(np.searchsorted(walked, steps).clip(0, len(survey) - 1)))
+    part = survey.subset(np.unique(np.searchsorted(walked, steps).clip(0, len(survey) - 1)))
+    return part.transformed(part.principal_frame().inv())
 
 
-def _numbers_of(part: Survey) -> tuple[Hyperparameters, float]:
-    samples = part.transformed(part.principal_frame().inv())
+def _numbers_of(samples: Survey) -> tuple[Hyperparameters, float]:
     numbers = likely_numbers(PRIORS["spline"], samples, FieldConfig())
     posterior = fit_posterior(samples, numbers, FieldConfig())
     return numbers, correlation_length_of(posterior.evaluate(samples.positions, order=1))
