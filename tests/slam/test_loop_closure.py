@@ -79,6 +79,30 @@ def of_known(near, rough, known, node):
     return matches(near.window, near.base, near.window.config, rough, known, node)
 
 
+def test_what_the_graph_predicts_is_not_in_what_the_field_alone_says(near):
+    """Else the graph would hear its own prediction again as a measurement, and be surer with each closure."""
+    drifts = near.window.config.drifts
+    node = near.window.T_log_node
+
+    def alone(sd, off):
+        C = near.rough.covariance.copy()
+        C[drifts, drifts] = sd**2
+        T = near.rough.T_base_log * node * RigidTransform.from_translation([off, -off, 0]) * node.inv()
+        (m, *_) = matches(near.window, near.base, near.window.config, Rough(T, C))
+        return m.T_base_log, m.T_base_log * node * m.T_node_alone, m.covariance_alone[np.ix_(drifts, drifts)]
+
+    T, wide, C = alone(0.3, 0.0)
+    T_pulled, tight, D = alone(0.03, 0.1)
+    sd = np.sqrt(np.diag(C))
+    pulled, left = (
+        np.concatenate([d.rotation.as_rotvec(), d.translation])[drifts] / sd
+        for d in ((T * node).inv() * T_pulled * node, wide.inv() * tight)
+    )
+    assert np.abs(pulled).max() > 0.5
+    assert np.abs(left).max() < 0.3
+    np.testing.assert_allclose(np.linalg.solve(C, D), np.eye(len(drifts)), atol=0.4)
+
+
 def test_poses_that_are_known_need_no_search(near):
     searched = matches(near.window, near.base, near.window.config, near.rough)
     known = [m.T_base_log for m in searched]

@@ -227,8 +227,9 @@ def test_a_pass_ties_a_window_once(three):
     places = three.session.places.copied()
     path = places.paths[1]
     closure = next(c for c in places.graph.closures if c.second in path.nodes)
+    here = RigidTransform.identity()
     for first in (closure.first, closure.first + 1):
         T = places.graph.pose(first).inv() * places.graph.pose(closure.first) * closure.T_first_second
-        sure = Match(RigidTransform.identity(), closure.covariance, 12.0, -2.0)
+        sure = Match(here, closure.covariance, 12.0, -2.0, here, closure.covariance)
         candidates = [[Candidate(first, T, sure)] if n == closure.second else [] for n in path.nodes]
         assert places.tie(path, candidates) == 0

@@ -13,11 +13,12 @@ from magmatch.slam.loop_closure import Match
 from magmatch.slam.shared_frame import log_odds_shared
 from magmatch.slam.tie import Candidate
 
+HERE = RigidTransform.identity()
 AT_ONCE, NOWHERE = -2.0, -7.0  # log densities of the prior: given the tie, and from nowhere
 
 
 def candidate(log_odds):
-    match = Match(RigidTransform.identity(), np.eye(6) * 1e-3, log_odds, AT_ONCE)
+    match = Match(HERE, np.eye(6) * 1e-3, log_odds, AT_ONCE, HERE, np.eye(6) * 1e-3)
     return Candidate(0, RigidTransform.identity(), match)
 
 
@@ -67,7 +68,7 @@ def test_a_stranger_that_one_window_takes_for_known_path_is_not_connected(three)
     places = unconnected(three.session)
     a, _, stranger = places.paths
     C = np.diag([0.02, 0.02, 0.02, 0.1, 0.1, 0.05]) ** 2
-    said = Match(a.windows[1].T_log_node, C, 12.0, NOWHERE)
+    said = Match(a.windows[1].T_log_node, C, 12.0, NOWHERE, HERE, C)
     candidates = [[] for _ in stranger.windows]
     candidates[0] = [Candidate(a.first_node + 1, RigidTransform.identity(), said)]
     before = places.graph.p.copy()
@@ -83,7 +84,7 @@ def test_a_log_of_the_same_place_is_connected_by_one_window_too(three):
     _, b, _ = places.paths
     closures = [c for c in three.session.graph.closures if places.graph.log[c.first] != places.graph.log[c.second]]
     sure = max(closures, key=lambda c: c.log_odds)
-    said = Match(RigidTransform.identity(), sure.covariance, 12.0, NOWHERE)
+    said = Match(HERE, sure.covariance, 12.0, NOWHERE, HERE, sure.covariance)
     candidates = [[] for _ in b.windows]
     candidates[sure.second - b.first_node] = [Candidate(sure.first, sure.T_first_second, said)]
     found = places.connect(b, candidates)

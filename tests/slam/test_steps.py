@@ -62,7 +62,7 @@ def test_without_a_folder_nothing_is_written(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("empty", [np.zeros((0, 71))])
+@pytest.mark.parametrize("empty", [np.zeros((0, 123))])
 def test_a_step_that_found_nothing_was_taken_too(tmp_path, empty):
     steps = Steps(tmp_path / "kept", of=1)
     taken(steps, [empty, empty])

@@ -18,11 +18,15 @@ from magmatch.registration.weigh.line_evidence import inside_base, weigh_walk
 from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
+from magmatch.slam.graph.ties import MOST_ODDS
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6, Indices, Scalars
 
 # Poses nearer than this are one answer: in field lengths, and rad.
 SAME_SHIFT, SAME_TURN = 0.3, 0.1
+# Standard deviations within which a predicted pose is looked for: farther off, the prediction costs more than a
+# closure may gain. Drift is learned for all logs together; on single stretches it is larger.
+REACH = float(np.sqrt(2 * MOST_ODDS))
 # Of a node about where the graph has it, whatever its covariance.
 NODE_COVARIANCE = np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))
 
@@ -53,6 +57,10 @@ class Match:
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
     log_odds: float  # over an unrelated field, prior included, by the law of a registration without its offset
     log_prior: float  # density of the prior at the pose, of the components that drift, per m and rad of each
+    # Where the field alone puts the window's node, from where field and graph do, and the covariance of that: what
+    # the graph predicted is no news to it.
+    T_node_alone: RigidTransform
+    covariance_alone: Covariance6
 
 
 def matches(
@@ -85,13 +93,26 @@ def matches(
         index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, around
     )
     M = adjoint(window.T_middle_node.inv())
+    # Gravity and the floor hold each window by itself.
+    predicted = replace(prior, up_base=None, up_target=None, height=None)
     # Poses that the data cannot tell apart are one answer.
     same = SAME_SHIFT * index.length, SAME_TURN
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
         T = T_base * e.T_base_target * T_walk.inv()
         odds = log_odds(e.log_evidence, e.misfit, "window")
-        found.append(Match(T, M @ e.covariance @ M.T, odds, _log_prior(window, T, prior, expected)))
+        T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
+        T_node_alone = (T * window.T_log_node).inv() * T_base * T_alone * T_walk.inv() * window.T_log_node
+        found.append(
+            Match(
+                T,
+                M @ e.covariance @ M.T,
+                odds,
+                _log_prior(window, T, prior, expected),
+                T_node_alone,
+                M @ C_alone @ M.T,
+            )
+        )
     return found
 
 
@@ -150,4 +171,5 @@ def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -
         return inside_base(prior, base.index.base, window.walk, base.index.length, config.evidence)
     M = adjoint(window.T_middle_node)
     C = M @ (expected.covariance + NODE_COVARIANCE) @ M.T
-    return replace(prior, T_base_target=T_base.inv() * expected.T_base_log * T_walk, covariance=C)
+    T = T_base.inv() * expected.T_base_log * T_walk
+    return replace(prior, T_base_target=T, covariance=C, far2=REACH**2)

@@ -12,10 +12,11 @@ from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
-from magmatch.slam.graph.pose_graph import APART, REACH, PoseGraph
+from magmatch.slam.graph.pose_graph import APART, PoseGraph
 from magmatch.slam.graph.ties import Closure
 from magmatch.slam.loop_closure import (
     NODE_COVARIANCE,
+    REACH,
     SAME_SHIFT,
     SAME_TURN,
     Expected,
@@ -32,6 +33,8 @@ MOST_CANDIDATES = 12
 # Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
 # simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
+# Of a candidate as it is kept.
+N_NUMBERS = 123
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
 SAME_PRIOR = 0.1
 # The base about a node.
@@ -53,18 +56,21 @@ def numbers_of(candidates: Sequence[Candidate]) -> Matrix:
         np.concatenate([
             [c.node, c.match.log_odds, c.match.log_prior], c.T_node_window.as_matrix().ravel(),
             c.match.T_base_log.as_matrix().ravel(), c.match.covariance.ravel(),
+            c.match.T_node_alone.as_matrix().ravel(), c.match.covariance_alone.ravel(),
         ])
         for c in candidates
     ]  # fmt: skip
-    return np.array(rows).reshape(-1, 71)
+    return np.array(rows).reshape(-1, N_NUMBERS)
 
 
 def of_numbers(rows: Matrix) -> list[Candidate]:
     """Candidates of such rows."""
     found = []
-    for row in rows.reshape(-1, 71):
-        T_node_window, T_base_log = (transform_from_matrix(part.reshape(4, 4)) for part in (row[3:19], row[19:35]))
-        match = Match(T_base_log, row[35:].reshape(6, 6), float(row[1]), float(row[2]))
+    for row in rows.reshape(-1, N_NUMBERS):
+        poses = (row[3:19], row[19:35], row[71:87])
+        T_node_window, T_base_log, T_node_alone = (transform_from_matrix(part.reshape(4, 4)) for part in poses)
+        C, alone = (part.reshape(6, 6) for part in (row[35:71], row[87:]))
+        match = Match(T_base_log, C, float(row[1]), float(row[2]), T_node_alone, alone)
         found.append(Candidate(int(row[0]), T_node_window, match))
     return found
 
@@ -225,8 +231,8 @@ def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfi
     """
     off_level = np.diag(np.diag(NODE_COVARIANCE))
     off_level[config.drifts, config.drifts] = 0.0
-    covariance = c.match.covariance + covariance_beside(path, c.node, c.T_node_window, config) + 2 * off_level
-    return Closure(c.node, node, c.T_node_window, covariance, odds, common=COMMON)
+    covariance = c.match.covariance_alone + covariance_beside(path, c.node, c.T_node_window, config) + 2 * off_level
+    return Closure(c.node, node, c.T_node_window * c.match.T_node_alone, covariance, odds, common=COMMON)
 
 
 def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indices:

@@ -263,6 +263,9 @@ def test_data_and_prior_meet_where_their_information_says():
     xi = -np.linalg.inv(np.linalg.inv(C) + A) @ v
     np.testing.assert_allclose(both.as_matrix(), (T * perturbation(xi, CENTER)).as_matrix(), atol=1e-12)
     assert prior.rows(both, CENTER)[2] < prior.rows(T, CENTER)[2]
+    alone, own = prior.taken_out(both, CENTER, spread)
+    np.testing.assert_allclose(own, C, atol=2e-4)
+    np.testing.assert_allclose(alone.as_matrix(), T.as_matrix(), atol=5e-4)
 
 
 def test_what_is_known_of_the_vertical_reaches_pose_and_covariance(pair):

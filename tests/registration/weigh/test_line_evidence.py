@@ -184,6 +184,15 @@ def test_more_noise_than_expected_widens_the_covariance_and_less_narrows_it_only
     assert spread["wild", False] == pytest.approx(spread["wild", True])
 
 
+def test_a_vertical_that_is_known_is_known_as_well_where_residuals_are_large(base, walk):
+    up = np.array([0.0, 0.0, 1.0])
+    prior = PosePrior(20.0, up_base=up, up_target=up, gravity_sd=1e-4)
+    louder = replace(walk, field=walk.field + 3 * (walk.field - FIELD.evaluate(walk.positions, 0).field))
+    sd = [np.sqrt(np.diag(weighed(base, w, prior=prior).covariance)) for w in (walk, louder)]
+    assert sd[1][2] > 1.3 * sd[0][2]
+    np.testing.assert_allclose([s[:2] for s in sd], 1e-4, rtol=0.01)
+
+
 def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk, monkeypatch):
     field = walk.field.copy()
     field[8:11] += [4e-6, -3e-6, 3e-6]

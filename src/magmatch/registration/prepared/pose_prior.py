@@ -81,6 +81,8 @@ class PosePrior:
     height_range: float = np.nan
     # Natural logarithm of the weighted share of these poses that put the target inside the base
     log_share_inside: float = 0.0
+    # Squared distance from the rough pose, in its variance, beyond which no pose is admitted
+    far2: float = FAR2
 
     @property
     def is_flat(self) -> bool:
@@ -129,6 +131,15 @@ class PosePrior:
         both = np.linalg.solve(np.eye(6) + covariance @ A, covariance)
         both = (both + both.T) / 2
         return T * perturbation(-both @ v, center), both
+
+    def taken_out(
+        self, T: RigidTransform, center: Vector3, covariance: Covariance6
+    ) -> tuple[RigidTransform, Covariance6]:
+        """The pose and covariance of the data alone, from those that hold the prior too: undoes `combined`."""
+        A, v, _ = self.rows(T, center)
+        alone = np.linalg.inv(np.linalg.inv(covariance) - A)
+        alone = (alone + alone.T) / 2
+        return T * perturbation(alone @ v, center), alone
 
     def rows(self, T: RigidTransform, center: Vector3) -> tuple[Matrix, np.ndarray, float]:
         """Information of the prior on the perturbation ``T Exp(xi)`` about a centre (m), the middle of the target.
@@ -191,7 +202,7 @@ class PosePrior:
                 (shift, self.covariance[3:, 3:], slack[1]),
             ):
                 wide = np.linalg.inv(C + own**2 * np.eye(3))
-                is_admitted &= np.einsum("hi,ij,hj->h", off, wide, off) < FAR2
+                is_admitted &= np.einsum("hi,ij,hj->h", off, wide, off) < self.far2
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:

@@ -258,7 +258,10 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     inflation, log_likelihood = squares.noise.factor(fits.chi2, n_free)
     # A walk that fits better than a guess expects may still share its frame's errors.
     least = 0.0 if squares.noise.is_learned else 1.0
-    covariance = np.maximum(inflation, least)[:, None, None] * np.linalg.inv(fits.information)
+    known_before = squares.prior.rows_of_many(fits.rotations, fits.centers, squares.center)[0]
+    # The factor is on what residuals tell.
+    told = (fits.information - known_before) / np.maximum(inflation, least)[:, None, None]
+    covariance = np.linalg.inv(told + known_before)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     # Most poses know the same bins.
     unrelated = {known.tobytes(): null.log_likelihood(known) for known in np.unique(fits.known, axis=0)}

@@ -13,14 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.slam.graph.normal_equations import closure_rows, hold_scale, normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
-from magmatch.slam.graph.ties import N_LASTING
+from magmatch.slam.graph.ties import MOST_ODDS, N_LASTING
 
 # Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
 MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
 # Largest turn of a step, rad: beyond it, equations are not linear.
 MOST_TURN = 0.3
-# Largest log odds of a closure, nats: with more, it could never be rejected.
-MOST_ODDS = 12.0
 
 
 def solve(graph: PoseGraph) -> None:

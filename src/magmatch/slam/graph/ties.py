@@ -10,6 +10,8 @@ from magmatch.typing import Covariance6, Indices, Points, Scalars, Tensors
 
 # Lasting errors of a log's odometry: scale and turn rate.
 N_LASTING = 2
+# Largest log odds of a closure, nats: with more, it could never be rejected.
+MOST_ODDS = 12.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
