@@ -51,11 +51,11 @@ log = logging.getLogger(__name__)
 
 # Closures make others possible: maximum number of rounds of search.
 MOST_ROUNDS = 4
-# Probability that a registration needs, and its log odds: so sure must be what teaches noise and drift, and that logs
-# share a frame.
+# Probability that a registration needs, and its log odds: so sure must be what teaches noise, and that logs share a
+# frame.
 SURE = DecisionConfig().min_probability
 SURE_ODDS = float(logit(SURE))
-# Closures that noise and drift are learned from before the search proper: a tenth is left to what was guessed.
+# Closures that noise is learned from before the search proper: a tenth is left to what was guessed.
 ENOUGH = 9 * PRIOR_STRETCHES
 # Of the noise what a base itself states: closures' poses were fitted to the same residuals, mostly near its path.
 MAPS_OWN = ("map_factor", "map_length")
@@ -104,10 +104,12 @@ class Places:
         solve(self.graph)
 
     def close(self, paths: Sequence[Path]) -> None:
-        """Search for closures of some logs until none is found."""
+        """Search for closures of some logs until none is found, each time with the drift that those so far show."""
         for _ in range(MOST_ROUNDS):
             if not (self.close_near(paths) + self.close_far(paths)):
                 break
+            self.learn_drift()
+            self.solve()
 
     def close_near(self, paths: Sequence[Path], enough: float = np.inf, least: float | None = None) -> int:
         """Search for closures where the graph predicts them, until there are enough; returns how many were found.
@@ -362,12 +364,9 @@ def find(
             with clock("noise"):
                 places.close_near(places.paths, ENOUGH, SURE)
                 places.learn_noise()
-                places.learn_drift()
                 forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
-                places.learn_drift()
-                places.solve()
     return places
 
 
