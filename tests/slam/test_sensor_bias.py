@@ -38,6 +38,20 @@ def test_odometry_that_turns_by_and_by_is_not_taken_for_a_bias():
     assert 0.4 < np.mean(squares) < 1.8
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_phone_that_swings_with_each_step_does_not_know_the_vertical(seed):
+    # Its attitude follows four fifths of the swing; what is missed turns Earth's field, and is no bias.
+    true = np.random.default_rng(seed).normal(0, 4e-6, 3)
+    log, _ = drifting_walk(Place(seed), seed)
+    swing = np.radians(5) * np.sin(2.2 * np.arange(len(log)))[:, None] * [0.0, 1.0, 0.0]
+    seen = (log.orientations * Rotation.from_rotvec(swing)).inv().apply(log.field) + true
+    orientations = log.orientations * Rotation.from_rotvec(0.8 * swing)
+    bias, sd = sensor_bias(replace(log, field=orientations.apply(seen), orientations=orientations), NUMBERS, CONFIG)
+    assert (np.abs(bias - true)[:2] < 4 * sd[:2]).all()
+    assert sd[2] > 5e-6
+    assert abs(bias[2]) < 1e-6
+
+
 def test_the_bias_follows_the_carriers_axes():
     log, _ = drifting_walk(Place(2), 1, bias=(3e-6, 0.0, 0.0))
     bias, _ = sensor_bias(log, NUMBERS, CONFIG)

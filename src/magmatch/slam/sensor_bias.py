@@ -3,7 +3,8 @@
 
 Along the path the field is a constant, turned as the odometry drifts, plus an independent smooth field in each part,
 plus the bias rotated by the orientation: generalised least squares over all parts. Components that the headings do
-not separate from the constant, such as the vertical of an upright carrier, are left to the constant.
+not separate from the constant, such as the vertical of a carrier that leans alike, are left to the constant. How a
+phone swings with each step separates nothing: what its attitude misses of the swing turns Earth's field.
 """
 
 from dataclasses import replace
@@ -11,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
@@ -31,6 +33,8 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) ->
         return np.zeros(3), np.zeros(3)
     rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)
     x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, survey.orientations.as_matrix()))
+    if config.is_gravity_aligned:
+        R = _headings_alone(Rotation.from_matrix(R)).as_matrix()
     A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
     walked, drift = path_walked(x), config.odometry_of(survey.name)
     # A small turn of the axes, about each that drifts, is a change of the field across it.
@@ -49,6 +53,13 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) ->
         v = v + J.T @ cho_solve(factor, b[some].T.ravel())
     C = np.linalg.pinv(A, hermitian=True)
     return (C @ v)[:3], np.sqrt(np.diag(C)[:3])
+
+
+def _headings_alone(R: Rotation) -> Rotation:
+    """Orientations that turn about the vertical as these do, and lean as these do on average."""
+    x, y, z, w = R.as_quat().T
+    about_z = Rotation.from_quat(np.column_stack([0 * z, 0 * z, z, w]))
+    return about_z * (about_z.inv() * R).mean()
 
 
 def without_bias(survey: Survey, bias: Vector3) -> Survey:
