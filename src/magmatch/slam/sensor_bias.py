@@ -57,8 +57,7 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) ->
 
 def _headings_alone(R: Rotation) -> Rotation:
     """Orientations that turn about the vertical as these do, and lean as these do on average."""
-    x, y, z, w = R.as_quat().T
-    about_z = Rotation.from_quat(np.column_stack([0 * z, 0 * z, z, w]))
+    about_z = Rotation.from_quat(R.as_quat() * [0.0, 0.0, 1.0, 1.0])
     return about_z * (about_z.inv() * R).mean()
 
 
