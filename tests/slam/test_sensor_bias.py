@@ -52,12 +52,27 @@ def test_a_phone_that_swings_with_each_step_does_not_know_the_vertical(seed):
     assert abs(bias[2]) < 1e-6
 
 
-def test_the_bias_follows_the_carriers_axes():
+@pytest.mark.parametrize("turn", [[0, 0, np.pi / 2], [np.pi, 0, 0], [0.5, -0.3, 1.0]])
+def test_the_bias_follows_the_carriers_axes(turn):
     log, _ = drifting_walk(Place(2), 1, bias=(3e-6, 0.0, 0.0))
     bias, _ = sensor_bias(log, NUMBERS, CONFIG)
-    turned = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
+    turned = Rotation.from_rotvec(turn)
     other, _ = sensor_bias(replace(log, orientations=log.orientations * turned), NUMBERS, CONFIG)
     np.testing.assert_allclose(turned.apply(other), bias, atol=1e-9)
+
+
+def test_a_robot_that_turns_in_place_learns_its_bias_there():
+    log, _ = drifting_walk(Place(2), 1, laps=0.5)
+    n, true = 60, np.array([3e-6, -2e-6, 0.0])
+    spin = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, n)[:, None] * [0.0, 0.0, 1.0]) * log.orientations[-1]
+    there = [np.concatenate([v, np.repeat(v[-1:], n, axis=0)]) for v in (log.positions, log.field)]
+    turned = Rotation.concatenate([log.orientations, spin])
+    times = np.concatenate([log.times, log.times[-1] + 0.1 * np.arange(1, n + 1)])
+    positions, field = there[0], there[1] + turned.apply(true)
+    bias, sd = sensor_bias(
+        replace(log, positions=positions, field=field, times=times, orientations=turned), NUMBERS, CONFIG
+    )
+    assert (np.abs(bias - true)[:2] < 4 * sd[:2]).all()
 
 
 def test_what_was_added_is_taken_off_again_and_without_orientations_nothing_is():

@@ -31,10 +31,9 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) ->
     """Bias of the magnetometer in its own axes, and its sd, T; zero where orientations are missing."""
     if survey.orientations is None:
         return np.zeros(3), np.zeros(3)
+    turned = _headings_alone(survey.orientations) if config.is_gravity_aligned else survey.orientations
     rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)
-    x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, survey.orientations.as_matrix()))
-    if config.is_gravity_aligned:
-        R = _headings_alone(Rotation.from_matrix(R)).as_matrix()
+    x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, turned.as_matrix()))
     A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
     walked, drift = path_walked(x), config.odometry_of(survey.name)
     # A small turn of the axes, about each that drifts, is a change of the field across it.
@@ -57,7 +56,9 @@ def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) ->
 
 def _headings_alone(R: Rotation) -> Rotation:
     """Orientations that turn about the vertical as these do, and lean as these do on average."""
-    about_z = Rotation.from_quat(R.as_quat() * [0.0, 0.0, 1.0, 1.0])
+    # Since the first: of a sensor that is upside down, the heading itself is not defined.
+    z, w = (R * R[0].inv()).as_quat()[:, 2:].T
+    about_z = Rotation.from_euler("z", 2 * np.arctan2(z, w)[:, None])
     return about_z * (about_z.inv() * R).mean()
 
 
