@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A service that cannot start says why in one line, and leaves as other commands do."""
+"""A service that cannot start says why in one line; one that is told to end leaves as other commands do."""
 
 import os
 import socket
@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from magmatch.serve.bodies import checkpoints
+from serving import serving
 
 pytestmark = pytest.mark.slow
 
@@ -51,3 +52,11 @@ def test_what_keeps_it_from_starting_is_one_line(fault, tmp_path):
     assert words in said[0]
     # Nothing was begun beside what is no map.
     assert place.name == "hall.map" or not [*tmp_path.rglob("*.clients"), *tmp_path.rglob(".clients")]
+
+
+def test_a_service_that_is_stopped_leaves_without_a_word(hall, tmp_path):
+    with serving(hall.map, "--states", tmp_path / "states") as service:
+        assert service.ask("/localize", b"no log")[0] == 422  # a process works on logs now
+        before = service.words()
+        assert service.end() == before
+    assert service.process.returncode == 0

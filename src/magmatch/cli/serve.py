@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch serve``: a map, or a folder of maps, for many bodies at once."""
 
+import signal
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Never
 
 import typer
 
@@ -72,8 +73,14 @@ def serve(
     if config is not None:
         settings = merged(settings, read_settings(config), config)
     localizer = settings.localizer.model_copy(update=vertical(planar=planar, no_gravity=no_gravity))
+    signal.signal(signal.SIGTERM, _end)
     say(f"Loading {place}")
     run(place, settings.model_copy(update={"localizer": localizer}), lambda url: say(f"Serving {place} at {url}"))
+
+
+def _end(*_: Any) -> Never:
+    """As a command that is done: killed outright, it would leave the semaphores of its processes behind."""
+    raise typer.Exit
 
 
 def read_token(path: Path) -> str:
