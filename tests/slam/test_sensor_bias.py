@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk
+from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
@@ -65,13 +66,10 @@ def test_a_robot_that_turns_in_place_learns_its_bias_there():
     log, _ = drifting_walk(Place(2), 1, laps=0.5)
     n, true = 60, np.array([3e-6, -2e-6, 0.0])
     spin = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, n)[:, None] * [0.0, 0.0, 1.0]) * log.orientations[-1]
-    there = [np.concatenate([v, np.repeat(v[-1:], n, axis=0)]) for v in (log.positions, log.field)]
+    positions, field = (np.concatenate([v, np.repeat(v[-1:], n, axis=0)]) for v in (log.positions, log.field))
     turned = Rotation.concatenate([log.orientations, spin])
-    times = np.concatenate([log.times, log.times[-1] + 0.1 * np.arange(1, n + 1)])
-    positions, field = there[0], there[1] + turned.apply(true)
-    bias, sd = sensor_bias(
-        replace(log, positions=positions, field=field, times=times, orientations=turned), NUMBERS, CONFIG
-    )
+    spun = Survey(positions, field + turned.apply(true), 0.1 * np.arange(len(turned)), turned, name="spun.csv")
+    bias, sd = sensor_bias(spun, NUMBERS, CONFIG)
     assert (np.abs(bias - true)[:2] < 4 * sd[:2]).all()
 
 

@@ -171,6 +171,5 @@ class LiveLog:
         if len(places.graph.closures) >= self._next_learning:
             places.learn_noise()
             places.learn_drift()
-            places.solve()
             self._path = places.paths[-1]
             self._next_learning = 2 * len(places.graph.closures)

@@ -109,7 +109,6 @@ class Places:
             if not (self.close_near(paths) + self.close_far(paths)):
                 break
             self.learn_drift()
-            self.solve()
 
     def close_near(self, paths: Sequence[Path], enough: float = np.inf, least: float | None = None) -> int:
         """Search for closures where the graph predicts them, until there are enough; returns how many were found.
@@ -285,7 +284,7 @@ class Places:
         log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
 
     def learn_drift(self) -> None:
-        """Learn how far odometry drifts from how well its closures agree with it."""
+        """Learn how far odometry drifts from how well its closures agree with it, and solve with that."""
         assert self.maker is not None
         config = learned_drift(self.graph, self.paths, self.stated)
         self.maker.config = self.graph.config = config
@@ -293,6 +292,7 @@ class Places:
         self.graph.edges = odometry_graph(self.paths, config).edges
         self._weigh_anew()
         log.info("odometry drifts by %.2g m and %.2g deg in 10 m", *config.odometry.sd)
+        self.solve()
 
     def _weigh_anew(self) -> None:
         """Weigh again what was searched, as noise or drift are known otherwise now."""
