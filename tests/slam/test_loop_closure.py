@@ -12,7 +12,7 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam import loop_closure
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
-from magmatch.slam.loop_closure import Rough, log_density, matches
+from magmatch.slam.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
 from magmatch.slam.tie import Searched
 
 
@@ -29,20 +29,42 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     assert not matches(window, places.stretch(closure.first), window.config, 100.0)
 
 
-def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(lone):
+def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):
     """Else a pose that leans against gravity would be as likely as a neighbour predicts its place."""
-    places = lone.session._now
-    closure = max(places.graph.closures, key=lambda c: c.log_odds)
-    window = places.paths[0].windows[closure.second]
-    T_expected = places.graph.center(closure.first) * closure.T_first_second
-    sd = np.array([0.001, 0.001, 0.1, 0.2, 0.2, 0.001])
-    rough = Rough(T_expected * window.T_log_node.inv(), np.diag(sd**2))
-    for match in matches(window, places.stretch(closure.first), window.config, rough):
-        off = T_expected.inv() * match.T_base_log * window.T_log_node
-        turn, (x, y, _) = off.rotation.as_rotvec()[2], off.translation
-        of_node = [UPRIGHT_SD, LEVEL_SD, LEVEL_SD]
-        expected = multivariate_normal.logpdf([turn, x, y], cov=np.diag(sd[2:5] ** 2 + np.square(of_node)))
-        assert match.log_prior == pytest.approx(expected)
+    drifts = near.window.config.drifts
+    C = near.rough.covariance + NODE_COVARIANCE
+    densest = multivariate_normal.logpdf(np.zeros(len(drifts)), cov=C[np.ix_(drifts, drifts)])
+    for lean in (0.0, 0.1):
+        off = near.window.T_log_node * pose([lean, 0, 0], [0, 0, 0.3 * lean]) * near.window.T_log_node.inv()
+        (match, *_) = matches(
+            near.window, near.base, near.window.config, Rough(near.rough.T_base_log * off, near.rough.covariance)
+        )
+        assert densest - 0.3 < match.log_prior <= densest
+
+
+def test_what_the_field_says_of_a_pose_does_not_grow_as_the_graph_expects_it_elsewhere(near):
+    """A neighbour that predicts the pose replaces the prior. It must not be paid more than the prior took.
+
+    The law of evidence takes thousands of nats against a pose for some thirty. Given back in full, they would make a
+    pose certain that field and graph both exclude.
+    """
+    node = near.window.T_log_node
+    (match, *_) = matches(near.window, near.base, near.window.config, near.rough)
+    pose_of = match.T_base_log * node
+
+    def of_field(sds):
+        """What the window says of one pose alone, which is expected so many standard deviations away."""
+        sd = np.sqrt(np.diag(near.rough.covariance))
+        off = pose([0, 0, sds * sd[2]], [sds * sd[3], 0, 0])
+        rough = Rough(pose_of * off * node.inv(), near.rough.covariance)
+        found = matches(near.window, near.base, near.window.config, rough, [match.T_base_log])
+        m = min(found, key=lambda m: np.linalg.norm((pose_of.inv() * m.T_base_log * node).translation))
+        assert np.linalg.norm((pose_of.inv() * m.T_base_log * node).translation) < 0.1
+        return m.log_odds - m.log_prior
+
+    there = of_field(0.0)
+    for sds in (1.0, 2.0, 3.0):
+        assert of_field(sds) == pytest.approx(there, abs=0.5)
 
 
 def test_a_closure_knows_height_and_lean_no_better_than_its_two_nodes_hold_them(lone):

@@ -56,7 +56,8 @@ class Match:
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
     log_odds: float  # over an unrelated field, prior included, by the law of a registration without its offset
-    log_prior: float  # density of the prior at the pose, of the components that drift, per m and rad of each
+    # Density of the prior at the pose, per m and rad, of the components that drift: as it counts in the log odds.
+    log_prior: float
     # Where the field alone puts the window's node, from where field and graph do, and the covariance of that: what
     # the graph predicted is no news to it.
     T_node_alone: RigidTransform
@@ -101,6 +102,9 @@ def matches(
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
         T = T_base * e.T_base_target * T_walk.inv()
         odds = log_odds(e.log_evidence, e.misfit, "window")
+        densest, less = _prior_at(window, T, prior, expected)
+        # What the prior costs counts by the same law as the field, so that giving it back adds no more than it took.
+        gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
         T_node_alone = (T * window.T_log_node).inv() * T_base * T_alone * T_walk.inv() * window.T_log_node
         found.append(
@@ -108,7 +112,7 @@ def matches(
                 T,
                 M @ e.covariance @ M.T,
                 odds,
-                _log_prior(window, T, prior, expected),
+                densest - gained,
                 T_node_alone,
                 M @ C_alone @ M.T,
             )
@@ -128,14 +132,22 @@ def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) ->
     return np.asarray(-0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
-def _log_prior(window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected) -> float:
-    """Log density of what the graph predicts: components that drift. The others hold for each window by itself."""
+def _prior_at(
+    window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected
+) -> tuple[float, float]:
+    """Log density of what the graph predicts where it is densest, and how much less it is at a pose.
+
+    Of the components that drift: the others hold for each window by itself.
+    """
     if not isinstance(expected, Rough):
         turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
         height = prior.height_range if prior.height is not None else 1.0
-        return float(np.log(height / (expected * turns)) - prior.log_share_inside)
+        return float(np.log(height / (expected * turns)) - prior.log_share_inside), 0.0
     off = (expected.T_base_log * window.T_log_node).inv() * T_base_log * window.T_log_node
-    return float(log_density(off, expected.covariance + NODE_COVARIANCE, window.config.drifts))
+    C = expected.covariance + NODE_COVARIANCE
+    drifts = window.config.drifts
+    densest = float(log_density(RigidTransform.identity(), C, drifts))
+    return densest, densest - float(log_density(off, C, drifts))
 
 
 def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
