@@ -24,24 +24,24 @@ def chains(draw):
     number = st.floats(-8, 8)
     windows = [[placed(draw(number), draw(st.floats(-6, 0))) for _ in range(n)] for n in sizes]
     steps = [np.array([draw(number) for _ in range(a * b)]).reshape(a, b) for a, b in pairwise(sizes)]
-    return windows, steps
+    return windows, steps, [draw(st.sampled_from([REVISIT, 0.99])) for _ in sizes]
 
 
-def enumerated(windows, steps):
+def enumerated(windows, steps, revisits):
     """Probabilities from the weight of every course of states; state 0 is nowhere."""
-    leaves = 1 - KEEPS_ON
-    enters = leaves * REVISIT / (1 - REVISIT)
     found, total = [np.zeros(len(w)) for w in windows], 0.0
     for course in product(*(range(len(w) + 1) for w in windows)):
         density = [0.0 if s == 0 else np.exp(w[s - 1].log_prior) for w, s in zip(windows, course, strict=True)]
-        weight = (1 - REVISIT) if course[0] == 0 else REVISIT * density[0]
+        weight = (1 - revisits[0]) if course[0] == 0 else revisits[0] * density[0]
         for k, (s, t) in enumerate(pairwise(course)):
+            rho, leaves = revisits[k + 1], 1 - KEEPS_ON
+            enters = min(leaves * rho / (1 - rho), rho)
             if s == 0:
                 weight *= 1 - enters if t == 0 else enters * density[k + 1]
             elif t == 0:
                 weight *= leaves
             else:
-                weight *= KEEPS_ON * np.exp(steps[k][s - 1, t - 1]) + leaves * REVISIT * density[k + 1]
+                weight *= KEEPS_ON * np.exp(steps[k][s - 1, t - 1]) + leaves * rho * density[k + 1]
         for w, s in zip(windows, course, strict=True):
             weight *= 1.0 if s == 0 else np.exp(w[s - 1].log_odds - w[s - 1].log_prior)
         total += weight
@@ -53,33 +53,42 @@ def enumerated(windows, steps):
 
 @given(chains())
 def test_the_sums_are_those_of_all_courses(chain):
-    for ours, theirs in zip(smooth(*chain, REVISIT, KEEPS_ON), enumerated(*chain), strict=True):
+    for ours, theirs in zip(smooth(*chain, KEEPS_ON), enumerated(*chain), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
 @given(chains())
 def test_a_window_lies_at_one_place_at_most(chain):
-    for p in smooth(*chain, REVISIT, KEEPS_ON):
+    for p in smooth(*chain, KEEPS_ON):
         assert (p >= 0).all()
         assert p.sum() <= 1 + 1e-9
 
 
 @given(st.lists(st.floats(-20, 20), max_size=5))
 def test_a_window_alone_is_weighed_by_its_own_evidence(log_odds):
-    (p,) = smooth([[placed(e) for e in log_odds]], [], REVISIT, KEEPS_ON)
+    (p,) = smooth([[placed(e) for e in log_odds]], [], [REVISIT], KEEPS_ON)
     odds = REVISIT * np.exp(log_odds)
     np.testing.assert_allclose(p, odds / (odds.sum() + 1 - REVISIT), rtol=1e-9)
 
 
+def test_a_window_that_is_known_to_lie_somewhere_needs_less_evidence_whatever_the_one_before_says():
+    nowhere, weak = [], [placed(-2.0)]
+    for before in ([nowhere], [[placed(-20.0)]]):
+        steps = [np.zeros((len(before[0]), 1))]
+        known, unknown = (smooth([*before, weak], steps, [REVISIT, rho], KEEPS_ON)[1][0] for rho in (0.99, REVISIT))
+        assert unknown < 0.1
+        assert known > 0.9
+
+
 def test_neighbours_that_agree_believe_each_other_and_those_that_do_not_stay_alone():
-    alone = smooth([[placed(1.0)]], [], REVISIT, KEEPS_ON)[0][0]
+    alone = smooth([[placed(1.0)]], [], [REVISIT], KEEPS_ON)[0][0]
     both = [[placed(1.0)], [placed(1.0)]]
-    agreed = smooth(both, [np.array([[3.0]])], REVISIT, KEEPS_ON)
-    apart = smooth(both, [np.array([[-50.0]])], REVISIT, KEEPS_ON)
+    agreed = smooth(both, [np.array([[3.0]])], [REVISIT] * 2, KEEPS_ON)
+    apart = smooth(both, [np.array([[-50.0]])], [REVISIT] * 2, KEEPS_ON)
     assert agreed[0][0] > alone
     assert agreed[0][0] == pytest.approx(agreed[1][0])
     assert apart[0][0] < alone
 
 
 def test_without_windows_nothing_is_found():
-    assert smooth([], [], REVISIT, KEEPS_ON) == []
+    assert smooth([], [], [], KEEPS_ON) == []

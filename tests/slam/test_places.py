@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
+from magmatch.slam.tie import tie
 
 # Log densities of a prior that knows a place to some hundred metres.
 NOWHERE = -14.0
@@ -53,3 +55,41 @@ def test_a_tie_that_the_windows_beside_it_contradict_leaves_the_graph_as_it_was(
     assert confirm(places, [replace(best, T_first_second=best.T_first_second * ahead)]) is None
     assert not places.graph.closures
     np.testing.assert_array_equal(places.graph.p, before)
+
+
+def test_closures_that_were_doubted_alone_are_believed_again_together(closed):
+    """Else drift is learned from those that agree with odometry, and what it learns confirms the doubt."""
+    places, closures = closed
+    graph, middle = places.graph, len(places.graph.p) // 2
+    # As if odometry had been off by half a field length on its way from one half of the closures' nodes to the other.
+    off = np.array([places.maker.length / 2, 0.0, 0.0])
+    graph.closures = [
+        replace(
+            c,
+            T_first_second=RigidTransform.from_translation(graph.R[c.first].T @ off) * c.T_first_second,
+            log_odds=2.5,
+            weight=0.0,
+        )
+        for c in closures
+        if c.first < middle <= c.second
+    ]
+    places.solve()
+    assert len(graph.closures) > 2
+    assert not any(c.is_kept for c in graph.closures)
+    places.learn_drift()
+    assert all(c.is_kept for c in places.graph.closures)
+
+
+def test_a_window_whose_place_the_graph_knows_needs_less_evidence_than_one_that_may_be_anywhere(closed):
+    places, closures = closed
+    best = max(closures, key=lambda c: c.log_odds)
+    window = places.paths[0].windows[best.second]
+    found = [c for c in places.near(window) if c.node == best.first]
+    weak = [replace(c, match=replace(c.match, log_odds=-2.0)) for c in found[:1]]
+    path = places.paths[0].only(slice(best.second, best.second + 1))
+    assert not tie(path, [weak], places.graph, places.paths)
+    precise = places.graph.config.odometry.model_copy(update={"sd": (0.1, 1.0), "turn_sd": 0.5})
+    config = places.graph.config.model_copy(update={"odometry": precise})
+    places.graph.edges, places.graph.config = odometry_graph(places.paths, config).edges, config
+    places.solve()
+    assert tie(path, [weak], places.graph, places.paths)

@@ -5,6 +5,7 @@ The states of a window are its candidate poses and "nowhere among what was searc
 the previous one by odometry gains the ratio of odometry's predicted density to that of the prior.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,18 +26,20 @@ class Placed:
 
 
 def smooth(
-    windows: list[list[Placed]], log_transitions: list[Matrix], revisit: float, keeps_on: float
+    windows: list[list[Placed]], log_transitions: list[Matrix], revisits: Sequence[float], keeps_on: float
 ) -> list[Scalars]:
     """Probability of each candidate of each window; the remainder to one is that of nowhere.
 
     ``log_transitions`` (a, b) between neighbouring windows: log density of b's pose as odometry predicts it from a's;
-    ``revisit``: share of windows that lie somewhere; ``keeps_on``: of those, share whose next window does too.
+    ``revisits``: for each window, the share of such windows that lie somewhere; ``keeps_on``: of windows that do,
+    the share whose next window does too.
     """
     leaves = 1 - keeps_on
-    enters = leaves * revisit / (1 - revisit)
     forward: list[Scalars] = []
     steps = []
-    for k, states in enumerate(windows):
+    for k, (states, revisit) in enumerate(zip(windows, revisits, strict=True)):
+        # As many as leave; where a window is known to lie somewhere, whatever the one before did.
+        enters = min(leaves * revisit / (1 - revisit), revisit)
         own = np.array([0.0, *(s.log_odds - s.log_prior for s in states)])
         prior = np.array([s.log_prior for s in states])
         if k == 0:
@@ -45,7 +48,7 @@ def smooth(
             continue
         before = windows[k - 1]
         M = np.full((len(before) + 1, len(states) + 1), np.log(leaves))
-        M[0, 0] = np.log(max(1 - enters, 1e-9))
+        M[0, 0] = np.log1p(-enters)
         M[0, 1:] = np.log(enters) + prior
         if before and states:
             # Odometry may fail as well: a window may leave one place for another.

@@ -14,7 +14,6 @@ from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.progress import counted, tell
 from magmatch.registration.clock import Clock
-from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import Base, BaseMaker
@@ -32,6 +31,7 @@ from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame import log_odds_shared
 from magmatch.slam.steps import Steps
 from magmatch.slam.tie import (
+    SURE,
     Candidate,
     Searched,
     earlier_passes,
@@ -51,9 +51,7 @@ log = logging.getLogger(__name__)
 
 # Closures make others possible: maximum number of rounds of search.
 MOST_ROUNDS = 4
-# Probability that a registration needs, and its log odds: so sure must be what teaches noise, and that logs share a
-# frame.
-SURE = DecisionConfig().min_probability
+# So sure must be what teaches noise, and that logs share a frame.
 SURE_ODDS = float(logit(SURE))
 # Closures that noise is learned from before the search proper: a tenth is left to what was guessed.
 ENOUGH = 9 * PRIOR_STRETCHES
@@ -260,9 +258,8 @@ class Places:
     def is_lost(self, closure: Closure) -> bool:
         """Whether the graph does not know which stretch a closure's window lies on."""
         assert self.maker is not None
-        C = self.graph.relative_covariances(np.array([closure.first]), closure.second)[0]
         half = self.graph.config.window_length * self.maker.length / 2
-        return bool(np.linalg.eigvalsh(C[3:, 3:])[-1] > half**2)
+        return bool(self.graph.sds_of_place(np.array([closure.first]), closure.second)[0] > half)
 
     def stretch(self, node: int) -> Base:
         """A window and its neighbours as a base for later windows, odometry's frame."""
@@ -284,8 +281,13 @@ class Places:
         log.info("noise learned from %d closures: %s", len(stretches), self.maker.noise)
 
     def learn_drift(self) -> None:
-        """Learn how far odometry drifts from how well its closures agree with it, and solve with that."""
+        """Learn how far odometry drifts from how well its closures agree with it, and solve with that.
+
+        A closure that few others spoke for when it was found is believed again, with those found since.
+        """
         assert self.maker is not None
+        self.graph.closures = [replace(c, weight=1.0) for c in self.graph.closures]
+        self.solve()
         config = learned_drift(self.graph, self.paths, self.stated)
         self.maker.config = self.graph.config = config
         self.paths = [replace(p, windows=tuple(replace(w, config=config) for w in p.windows)) for p in self.paths]
@@ -307,8 +309,7 @@ class Places:
         for node, candidates in self.looked.items():
             if candidates and node not in closed:
                 best = max(candidates, key=lambda c: c.match.log_odds)
-                C = self.graph.relative_covariances(np.array([best.node]), node)[0]
-                if np.linalg.eigvalsh(C[3:, 3:])[-1] < (SAME_SHIFT * windows[node].length) ** 2:
+                if self.graph.sds_of_place(np.array([best.node]), node)[0] < SAME_SHIFT * windows[node].length:
                     pairs[best.node, node] = best.T_node_window
         for (first, second), T in pairs.items():
             window = windows[second]

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_error, transform_from_matrix
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
 from magmatch.slam.config import SlamConfig
@@ -33,6 +34,8 @@ MOST_CANDIDATES = 12
 # Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
 # simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
+# Probability that a registration needs. So sure is the graph of a place that it knows.
+SURE = DecisionConfig().min_probability
 # Of a candidate as it is kept.
 N_NUMBERS = 123
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
@@ -120,9 +123,8 @@ def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
     if not len(firsts) or not window.keeps_shape:
         return firsts[:0]
     half = window.config.window_length * window.length / 2
-    sd = np.sqrt(np.linalg.eigvalsh(graph.relative_covariances(firsts, window.node)[:, 3:, 3:])[:, -1])
     apart = np.linalg.norm(graph.p[firsts] - graph.p[window.node], axis=1)
-    return np.asarray(firsts[apart <= half + window.length + REACH * sd])
+    return np.asarray(firsts[apart <= half + window.length + REACH * graph.sds_of_place(firsts, window.node)])
 
 
 def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:
@@ -211,7 +213,8 @@ def tie(
         for found in candidates
     ]
     steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
-    shares = smooth(placed, steps, config.revisit_share, config.keeps_on)
+    revisits = [_revisit(window, found, graph) for window, found in zip(path.windows, candidates, strict=True)]
+    shares = smooth(placed, steps, revisits, config.keeps_on)
     closures = []
     for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
         # A third pass of a place is near both earlier passes: two nodes, but one answer.
@@ -222,6 +225,15 @@ def tie(
             one_a_pass = _one_a_pass([found[k] for k in same], graph)
             closures += [_closure(c, window.node, paths[graph.log[c.node]], odds, config) for c in one_a_pass]
     return closures
+
+
+def _revisit(window: Window, found: list[Candidate], graph: PoseGraph) -> float:
+    """Probability that a window lies on the stretches where candidates were found."""
+    component, beside = graph.component(), np.unique(np.array([c.node for c in found], dtype=np.int64))
+    beside = beside[component[beside] == component[window.node]]
+    if len(beside) and graph.sds_of_place(beside, window.node).min() < SAME_SHIFT * window.length:
+        return SURE
+    return graph.config.revisit_share
 
 
 def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfig) -> Closure:

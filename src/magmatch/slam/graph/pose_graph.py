@@ -17,7 +17,7 @@ from magmatch.geometry import skew
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
 from magmatch.slam.graph.ties import N_LASTING, Closure, Edges, FixedPoints
-from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Tensors
+from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
 # drift.
@@ -167,6 +167,11 @@ class PoseGraph:
         AC = A @ C_as[firsts]
         found = C_as[second] + A @ self.marginals()[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
+
+    def sds_of_place(self, firsts: Indices, second: int) -> Scalars:
+        """Standard deviation of a node's place relative to each of some others, in the direction least known."""
+        C = self.relative_covariances(firsts, second)[:, 3:, 3:]
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(C)[:, -1]))
 
     def covariance_from(self, first: int, node: int) -> Covariance6:
         """Of ``T_first_node Exp(xi)`` for nodes of one component, in metres: with how well its scale is known."""
