@@ -12,7 +12,7 @@ RNG = np.random.default_rng(3)
 PATH = np.cumsum(RNG.normal(size=(9, 3)), axis=0)
 STEPS = np.diff(PATH, axis=0)
 LENGTHS = np.linalg.norm(STEPS, axis=1)
-CONFIG = OdometryConfig(sd=(0.4, 5.0), scale_sd=0.03, turn_sd=2.0)
+CONFIG = OdometryConfig(sd=(0.4, 5.0), scale_sd=0.03, turn_share=0.4)
 SMALL = 1e-7
 
 

@@ -36,7 +36,7 @@ def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_wha
     places = lone.session._now
     closure = max(places.graph.closures, key=lambda c: c.log_odds)
     one = places.paths[0].windows[closure.second]
-    odometry = OdometryConfig(sd=(0.6, 8.0), scale_sd=0.0, turn_sd=0.0)
+    odometry = OdometryConfig(sd=(0.6, 8.0), scale_sd=0.0, turn_share=0.0)
     window = replace(one, config=one.config.model_copy(update={"odometry": odometry}))
     assert 0.5 < window.bends_by / window.length < 0.6
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()

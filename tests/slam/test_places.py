@@ -88,7 +88,7 @@ def test_a_window_whose_place_the_graph_knows_needs_less_evidence_than_one_that_
     weak = [replace(c, match=replace(c.match, log_odds=-2.0)) for c in found[:1]]
     path = places.paths[0].only(slice(best.second, best.second + 1))
     assert not tie(path, [weak], places.graph, places.paths)
-    precise = places.graph.config.odometry.model_copy(update={"sd": (0.1, 1.0), "turn_sd": 0.5})
+    precise = places.graph.config.odometry.model_copy(update={"sd": (0.1, 1.0)})
     config = places.graph.config.model_copy(update={"odometry": precise})
     places.graph.edges, places.graph.config = odometry_graph(places.paths, config).edges, config
     places.solve()

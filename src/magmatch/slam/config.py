@@ -16,9 +16,10 @@ class OdometryConfig(Settings):
 
     # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
     sd: tuple[float, float] = (0.3, 4.0)
-    # Error of the length of each step, as a share; and of the turn rate (deg per 10 m).
+    # Lasting errors: of the length of each step, as a share; and of the turn rate, as a share of the random turn over
+    # 10 m: good odometry is good in both.
     scale_sd: float = Field(default=0.05, ge=0)
-    turn_sd: float = Field(default=2.0, ge=0)
+    turn_share: float = Field(default=0.5, ge=0)
 
     @property
     def translation_sd(self) -> float:
@@ -33,7 +34,7 @@ class OdometryConfig(Settings):
     @property
     def turn_rate_sd(self) -> float:
         """Lasting error of the turn rate, rad/m."""
-        return float(np.radians(self.turn_sd) / STATED_OVER)
+        return float(np.radians(self.turn_share * self.sd[1]) / STATED_OVER)
 
 
 class SlamConfig(Settings):

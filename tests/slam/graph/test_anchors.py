@@ -89,7 +89,7 @@ def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():
         log, truth = drifting_walk(Place(1), seed, laps=1.0, turn=4.0, scale=0.0)
         rng = np.random.default_rng(seed)
         config = SlamConfig(
-            is_planar=True, odometry={"sd": (0.01, 4.0 * np.sqrt(10)), "scale_sd": 0.001, "turn_sd": 0.01}
+            is_planar=True, odometry={"sd": (0.01, 4.0 * np.sqrt(10)), "scale_sd": 0.001, "turn_share": 0.001}
         )
         paths = cut([log], 0.8, config)
         graph = odometry_graph(paths, config)

@@ -18,7 +18,7 @@ from magmatch.slam.windows import cut
 
 
 def test_evidence_of_a_step_that_a_closure_measures_is_that_of_both_errors_together():
-    config = SlamConfig(is_gravity_aligned=False, odometry=OdometryConfig(scale_sd=0.0, turn_sd=0.0))
+    config = SlamConfig(is_gravity_aligned=False, odometry=OdometryConfig(scale_sd=0.0, turn_share=0.0))
     off = np.array([0.002, -0.001, 0.003, 0.05, -0.08, 0.02])
     rng = np.random.default_rng(0)
     C = np.diag([0.01, 0.02, 0.01, 0.05, 0.1, 0.08]) ** 2
@@ -53,7 +53,7 @@ def laps(sd, seed, n_laps=6, radius=4.0):
 @pytest.mark.parametrize("stated", [(0.6, 6.0), (0.07, 0.7)])
 def test_drift_that_was_stated_wrongly_is_learned_from_closures(stated):
     real = (0.2, 2.0)
-    config = SlamConfig(is_planar=True, odometry=OdometryConfig(sd=stated, scale_sd=0.001, turn_sd=0.01))
+    config = SlamConfig(is_planar=True, odometry=OdometryConfig(sd=stated, scale_sd=0.001, turn_share=0.01))
     log, true, turn = laps(real, 3)
     (path,) = cut([log], 0.5, config)
     graph = odometry_graph([path], config)

@@ -11,7 +11,7 @@ from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.windows import cut
 
-CONFIG = SlamConfig(odometry=OdometryConfig(sd=(0.1, 2.0), scale_sd=0.01, turn_sd=1.0))
+CONFIG = SlamConfig(odometry=OdometryConfig(sd=(0.1, 2.0), scale_sd=0.01, turn_share=0.5))
 S = np.linspace(0, 12.0, 241)
 POSITIONS = np.column_stack([S, 0.3 * np.sin(S), 0 * S])
 
@@ -60,3 +60,13 @@ def test_it_is_the_spread_of_many_walks(path):
     scale = np.sqrt(np.maximum(np.diagonal(stated), 1e-8))
     np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.1)
     assert np.sqrt(stated[3, 3]) > 0.03
+
+
+def test_odometry_that_is_stated_to_be_twice_as_good_is_so_in_its_lasting_turn_too(path):
+    T = RigidTransform.from_translation(path.survey.positions[path.middles[1] + 40] - path.centers[1])
+    exact = OdometryConfig(sd=(0.2, 4.0), scale_sd=0.0)
+    C, D = (
+        covariance_beside(path, 1, T, SlamConfig(odometry=exact.model_copy(update={"sd": sd})))
+        for sd in ((0.2, 4.0), (0.1, 2.0))
+    )
+    np.testing.assert_allclose(D[2:5, 2:5], C[2:5, 2:5] / 4, rtol=1e-3, atol=1e-9)

@@ -151,7 +151,7 @@ def test_covariances_are_those_of_the_dense_inverse():
 def test_revisits_do_not_tell_the_scale_and_what_is_stated_says_so():
     """Errors over stated covariances, of logs whose scale, steps and closures are drawn as they are said to be."""
     true, rng = ring(25, laps=3), np.random.default_rng(4)
-    config = SlamConfig(is_planar=True, odometry=OdometryConfig(scale_sd=0.05, turn_sd=0.0))
+    config = SlamConfig(is_planar=True, odometry=OdometryConfig(scale_sd=0.05, turn_share=0.0))
     pairs = [(i, j) for j in range(25) for i in range(j - 5) if np.linalg.norm(true[i] - true[j]) < 1.5]
     nees = []
     for _ in range(60):
@@ -221,7 +221,7 @@ def test_odometry_alone_leaves_every_node_where_it_was():
 
 
 def test_no_odometry_config_makes_the_numbers_infinite():
-    config = SlamConfig(odometry=OdometryConfig(sd=(0.0, 0.0), scale_sd=0.0, turn_sd=0.0))
+    config = SlamConfig(odometry=OdometryConfig(sd=(0.0, 0.0), scale_sd=0.0, turn_share=0.0))
     graph = graph_of(ring(8), config)
     solve(graph)
     assert np.isfinite(graph.marginals()).all()

@@ -64,8 +64,7 @@ def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
     def scaled(sd: tuple[float, float]) -> tuple[float, float]:
         return float(factors[0] * sd[0]), float(factors[1] * sd[1])
 
-    turn_sd = float(factors[1] * config.odometry.turn_sd)
-    odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd), "turn_sd": turn_sd})
+    odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd)})
     return config.model_copy(
         update={"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
     )
