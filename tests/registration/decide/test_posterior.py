@@ -24,7 +24,7 @@ KINDS = ("map", "walk")
 # m and rad
 TOLERANCE = (0.5, 0.2)
 
-evidences, misfits, kinds = st.floats(-300, 3000), st.floats(0.05, 50), st.sampled_from(KINDS)
+evidences, misfits, kinds = st.floats(-300, 3000, allow_subnormal=False), st.floats(0.05, 50), st.sampled_from(KINDS)
 prior_odds = st.floats(1e-6, 1e6)
 laws = st.builds(
     Fitted,
