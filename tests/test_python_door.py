@@ -108,7 +108,7 @@ def test_rows_that_are_none_are_refused_at_every_door(door, bad, field_map):
     assert words in message
 
 
-@settings(deadline=None, derandomize=True, max_examples=150)
+@settings(deadline=None, max_examples=150)
 @given(
     door=st.sampled_from(sorted(ROW_DOORS)),
     rows=hnp.arrays(
@@ -146,7 +146,7 @@ NOUN_DOORS = {
 }
 
 
-@settings(deadline=None, derandomize=True, max_examples=200)
+@settings(deadline=None, max_examples=200)
 @given(door=st.sampled_from(sorted(NOUN_DOORS)), bad=ANYTHING)
 def test_what_is_no_noun_is_refused_at_every_verb(door, bad, field_map):
     is_refused(lambda: NOUN_DOORS[door](field_map, bad))

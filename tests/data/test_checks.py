@@ -131,13 +131,13 @@ def test_warnings_reach_the_log_with_the_file_name(room, tmp_path, caplog):
 
 
 @pytest.mark.parametrize("unit", TESLA_PER_UNIT)
-@settings(deadline=None, derandomize=True, max_examples=20)
+@settings(deadline=None, max_examples=20)
 @given(field=st.floats(22e-6, 67e-6))
 def test_the_unit_of_any_place_on_earth_is_recognised(unit, field):
     assert likely_field_unit(field / TESLA_PER_UNIT[unit]) == unit
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, max_examples=25)
 @given(median=st.floats(1.001e-9, 19.99e-3), seed=st.integers(0, 9))
 def test_every_median_between_the_bounds_is_accepted(median, seed):
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ def helix(n=20, rate=0.3):
     )
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, max_examples=25)
 @given(times=st.lists(st.floats(0, 10), min_size=1, max_size=20), rate=st.floats(-1, 1))
 def test_steady_motion_is_interpolated_exactly(times, rate):
     times = np.array(times)

@@ -11,7 +11,7 @@ from magmatch.features.descriptors import N_DIMENSIONS
 from magmatch.features.extract import extract_features, shared_range
 from magmatch.geometry import random_transform
 
-LAW = settings(max_examples=8, deadline=None, derandomize=True)
+LAW = settings(max_examples=8, deadline=None)
 CONFIG = FeatureConfig(spacing=0.15)
 
 

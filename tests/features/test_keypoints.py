@@ -13,7 +13,7 @@ from magmatch.features.keypoints import block_variance, curvature_response, find
 from magmatch.field.values import FieldValues
 from magmatch.geometry import RigidTransform, rotate_tensors
 
-LAW = settings(max_examples=15, deadline=None, derandomize=True)
+LAW = settings(max_examples=15, deadline=None)
 COARSE = FeatureConfig(spacing=0.2)
 
 

@@ -18,7 +18,7 @@ from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.geometry import random_transform, transform_points
 
-laws = settings(deadline=None, derandomize=True, max_examples=6)
+laws = settings(deadline=None, max_examples=6)
 H = Hyperparameters(lengthscale=0.6, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.4, divergence_weight=300.0)
 EARTH = np.array([18e-6, 2e-6, -44e-6])
 BOX = np.array([2.0, 1.5, 0.8])

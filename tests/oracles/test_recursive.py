@@ -10,7 +10,7 @@ from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from oracles.dense import DenseGP
 from oracles.recursive import RecursiveSparseGP
 
-laws = settings(deadline=None, derandomize=True, max_examples=10)
+laws = settings(deadline=None, max_examples=10)
 KERNEL = DivergenceFreeKernel(0.7, 12e-6)
 NOISE = 0.8e-6
 U = np.stack(np.meshgrid(*[np.array([-0.7, 0.0, 0.7])] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

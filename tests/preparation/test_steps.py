@@ -19,7 +19,7 @@ from magmatch.preparation.preparation_report import PreparationReport, StepRepor
 from magmatch.preparation.resampling import resample_by_distance, steps_of
 from magmatch.preparation.sensor_model import SensorModel
 
-SETTINGS = settings(deadline=None, derandomize=True, max_examples=30)
+SETTINGS = settings(deadline=None, max_examples=30)
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
 
 

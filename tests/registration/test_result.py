@@ -18,7 +18,7 @@ from magmatch.errors import DataFormatError
 from magmatch.geometry import random_transform, transform_from_matrix
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
 
-few = settings(deadline=None, derandomize=True, max_examples=25)
+few = settings(deadline=None, max_examples=25)
 
 KEYS = [
     "schema", "status", "reason", "base", "T_base_target", "covariance", "probability", "evidence", "overlap",

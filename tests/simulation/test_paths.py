@@ -17,7 +17,7 @@ from magmatch.simulation.paths import (
     uniform_in_box,
 )
 
-SETTINGS = settings(deadline=None, derandomize=True, max_examples=25)
+SETTINGS = settings(deadline=None, max_examples=25)
 
 
 def test_uniform_samples_fill_the_box(rng):

@@ -213,7 +213,11 @@ def tie(
         for found in candidates
     ]
     steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
-    revisits = [_revisit(window, found, graph) for window, found in zip(path.windows, candidates, strict=True)]
+    component = graph.component()
+    revisits = [
+        _revisit(window, [c.node for c in found if component[c.node] == component[window.node]], graph)
+        for window, found in zip(path.windows, candidates, strict=True)
+    ]
     shares = smooth(placed, steps, revisits, config.keeps_on)
     closures = []
     for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
@@ -227,11 +231,9 @@ def tie(
     return closures
 
 
-def _revisit(window: Window, found: list[Candidate], graph: PoseGraph) -> float:
-    """Probability that a window lies on the stretches where candidates were found."""
-    component, beside = graph.component(), np.unique(np.array([c.node for c in found], dtype=np.int64))
-    beside = beside[component[beside] == component[window.node]]
-    if len(beside) and graph.sds_of_place(beside, window.node).min() < SAME_SHIFT * window.length:
+def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
+    """Probability that a window lies on stretches of its component where candidates were found."""
+    if beside and graph.sds_of_place(np.unique(beside), window.node).min() < SAME_SHIFT * window.length:
         return SURE
     return graph.config.revisit_share
 

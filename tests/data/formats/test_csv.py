@@ -124,7 +124,7 @@ def test_sensor_vectors_without_orientations_are_refused(tmp_path):
         read_survey(path, SurveyFormat(field_frame="sensor"))
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, max_examples=25)
 @given(
     positions=arrays(np.float64, (5, 3), elements=st.floats(-1e6, 1e6)),
     field=arrays(np.float64, (5, 3), elements=st.floats(-1e-2, 1e-2)),

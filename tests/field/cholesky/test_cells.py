@@ -30,7 +30,7 @@ def defined(x, reach):
 
 
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 1.5, 2.5]))
-@settings(deadline=None, derandomize=True, max_examples=15)
+@settings(deadline=None, max_examples=15)
 def test_cells_are_those_within_reach_and_nodes_those_that_touch_them(seed, reach):
     x = survey(seed)
     found, (expected, away, n_box) = lay_cells(x, SPACING, reach), defined(x, reach)

@@ -23,7 +23,7 @@ from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD, outside_covariance
 from oracles.dense_matrix import to_dense
 
-few = settings(deadline=None, derandomize=True, max_examples=8)
+few = settings(deadline=None, max_examples=8)
 SHAPES = {"volume": (1.0, 0.7, 0.4), "plane": (1.2, 1.0, 0.0), "line": (2.5, 0.0, 0.0), "point": (0.0, 0.0, 0.0)}
 
 

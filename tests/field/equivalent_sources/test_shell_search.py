@@ -12,7 +12,7 @@ from magmatch.field.equivalent_sources.shell_search import fit_shell
 from magmatch.field.folds import Folds, divide
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, walk_uphill
 
-laws = settings(deadline=None, derandomize=True, max_examples=30)
+laws = settings(deadline=None, max_examples=30)
 NOISE = 0.4e-6
 
 

@@ -10,7 +10,7 @@ from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid, lay_inducing_grid
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 
-laws = settings(deadline=None, derandomize=True, max_examples=15)
+laws = settings(deadline=None, max_examples=15)
 CONSTANT = np.array([20e-6, 1e-6, -44e-6])
 
 

@@ -27,7 +27,7 @@ from magmatch.field.priors.divergence_free import DivergenceFreePrior
 from oracles.dense import DenseGP
 from oracles.recursive import RecursiveSparseGP
 
-laws = settings(deadline=None, derandomize=True, max_examples=8)
+laws = settings(deadline=None, max_examples=8)
 H = Hyperparameters(lengthscale=0.7, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.6)
 EARTH = np.array([18e-6, 2e-6, -44e-6])
 CONSTANT_SD = 1e-4

@@ -21,7 +21,7 @@ from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.storage.archive import read_archive, write_archive
 
-laws = settings(deadline=None, derandomize=True, max_examples=6)
+laws = settings(deadline=None, max_examples=6)
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.25, 1.0)
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 

@@ -54,7 +54,7 @@ class Cliff(Hill):
 
 
 @given(noise=st.floats(-4, 3), divergence_weight=st.floats(-2, 1), lengthscale=st.floats(-0.2, 1.4))
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None)
 def test_the_top_of_a_hill_is_found_to_a_step_and_its_noise_nearly(noise, divergence_weight, lengthscale):
     top = replace(
         START,
@@ -151,7 +151,7 @@ def test_a_step_into_numbers_that_cannot_be_used_leads_back():
 
 
 @given(signal=st.floats(1e-9, 1e-3), slope=st.sampled_from([-1e9, 1e9]))
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200, deadline=None)
 def test_the_farthest_noise_is_within_bounds(signal, slope):
     class Slide(Hill):
         def noise_slopes(self, h):

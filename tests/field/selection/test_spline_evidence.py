@@ -101,7 +101,7 @@ def test_white_residuals_count_one_by_one():
 
 
 @given(share=st.floats(0.2, 0.75), scale=st.floats(1e-9, 1e3))
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None)
 def test_an_autoregression_counts_as_its_correlation_time(share, scale):
     rng = np.random.default_rng(1)
     r = rng.standard_normal((20_000, 3))

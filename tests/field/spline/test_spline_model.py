@@ -15,7 +15,7 @@ from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from oracles.dense_matrix import to_dense
 
-few = settings(deadline=None, derandomize=True, max_examples=8)
+few = settings(deadline=None, max_examples=8)
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 300.0)
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 
