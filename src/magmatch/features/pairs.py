@@ -7,7 +7,7 @@ Two points do: the vector between them and the two field vectors.
 
 import numpy as np
 
-from magmatch.geometry import unit_vectors
+from magmatch.features.wahba import best_rotations
 from magmatch.typing import Matrix, Points, Scalars, Tensors, Vectors
 
 
@@ -68,13 +68,8 @@ def align_pairs(
     strength = np.linalg.norm(target[1], axis=1) + np.linalg.norm(target[2], axis=1)
     field_weight = (strength / (2 * sd_field)) ** 2
     weights = (_direction_sd(distance, sd_position) ** -2, field_weight, field_weight)
-    H = np.zeros((len(distance), 3, 3))
-    for w, a, b in zip(weights, base, target, strict=True):
-        H += np.einsum("n,ni,nj->nij", w, unit_vectors(a), unit_vectors(b), optimize=True)
-    U, _, Vt = np.linalg.svd(H)
-    U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
-    R: Tensors = U @ Vt
-    return R
+    sides = (tuple(map(np.ascontiguousarray, side)) for side in (base, target))
+    return np.asarray(best_rotations(*sides, weights))
 
 
 def _direction_sd(distance: Scalars, sd_position: float) -> Scalars:
