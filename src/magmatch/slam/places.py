@@ -45,7 +45,7 @@ from magmatch.slam.tie import (
 )
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Indices, Vector3
+from magmatch.typing import Indices, Matrix, Scalars, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +75,8 @@ class Places:
     steps: Steps = field(default_factory=Steps)  # where intermediate results are stored
     # Candidates of each window where the graph last predicted it
     looked: dict[int, list[Candidate]] = field(default_factory=dict)
-    # Of each window, the stretches that were searched for it
+    # Of each window, how the stretches that were asked for it voted, and those that were searched for it
+    voted: dict[int, dict[int, float]] = field(default_factory=dict)
     searched: dict[int, dict[int, Searched]] = field(default_factory=dict)
 
     def copied(self) -> "Places":
@@ -185,8 +186,7 @@ class Places:
         """Where a window may lie near some nodes, of those before it, as the graph predicts."""
         nodes = nearby(window, nodes, self.graph)
         if len(nodes) > MAX_SHORTLIST:
-            among = nodes
-            nodes = self.steps(lambda: self.likely(window, among)[None])[0].astype(np.int64)
+            nodes = nodes[shortlist(self.votes(window, nodes.tolist()))]
         expected = expected_beside(window, nodes, self.graph)
         known = self.searched.setdefault(window.node, {})
         before = {a: known[a] for a, rough in expected.items() if a in known and known[a].holds(rough, window)}
@@ -204,12 +204,19 @@ class Places:
                 known[a] = replace(before[a], weighed=rough, found=here)
         return found
 
-    def likely(self, window: Window, nodes: Indices) -> Indices:
-        """Of nodes on whose stretches a window may lie, those that its pairs of points vote for."""
+    def votes(self, window: Window, nodes: list[int]) -> Scalars:
+        """Share of a window's pairs of points that agree on one pose on the stretch about each of some nodes."""
         assert self.maker is not None
-        tables = [self.maker.table(self.path(node), node) for node in nodes.tolist()]
-        votes = count_votes(tables, window.survey, self.graph.config.search, 0)
-        return nodes[shortlist(votes)]
+        known, maker = self.voted.setdefault(window.node, {}), self.maker
+        new = [node for node in nodes if node not in known]
+
+        def ask() -> Matrix:
+            tables = [maker.table(self.path(node), node) for node in new]
+            return count_votes(tables, window.survey, self.graph.config.search, 0)[None]
+
+        if new:
+            known.update(zip(new, self.steps(ask)[0].tolist(), strict=True))
+        return np.array([known[node] for node in nodes])
 
     def others(self, path: Path) -> list[Path]:
         """Earlier logs that nothing ties to this one."""
