@@ -138,6 +138,13 @@ def transform_from_matrix(matrix: np.ndarray) -> RigidTransform:
     return RigidTransform(matrix, normalize=error > ORTHONORMAL_TO_ROUNDING)
 
 
+def transform_of(R: Matrix, p: Vector3) -> RigidTransform:
+    """Rigid motion that turns by R, which is taken for a rotation, and then shifts by p (m)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, p
+    return RigidTransform(matrix, normalize=False)
+
+
 def transform_from_product(matrix: Matrix) -> RigidTransform:
     """Rigid motion whose matrix is a product of such matrices: brought to the nearest once rounding has added up."""
     error = np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max()
@@ -177,8 +184,8 @@ def adjoint(T: RigidTransform) -> Matrix:
 
 def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
     """Small motion about a centre: turn by ``xi[:3]`` (rad) about it, then shift by ``xi[3:]`` (m)."""
-    rotation = Rotation.from_rotvec(xi[:3])
-    return RigidTransform.from_components(center + xi[3:] - rotation.apply(center), rotation)
+    R = Rotation.from_rotvec(xi[:3]).as_matrix()
+    return transform_of(R, center + xi[3:] - R @ center)
 
 
 def random_transform(rng: np.random.Generator, max_translation: float = 5.0) -> RigidTransform:
@@ -205,7 +212,8 @@ def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: 
         Angle of ``R_estimate^T R_true``.
     """
     translation_error = float(np.linalg.norm(T_estimate.apply(center) - T_true.apply(center)))
-    rotation_error = float((T_estimate.rotation.inv() * T_true.rotation).magnitude())
+    between = rotation_matrix(T_estimate).T @ rotation_matrix(T_true)
+    rotation_error = float(Rotation.from_matrix(between, assume_valid=True).magnitude())
     return translation_error, rotation_error
 
 
@@ -229,4 +237,4 @@ def principal_frame(positions: Points, lean: Vector3) -> RigidTransform:
     is_skewed = np.abs(skewness) > 1e-6 * np.maximum(spread, np.finfo(float).tiny)
     R *= np.where(np.where(is_skewed, skewness, lean @ R) < 0, -1.0, 1.0)
     R[:, 2] = np.cross(R[:, 0], R[:, 1])
-    return RigidTransform.from_components(centroid, Rotation.from_matrix(R))
+    return transform_of(R, centroid)

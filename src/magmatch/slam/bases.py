@@ -4,6 +4,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
@@ -18,7 +19,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.windows import Path
-from magmatch.typing import Indices, Vector3
+from magmatch.typing import Indices, Points
 
 # Posterior samples that give a base's spread.
 N_DRAWS = 6
@@ -39,9 +40,9 @@ class Base:
         """Of the region that it knows, m^3."""
         return self.index.base.raster.volume
 
-    def node_near(self, point: Vector3) -> int:
-        """Node whose window lies nearest to a point of the base's frame."""
-        return int(self.node[int(np.argmin(np.linalg.norm(self.survey.positions - point, axis=1)))])
+    def nodes_near(self, points: Points) -> Indices:
+        """Nodes whose windows lie nearest to some points (k, 3) of the base's frame: (k,)."""
+        return np.asarray(self.node[cdist(points, self.survey.positions).argmin(axis=1)])
 
     def with_noise(self, noise: PathNoise) -> "Base":
         """The same base, beside other noise of walks."""

@@ -80,15 +80,17 @@ def matches(
     index, walk = base.index, window.walk
     prior = _prior(window, base, config, expected)
     T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
+    T_walk_node = T_walk.inv() * window.T_log_node
     if known is None:
         proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
         starts = [c.T_base_target for c in proposed.candidates]
     else:
         starts = [T for T in (T_base.inv() * T * T_walk for T in known) if _is_expected(T, window, prior)]
     starts += [] if prior.T_base_target is None else [prior.T_base_target]
-    if node is not None:
-        at = T_walk.inv().apply(window.center)
-        starts = [T for T in starts if base.node_near(T_base.apply(T.apply(at))) == node]
+    if node is not None and starts:
+        at = np.array([T.apply(T_walk_node.translation) for T in starts])
+        is_here = base.nodes_near(T_base.apply(at)) == node
+        starts = [starts[k] for k in np.flatnonzero(is_here)]
     around = window.around if isinstance(expected, Rough) else None
     weighed = weigh_walk(
         index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, around
@@ -106,7 +108,7 @@ def matches(
         # What the prior costs counts by the same law as the field, so that giving it back adds no more than it took.
         gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
-        T_node_alone = (T * window.T_log_node).inv() * T_base * T_alone * T_walk.inv() * window.T_log_node
+        T_node_alone = (e.T_base_target * T_walk_node).inv() * T_alone * T_walk_node
         found.append(
             Match(
                 T,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import transform_error, transform_from_matrix
+from magmatch.geometry import transform_error, transform_from_matrix, transform_of
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
@@ -131,8 +131,9 @@ def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[in
     """Where the graph expects a window on the stretch about each of some nodes."""
     b, found = window.node, {}
     for a, C in zip(nodes.tolist(), graph.relative_covariances(nodes, b), strict=True):
-        T_a_b = graph.pose(a).inv() * graph.pose(b)
-        found[a] = Rough(graph.center(a) * T_a_b * window.T_log_node.inv(), C)
+        R = graph.R[a].T @ graph.R[b]
+        at = graph.start[a] + graph.R[a].T @ (graph.p[b] - graph.p[a])
+        found[a] = Rough(transform_of(R, at - R @ window.center), C)
     return found
 
 
@@ -187,11 +188,14 @@ def _candidates(
     known: Sequence[RigidTransform] | None = None,
     middle: int | None = None,
 ) -> list[Candidate]:
-    found = []
-    for match in matches(window, base, window.config, expected, known, middle):
-        node = base.node_near(match.T_base_log.apply(window.center))
-        found.append(Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match))
-    return found
+    found = matches(window, base, window.config, expected, known, middle)
+    if not found:
+        return []
+    nodes = base.nodes_near(np.array([match.T_base_log.apply(window.center) for match in found]))
+    return [
+        Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match)
+        for node, match in zip(nodes.tolist(), found, strict=True)
+    ]
 
 
 def tie(

@@ -4,9 +4,10 @@
 from typing import NamedTuple, Self
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import record
+from magmatch.geometry import transform_of
 from magmatch.typing import Indices, Points, Tensors, Vector3
 
 # Inaccuracy of a pose that one pair of points proposes: rad, and in correlation lengths.
@@ -53,7 +54,7 @@ class Hypotheses(NamedTuple):
     def pose(self, k: int, p_base: Vector3, p_target: Vector3) -> RigidTransform:
         """One pose as a transform, given where `carry` puts a point."""
         R = self.rotations[k]
-        return RigidTransform.from_components(p_base - R @ p_target, Rotation.from_matrix(R))
+        return transform_of(R, p_base - R @ p_target)
 
 
 HYPOTHESES = record(Hypotheses, "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1]")

@@ -170,7 +170,7 @@ class PosePrior:
         if self.T_base_target is not None and self.covariance is not None:
             R0, p0 = rotation_matrix(self.T_base_target), self.T_base_target.apply(center)
             difference = R0.T @ R
-            turn = Rotation.from_matrix(difference).as_rotvec()
+            turn = Rotation.from_matrix(difference, assume_valid=True).as_rotvec()
             J = np.zeros((h, 6, 6))
             # Of log(R Exp(theta)) to first order in the angle already there.
             J[:, :3, :3] = np.eye(3) + 0.5 * skew(turn)
@@ -195,7 +195,8 @@ class PosePrior:
                 off = np.abs(moved @ self.up_base - center @ self.up_target - self.height)
                 is_admitted &= off < np.sqrt(FAR2) * np.hypot(self.height_sd, slack[1])
         if self.T_base_target is not None and self.covariance is not None:
-            turn = (self.T_base_target.rotation.inv() * Rotation.from_matrix(R)).as_rotvec()
+            turned = rotation_matrix(self.T_base_target).T @ R
+            turn = Rotation.from_matrix(turned, assume_valid=True).as_rotvec()
             shift = self.T_base_target.inv().apply(moved) - center
             for off, C, own in (
                 (turn, self.covariance[:3, :3], slack[0]),

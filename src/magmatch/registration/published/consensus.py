@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import rotation_matrix, unit_vectors
+from magmatch.geometry import rotation_matrix, transform_of, unit_vectors
 from magmatch.registration.search.invariant_search import distinct_poses
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Vectors
@@ -170,7 +170,7 @@ def _settle(pairs: _Pairs, R: np.ndarray, t: np.ndarray, inlier_distance: float)
         was, is_inlier = is_inlier, costs < 1
         if np.array_equal(was, is_inlier):
             break
-    T = RigidTransform.from_components(t * inlier_distance, Rotation.from_matrix(R))
+    T = transform_of(R, t * inlier_distance)
     return Consensus(T, float(np.minimum(costs, 1).mean()), is_inlier)
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import rotation_matrix, skew
+from magmatch.geometry import rotation_matrix, skew, transform_of
 from magmatch.registration.prepared.hypotheses import N_REFINED, OUTLIER_SHARE
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.path_noise import PathNoise
@@ -225,7 +225,7 @@ class _LeastSquares:
 
     def pose(self, R: Matrix, moved_center: Vector3) -> RigidTransform:
         """Transform that turns by R and puts the walk's centre somewhere."""
-        return RigidTransform.from_components(moved_center - R @ self.center, Rotation.from_matrix(R))
+        return transform_of(R, moved_center - R @ self.center)
 
     def _alike_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import skew
+from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
 from magmatch.slam.graph.ties import N_LASTING, Closure, Edges, FixedPoints
@@ -137,7 +137,7 @@ class PoseGraph:
 
     def pose(self, k: int) -> RigidTransform:
         """Of a node in its component's frame."""
-        return RigidTransform.from_components(self.p[k], Rotation.from_matrix(self.R[k]))
+        return transform_of(self.R[k], self.p[k])
 
     def center(self, k: int) -> RigidTransform:
         """Of a node in its log's own frame, as odometry has it."""
