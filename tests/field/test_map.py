@@ -74,6 +74,8 @@ def test_draws_turn_with_the_map_and_scatter_about_its_mean(here, there):
         m.draw(p, 300, 1, np.random.default_rng(4)) for m, p in ((here, points), (there, transform_points(points, T)))
     )
     np.testing.assert_allclose(moved[7].field, rotate_vectors(drawn[7].field, T), rtol=1e-6)
+    with pytest.raises(ValueError, match="order"):
+        here.draw(points, 1, 3, np.random.default_rng(4))
     off = np.array([d.field for d in drawn]) - here.evaluate(points).field
     covariance = here.covariance(points)
     for k in range(5):

@@ -1,5 +1,7 @@
 """What is known of the pose beforehand is used, and not obeyed where the field denies it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -188,6 +190,9 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     assert set(rows[1:].tolist()) == {0, 1, 2}
     # Fewer are enough for a search that tells fewer apart.
     assert len(prior.narrow(given.subset(slice(1)), CENTER, (1.0, 1.0), rng)[0]) == FEWEST_DRAWN + 1
+    # One a direction for each that they tell apart, times how many stand side by side where the prior is wide.
+    wide = replace(prior, T_base_target=T, covariance=np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 90.0**2]))
+    assert len(wide.narrow(given.subset(slice(0)), CENTER, (1.0, 1.0), rng)[0]) == 6 * 90
     flat = PosePrior(1.0)
     assert flat.narrow(given, CENTER, (0.1, 0.1), rng) is given
 
