@@ -50,6 +50,7 @@ class PoseGraph:
     _H: csc_array | None = None
     _lu: SuperLU | None = None
     _own: np.ndarray | None = None
+    _with: tuple[int, np.ndarray] | None = None
 
     def __post_init__(self) -> None:
         self.start, self.level = self.p.copy(), self.p[:, 2].copy()
@@ -152,13 +153,12 @@ class PoseGraph:
 
     def factor(self, H: csc_array) -> SuperLU:
         """Keep the information of all poses, from which their covariances follow."""
-        self._H, self._own, self._lu = H, None, factorised(H)
+        self._H, self._own, self._with, self._lu = H, None, None, factorised(H)
         return self._lu
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
         """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6), odometry's unit."""
-        assert self._lu is not None
-        C_as = self._columns(np.array([second])).reshape(-1, 6, 6)
+        C_as = self._covariances_with(second)
         # How a perturbation of each first node moves the second, in the second's axes: the adjoint of where it is.
         R = self.R[second].T @ self.R[firsts]
         A = np.zeros((len(firsts), 6, 6))
@@ -193,12 +193,14 @@ class PoseGraph:
         of_logs = component[np.unique(self.log, return_index=True)[1]]
         return {int(name): np.flatnonzero(of_logs == name) for name in np.unique(of_logs) if name not in fixed}
 
-    def _columns(self, nodes: Indices) -> Matrix:
-        """Covariance of all nodes with some: (6 n, 6 k)."""
-        assert self._lu is not None
-        columns = np.zeros((6 * len(self.p) + self.lasting.size, 6 * len(nodes)))
-        columns[six(nodes).ravel(), np.arange(6 * len(nodes))] = 1.0
-        return np.asarray(self._lu.solve(columns)[: 6 * len(self.p)])
+    def _covariances_with(self, node: int) -> np.ndarray:
+        """Covariance of each node with one: (n, 6, 6). One window's are asked for several times in a row."""
+        if self._with is None or self._with[0] != node:
+            assert self._lu is not None
+            unit = np.zeros((6 * len(self.p) + self.lasting.size, 6))
+            unit[6 * node : 6 * node + 6] = np.eye(6)
+            self._with = node, self._lu.solve(unit)[: 6 * len(self.p)].reshape(-1, 6, 6)
+        return self._with[1]
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
