@@ -10,7 +10,7 @@ from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.walk_strategy import WalkStrategy
-from magmatch.registration.weigh.line_evidence import weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 from magmatch.simulation.config import SimulationConfig
 
 pytest.importorskip("magpylib", reason="needs the extra 'simulation'")

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
-from magmatch.preparation.ellipsoid import fit_ellipsoid
+from magmatch.preparation.calibrate_in_place import fit_ellipsoid
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.prepare import prepare
 from magmatch.preparation.sensor_model import SensorModel

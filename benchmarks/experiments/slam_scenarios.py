@@ -35,9 +35,9 @@ from magmatch.simulation.paths import (
     wander,
 )
 from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import APART
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.ties import Closure
 from magmatch.slam.graph.trajectories import corrected
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed

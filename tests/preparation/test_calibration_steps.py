@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.blocks import CHANNEL, model_of
-from magmatch.preparation.calibration import Calibration
+from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.least_squares import Solution

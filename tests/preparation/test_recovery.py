@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.preparation.calibration import calibrate
+from magmatch.preparation.calibrate_on_map import calibrate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.prepare import prepare
 from magmatch.preparation.sensor_log import SensorLog

@@ -12,7 +12,7 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.strategy import Pair
 from magmatch.registration.walk_strategy import WalkStrategy
-from magmatch.registration.weigh.line_evidence import LineEvidence
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 RNG = np.random.default_rng(0)
 T_BASE, T_WALK, T_POSE = (random_transform(RNG) for _ in range(3))

@@ -15,8 +15,8 @@ from magmatch.geometry import exp_se3, log_se3, random_transform, transform_erro
 from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.ties import Closure
 from magmatch.slam.merge import merge
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.statement import covariance_about

@@ -112,7 +112,7 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     from magmatch.data.tables.table import read_table
     from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
-    from magmatch.preparation.ellipsoid import fit_ellipsoid
+    from magmatch.preparation.calibrate_in_place import fit_ellipsoid
     from magmatch.preparation.preparation_report import PreparationReport
 
     if read_bytes(path, 64).lstrip()[:1] == b"{":

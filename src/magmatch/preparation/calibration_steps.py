@@ -7,7 +7,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.preparation.blocks import CHANNEL
-from magmatch.preparation.calibration import Calibration
+from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from magmatch.preparation.blocks import CHANNEL, PIECE
-from magmatch.preparation.calibration import Calibration
+from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.disturbances import find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.sensor_log import SensorLog

@@ -10,7 +10,7 @@ from magmatch.arguments import column_of
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
-from magmatch.preparation.calibration import Calibration, calibrate
+from magmatch.preparation.calibrate_on_map import Calibration, calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation

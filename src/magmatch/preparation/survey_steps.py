@@ -10,7 +10,7 @@ from magmatch.data.checks import time_gaps
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.preparation.calibration import Calibration
+from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.config import Flagging, PreparationConfig
 from magmatch.preparation.disturbances import (
     find_contradictions,

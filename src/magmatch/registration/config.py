@@ -14,7 +14,7 @@ from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
 from magmatch.registration.search.pair_search import PairSearchConfig
-from magmatch.registration.weigh.line_evidence import LineConfig
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 
 

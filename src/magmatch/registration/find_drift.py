@@ -18,7 +18,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bend import DRIFTS, REMEDY, weigh_halves
-from magmatch.registration.weigh.line_evidence import LineEvidence, weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, weigh_walk
 
 
 def naming_drift(

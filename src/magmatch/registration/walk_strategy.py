@@ -22,7 +22,7 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
-from magmatch.registration.weigh.line_evidence import LineEvidence, inside_base, weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, inside_base, weigh_walk
 from magmatch.registration.weigh.settled import with_frame_error
 from magmatch.registration.weigh_as_maps import weigh_as_maps
 

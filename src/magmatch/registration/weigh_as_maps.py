@@ -10,7 +10,7 @@ from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.strategy import Pair, Weighed, pair_maps
-from magmatch.registration.weigh.line_evidence import LineEvidence
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 
 def weigh_as_maps(

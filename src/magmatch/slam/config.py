@@ -6,7 +6,7 @@ from pydantic import Field
 
 from magmatch.data.units import STATED_OVER
 from magmatch.registration.search.pair_search import PairSearchConfig
-from magmatch.registration.weigh.line_evidence import LineConfig
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 from magmatch.typing import Indices
 

@@ -14,11 +14,11 @@ from magmatch.registration.prepared.hypotheses import pose_inaccuracy
 from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.weigh.line_evidence import inside_base, weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
 from magmatch.slam.bases import Base
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
-from magmatch.slam.graph.ties import MOST_ODDS
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6, Indices, Scalars
 

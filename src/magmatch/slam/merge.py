@@ -22,9 +22,9 @@ from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.factors import MOST_ODDS, Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.ties import MOST_ODDS, Closure
 from magmatch.slam.places import Places
 from magmatch.slam.session import Session
 from magmatch.slam.statement import covariance_about

@@ -19,16 +19,16 @@ from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import Base, BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import forget_closures, solve
-from magmatch.slam.graph.ties import Closure
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closure import SAME_SHIFT, residuals
-from magmatch.slam.numbers import guessed_noise, shared_numbers
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
-from magmatch.slam.shared_frame import log_odds_shared
+from magmatch.slam.shared_frame_odds import log_odds_shared
+from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps
 from magmatch.slam.tie import (
     SURE,

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import adjoint
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.graph.ties import Closure
 from magmatch.slam.result import ClosureResult, LogOdometry, Odometry, SlamStatus
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Vector3

@@ -12,9 +12,9 @@ from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
-from magmatch.slam.graph.ties import Closure
 from magmatch.slam.loop_closure import (
     NODE_COVARIANCE,
     REACH,

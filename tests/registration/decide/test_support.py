@@ -15,7 +15,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.evidence import Change, PoseEvidence
-from magmatch.registration.weigh.line_evidence import LineEvidence
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 RNG = np.random.default_rng(0)
 FIELD = some_field(3, bend=0.0)

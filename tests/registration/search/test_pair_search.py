@@ -22,7 +22,7 @@ from magmatch.registration.result import Status
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.walk_strategy import WalkStrategy
-from magmatch.registration.weigh.line_evidence import weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 
 NOISE_SD = 0.3e-6
 CORNERS = np.array([[0.3, 0.4, 0.3], [2.6, 0.7, 0.2], [2.4, 2.5, 0.35], [0.6, 2.2, 0.3]])

@@ -19,7 +19,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.bend import Bend, bend_of_map, bend_of_walk
-from magmatch.registration.weigh.line_evidence import LineConfig
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 
 NOISE = PathNoise(0.2e-6, 0.8, 0.1e-6, 0.1e-6, 1.0, 0.8, 0.005, 0.005, 3.0, spread=0.4, n_stretches=9)
 # Turns and comes back, so that each half fixes its pose.

@@ -22,7 +22,7 @@ from magmatch.registration.weigh.cells import (
 )
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.evidence import Change, weigh_pose
-from magmatch.registration.weigh.null_model import average_cells
+from magmatch.registration.weigh.map_null_model import average_cells
 
 FIELD = some_field(3, slope=10e-6, bend=0.0)  # linear: what is interpolated is exact, in every frame
 PRIOR = PosePrior(10.0)

@@ -9,11 +9,11 @@ from scipy.stats import multivariate_normal
 from magmatch.data.survey import Survey
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.graph.factors import Closure, Edges
 from magmatch.slam.graph.learned_drift import learned_drift, log_evidence
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.ties import Closure, Edges
 from magmatch.slam.windows import cut
 
 

@@ -10,10 +10,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import lasting_errors
 from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.graph.factors import Closure, Edges
 from magmatch.slam.graph.normal_equations import counted, hold_scale, normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.ties import Closure, Edges
 
 LEVEL = SlamConfig(is_planar=True)
 FREE = SlamConfig(is_gravity_aligned=False)

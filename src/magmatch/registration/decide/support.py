@@ -14,7 +14,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.sensors import TIED_SD
 from magmatch.registration.result import Links, Sensor
 from magmatch.registration.weigh.evidence import PoseEvidence
-from magmatch.registration.weigh.line_evidence import LineEvidence
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 
 @dataclass(frozen=True, eq=False, slots=True)

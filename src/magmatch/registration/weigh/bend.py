@@ -17,8 +17,8 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, common_leng
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
-from magmatch.registration.weigh.line_evidence import LineConfig, LineEvidence, weigh_walk
 from magmatch.registration.weigh.map_covariance import map_covariance
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, LineEvidence, weigh_walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Vector3
 
 DRIFTS = "the target's positions or orientations drift"

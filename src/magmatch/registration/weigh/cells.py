@@ -14,7 +14,7 @@ from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
-from magmatch.registration.weigh.null_model import CellMeans, NullModel, UnrelatedField, average_cells
+from magmatch.registration.weigh.map_null_model import CellMeans, NullModel, UnrelatedField, average_cells
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
 

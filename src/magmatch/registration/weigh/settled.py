@@ -10,8 +10,8 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing
 from magmatch.registration.weigh.evidence import PoseEvidence
-from magmatch.registration.weigh.line_evidence import LineEvidence
 from magmatch.registration.weigh.map_covariance import map_covariance
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 
 def with_prior(pose: PoseEvidence, prior: PosePrior) -> PoseEvidence:

@@ -13,7 +13,7 @@ from magmatch.data.tables.text import text_blocks
 from magmatch.data.tables.text_rows import cells_of, delimiter_of, names_of, split_row
 from magmatch.data.tables.text_rows import numbers_of as numbers_in
 from magmatch.errors import ConfigurationError, DataFormatError
-from magmatch.slam.graph.ties import FixedPoints
+from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.trajectories import around
 from magmatch.slam.windows import Path
 from magmatch.typing import Vector3

@@ -9,8 +9,8 @@ from scipy.sparse import coo_array
 from scipy.spatial.transform import Rotation
 
 from magmatch.geometry import skew
+from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph, six
-from magmatch.slam.graph.ties import N_LASTING
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 # Least standard deviation of a lasting error, so that the equations can be solved where it is stated as 0.

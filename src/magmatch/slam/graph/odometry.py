@@ -10,8 +10,8 @@ from magmatch.data.survey import Survey
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import bend, lasting_errors
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.factors import Edges
 from magmatch.slam.graph.pose_graph import LEVEL_SD, SURE, PoseGraph
-from magmatch.slam.graph.ties import Edges
 from magmatch.slam.windows import Path
 from magmatch.typing import Covariance6, Matrix, Vector3
 

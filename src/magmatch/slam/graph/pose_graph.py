@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints
 from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
-from magmatch.slam.graph.ties import N_LASTING, Closure, Edges, FixedPoints
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not

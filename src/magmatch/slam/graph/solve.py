@@ -11,9 +11,9 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
+from magmatch.slam.graph.factors import MOST_ODDS, N_LASTING
 from magmatch.slam.graph.normal_equations import closure_rows, hold_scale, normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
-from magmatch.slam.graph.ties import MOST_ODDS, N_LASTING
 
 # Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
 MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3

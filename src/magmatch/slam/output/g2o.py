@@ -9,9 +9,9 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
 from magmatch.registration.to_other_programs import g2o_edge, g2o_vertex
+from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.normal_equations import counted
 from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
-from magmatch.slam.graph.ties import FixedPoints
 
 
 def write_graph(graph: PoseGraph, path: str | Path) -> None:

@@ -18,8 +18,8 @@ from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.slam.bases import BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import odometry_graph
-from magmatch.slam.graph.ties import Closure
 from magmatch.slam.places import Places
 from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.session import Session

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.field.cholesky.cells import count_active_cells
-from magmatch.preparation.calibration import calibrate, sizes_of, switches_of
+from magmatch.preparation.calibrate_on_map import calibrate, sizes_of, switches_of
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.time_offset import coarse_settings, search_time_offset

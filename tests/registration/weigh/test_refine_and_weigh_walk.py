@@ -15,8 +15,8 @@ from magmatch.geometry import random_transform
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.weigh import line_evidence
-from magmatch.registration.weigh.line_evidence import LineConfig, weigh_walk
+from magmatch.registration.weigh import refine_and_weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, weigh_walk
 from magmatch.registration.weigh.walk_null_model import LENGTHSCALES, STRENGTHS, UnrelatedWalk
 
 LENGTH, SD = 0.8, 0.1e-6
@@ -199,7 +199,7 @@ def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk,
     disturbed = replace(walk, field=field)
     strained, undisturbed = weighed(base, disturbed), weighed(base, walk)
     with monkeypatch.context() as nothing_may_be_disturbed:
-        nothing_may_be_disturbed.setattr(line_evidence, "OUTLIER_SHARE", 0.0)
+        nothing_may_be_disturbed.setattr(refine_and_weigh_walk, "OUTLIER_SHARE", 0.0)
         kept, plain = weighed(base, disturbed), weighed(base, walk)
     assert strained.log_evidence > kept.log_evidence + 10
     assert strained.misfit < 0.7 * kept.misfit
@@ -220,7 +220,7 @@ def test_a_piece_ten_times_as_disturbed_is_at_most_a_tenth_as_likely_for_each_co
         null = UnrelatedWalk.most_likely(disturbed, cdist(walk.positions, walk.positions), NOISE, LENGTH)
         found = weighed(base, disturbed, prior=held, config=LineConfig(price=0.0))
         likelihoods.append(found.log_evidence + null.log_likelihood(found.is_covered))
-    assert likelihoods[0] - likelihoods[1] > 3 * line_evidence.PIECE_BINS * np.log(10)
+    assert likelihoods[0] - likelihoods[1] > 3 * refine_and_weigh_walk.PIECE_BINS * np.log(10)
 
 
 def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import SurveyError
-from magmatch.preparation.ellipsoid import fit_ellipsoid
+from magmatch.preparation.calibrate_in_place import fit_ellipsoid
 from magmatch.simulation.corruption import draw_corruption
 
 EARTH = np.array([17.8e-6, 0, -44.6e-6])

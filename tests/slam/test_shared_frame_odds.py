@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closure import Match
-from magmatch.slam.shared_frame import log_odds_shared
+from magmatch.slam.shared_frame_odds import log_odds_shared
 from magmatch.slam.tie import Candidate
 
 HERE = RigidTransform.identity()
