@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled
-from magmatch.geometry import transform_of
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, move
 from magmatch.registration.decide.posterior import log_odds
@@ -38,7 +37,7 @@ class Weighed:
     @property
     def T_base_target(self) -> RigidTransform:
         """Model frame from the body's."""
-        return transform_of(self.one["R"][0], self.one["p"][0])
+        return RigidTransform.from_components(self.one["p"][0], Rotation.from_matrix(self.one["R"][0]))
 
     @property
     def center(self) -> Vector3:
