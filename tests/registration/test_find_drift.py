@@ -85,6 +85,23 @@ def test_of_an_answer_beside_a_change_drift_is_named_if_it_explains_the_residual
     assert refused.alternatives[0].T_base_target is found.T_base_target
 
 
+def test_of_an_answer_beside_a_change_one_half_that_fits_elsewhere_is_enough(base):
+    straight, other = made(3).target.subset(ROWS), made(8).target.subset(ROWS)
+    found, half = answered(base, straight), len(straight) // 2
+    # The first half is of another place.
+    parts = ((getattr(other, name)[:half], getattr(straight, name)[half:]) for name in ("positions", "field"))
+    walk = Survey(*map(np.concatenate, parts))
+    beside = replace(found, evidence=found.evidence | {"unchanged": 0.8, "effective": 10.0})
+    assert naming_drift(beside, base, walk, CONFIG) is beside
+    away = found.T_base_target * RigidTransform.from_rotation(Rotation.from_euler("z", 30, degrees=True))
+    refused = naming_drift(replace(beside, T_base_target=away), base, walk, CONFIG)
+    assert refused.status is Status.INCONSISTENT
+    assert "one half alone fits a pose" in refused.reason
+    # Of a refusal it says nothing: what the other half passed may have changed, or be of another place.
+    unsure = replace(beside, status=Status.AMBIGUOUS, T_base_target=None, alternatives=(Alternative(away, 0.5),))
+    assert naming_drift(unsure, base, walk, CONFIG) is unsure
+
+
 def turning(survey, degrees):
     """The same survey by dead reckoning whose heading drifts steadily, by so much in all."""
     walked = path_walked(survey.positions)

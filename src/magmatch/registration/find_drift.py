@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
+from magmatch.geometry import transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.posterior import effective_evidence, needed_evidence
@@ -26,9 +27,10 @@ def naming_drift(
 ) -> RegistrationResult:
     """A refusal whose reason names drift first, if the halves of a path have different poses.
 
-    Both halves must have the evidence that an answer needs, and together exceed the evidence of a single pose by as
-    much. The evidence of two poses includes two search penalties, so the excess shows that they differ. An answer
-    that is accepted only beside a change of the field is refused then: drift explains the residuals better.
+    Together the halves must exceed the evidence of a single pose by as much as an answer needs. The evidence of two
+    poses includes two search penalties, so the excess shows that they differ. An answer that is accepted only beside
+    a change of the field is refused then, also if one half alone is found, elsewhere: drift explains the residuals
+    better. Of a refusal drift is named if each half has the evidence of an answer.
     """
     is_explained = answer.is_accepted and answer.evidence.get("unchanged", 1.0) == 1.0
     if is_explained or DRIFTS in answer.reason or answer.best_pose is None or config.search not in ("auto", "pairs"):
@@ -47,15 +49,25 @@ def naming_drift(
         return weighed(half, [best, *found.poses])
 
     halves = [one for _, one in weigh_halves(walk, np.arange(len(walk)), searched)]
-    evidence = [effective_evidence(one.log_evidence, one.misfit) for one in halves]
+    evidence = np.array([effective_evidence(one.log_evidence, one.misfit) for one in halves])
     whole = [effective_evidence(one.log_evidence, one.misfit) for one in weighed(walk, [best])]
-    excess = sum(evidence) - max([0.0, *whole, answer.evidence.get("effective") or 0.0])
+    # A half without evidence for any pose counts as unrelated.
+    excess = evidence.clip(0).sum() - max([0.0, *whole, answer.evidence.get("effective") or 0.0])
     needed = needed_evidence(config.decision.min_probability, "walk", config.decision.prior_odds)
-    if len(halves) < 2 or min(evidence) < needed or excess < needed:
+    if len(halves) < 2 or excess < needed:
         return answer
-    between, middle = halves[0].T_base_target.inv() * halves[1].T_base_target, walk.positions[len(walk) // 2]
-    apart, turn = np.linalg.norm(between.apply(middle) - middle), np.degrees(between.rotation.magnitude())
-    words = f"{DRIFTS}: its halves fit poses {apart:.1f} m and {turn:.0f} deg apart where they meet; {REMEDY}"
+    if evidence.min() >= needed:
+        (first, second), meet = halves, walk.positions[len(walk) // 2]
+        apart, turn = transform_error(second.T_base_target, first.T_base_target, meet)
+        found = f"its halves fit poses {apart:.1f} m and {np.degrees(turn):.0f} deg apart where they meet"
+    else:
+        better = halves[int(evidence.argmax())]
+        apart, turn = transform_error(best, better.T_base_target, better.center)
+        max_apart, max_turn = config.decision.tolerance(pair.length)
+        if not answer.is_accepted or (apart <= max_apart and turn <= max_turn):
+            return answer
+        found = f"one half alone fits a pose {apart:.1f} m and {np.degrees(turn):.0f} deg from that of the whole"
+    words = f"{DRIFTS}: {found}; {REMEDY}"
     if not answer.is_accepted:
         return replace(answer, reason=f"{words}; as one rigid piece, {answer.reason}")
     probability = (answer.probability or 0.0) / (1 + np.exp(excess))
