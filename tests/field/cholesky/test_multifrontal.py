@@ -7,6 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magmatch.errors import ConfigurationError
+from magmatch.field.cholesky import multifrontal
+from magmatch.field.cholesky.buffer_pool import BufferPool
 from magmatch.field.cholesky.cells import lay_cells
 from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.cholesky.nested_dissection import order_elimination
@@ -46,6 +48,17 @@ def test_factor_solves_like_dense_cholesky(shape):
     scale = np.linalg.norm(dense, 2) * np.linalg.norm(solution)
     assert np.linalg.norm(dense @ solution - information.eta) < 1e-12 * scale
     assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
+
+
+def test_what_a_front_leaves_serves_others_once_its_parent_has_used_it(monkeypatch):
+    model, A, _ = system((3.0, 2.5, 0.0))
+    pool, taken = BufferPool(), []
+    monkeypatch.setattr(multifrontal, "BUFFER_POOL", pool)
+    take = pool.take
+    monkeypatch.setattr(pool, "take", lambda n, k, precision: taken.append(n * k * 8) or take(n, k, precision))
+    factor = factorise(model.elimination, A)
+    assert np.isfinite(factor.log_determinant)  # the factor holds its own memory
+    assert pool.n_idle_bytes < 0.5 * sum(taken)
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)

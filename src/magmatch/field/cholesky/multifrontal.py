@@ -90,7 +90,7 @@ def factorise(
     """Factorise a positive definite matrix; `numpy.linalg.LinAlgError` names the pivot of one that is not."""
     pivots, below, blocks = _blocks(elimination, precision)
     root = len(elimination.fronts) - 1
-    updates = [blocks[0][:0]] * len(elimination.fronts)
+    updates = [_NO_SINGLES] * len(elimination.fronts)
 
     def eliminate(fronts: range) -> None:
         row_at = np.full(len(elimination.node_index), -1, dtype=np.int32)
@@ -135,8 +135,8 @@ def _eliminate(
             *in_precision(updates[child]), rows, n, n_below, *in_precision(block), *in_precision(update), is_leaf,
             np.empty(len(rows) + 1, dtype=np.int64),
         )  # fmt: skip
-        # Its memory serves the next front.
-        updates[child], is_leaf = updates[child][:0], False
+        # Its memory serves the next front; an empty view of it would hold it.
+        updates[child], is_leaf = _NO_SINGLES, False
     failed = 0
     if n:
         info = np.zeros(1, np.int32)
