@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from functools import partial, wraps
+from functools import partial
 from threading import Lock, Semaphore
 from typing import ParamSpec, TypeVar, cast
 
@@ -57,18 +57,9 @@ def _take_quick_turns() -> Callable[[], None]:
 
 # To set the limit takes a millisecond or two; tasks within tasks do not set it again.
 one_blas_thread = WhileAnyone(lambda: threadpool_limits(limits=1).restore_original_limits)
+# Decorates a task that runs with one BLAS thread, whatever the environment says.
+single_threaded = one_blas_thread()
 quick_turns = WhileAnyone(_take_quick_turns)
-
-
-def single_threaded(task: Callable[P, T]) -> Callable[P, T]:
-    """Run a task with one BLAS thread, whatever the environment says."""
-
-    @wraps(task)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        with one_blas_thread():
-            return task(*args, **kwargs)
-
-    return limited
 
 
 def on_one_core(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
