@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from magmatch.geometry import random_transform, transform_points
-from magmatch.grid import RegularGrid
+from magmatch.grid import RegularGrid, distinct_cells
 
 
 def test_grid_covers_the_points_and_keeps_its_spacing():
@@ -18,11 +17,10 @@ def test_grid_covers_the_points_and_keeps_its_spacing():
     assert p.shape == (grid.n_points, 3)
 
 
-def test_grid_turns_with_its_map():
-    rng = np.random.default_rng(1)
-    T = random_transform(rng)
-    grid = RegularGrid.over(rng.uniform(size=(20, 3)), 0.2)
-    np.testing.assert_allclose(grid.transformed(T).points(), transform_points(grid.points(), T), atol=1e-12)
+@pytest.mark.parametrize("extent", [3, 2**40])
+def test_distinct_cells_are_those_that_numpy_finds(extent):
+    cells = np.repeat(np.random.default_rng(1).integers(-extent, extent, (40, 3)), 2, axis=0)
+    np.testing.assert_array_equal(distinct_cells(cells), np.unique(cells, axis=0))
 
 
 def test_nearest_point_is_found_and_outside_is_said():

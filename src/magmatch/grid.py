@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A regular grid of points with its pose in a map."""
+"""A regular grid of points with its pose in a map; grids of points and cells in general."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,22 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.arguments import number_of, points_of
 from magmatch.geometry import transform_points
 from magmatch.typing import Indices, Mask, Points, Scalars
+
+
+def spanned_points(axes: Sequence[np.ndarray]) -> np.ndarray:
+    """All points of the grid that three axes span, (n, 3), in C order (last axis fastest)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def distinct_cells(cells: np.ndarray) -> np.ndarray:
+    """Distinct rows of whole numbers (n, 3), ascending; sorted as single numbers where these fit: much faster."""
+    low = cells.min(axis=0)
+    sizes = [int(size) for size in cells.max(axis=0) - low + 1]
+    if sizes[0] * sizes[1] * sizes[2] >= 2**62:
+        return np.asarray(np.unique(cells, axis=0))
+    flat = np.unique(np.ravel_multi_index(tuple((cells - low).T), tuple(sizes)))
+    rows: np.ndarray = np.stack(np.unravel_index(flat, tuple(sizes)), axis=1) + low
+    return rows
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,26 +60,11 @@ class RegularGrid:
 
     def local_points(self) -> Points:
         """All points in the grid's own frame: (n_points, 3), m."""
-        return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return spanned_points(self.axes)
 
     def points(self) -> Points:
         """All points in the map's frame: (n_points, 3), m."""
         return transform_points(self.local_points(), self.T_map_grid)
-
-    def transformed(self, T_new_map: RigidTransform) -> "RegularGrid":
-        """Return the same grid carried along with its map.
-
-        Parameters
-        ----------
-        T_new_map : RigidTransform
-            Takes map coordinates to the new frame.
-
-        Returns
-        -------
-        RegularGrid
-            Same points, expressed in the new frame.
-        """
-        return RegularGrid(T_new_map * self.T_map_grid, self.spacing, self.shape)
 
     def nearest(self, p_map: Points) -> tuple[Indices, Mask]:
         """Index of the nearest grid point, and whether a point lies within half a spacing of the grid.

@@ -12,6 +12,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Axes, Index, Posterior
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
+from magmatch.grid import spanned_points
 from magmatch.typing import Mask, Points, Scalars
 
 # So far from any sample that every prior is back to itself, m.
@@ -50,8 +51,7 @@ class Box:
         """Points no farther apart than a step that fill the box, in the model's frame."""
         n_steps = np.ceil((self.high - self.low) / step).astype(np.int64)
         axes = [np.linspace(a, b, n + 1) for a, b, n in zip(self.low, self.high, n_steps, strict=True)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        return transform_points(points, self.T_box_model.inv())
+        return transform_points(spanned_points(axes), self.T_box_model.inv())
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,7 +82,7 @@ class BoundedPosterior:
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
         """See `Posterior.evaluate_on_grid`; point by point where the grid leaves the box."""
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        points = spanned_points(axes)
         if self.box.contains(points).all():
             return self.inner.evaluate_on_grid(axes, order)
         return self.evaluate(points, order)

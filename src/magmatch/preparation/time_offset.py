@@ -54,8 +54,7 @@ def coarse_settings(points: Points) -> Hyperparameters:
     extent = float(np.ptp(points, axis=0).max())
     spacing = extent / 2
     while spacing > FINEST_SHARE * extent:
-        n_active, _ = count_active_cells(points, spacing / 1.25, REACH)
-        if not 0 <= n_active <= MOST_CELLS:
+        if count_active_cells(points, spacing / 1.25, REACH) > MOST_CELLS:
             break
         spacing /= 1.25
     return Hyperparameters(LENGTHSCALE_IN_SPACINGS * spacing, SIGNAL_SD, NOISE_SD, spacing, STIFFNESS, reach=REACH)

@@ -36,7 +36,8 @@ def test_cells_are_those_within_reach_and_nodes_those_that_touch_them(seed, reac
     found, (expected, away, n_box) = lay_cells(x, SPACING, reach), defined(x, reach)
     np.testing.assert_array_equal(found.cells + found.first, expected)
     np.testing.assert_allclose(found.distance, away, rtol=1e-6)
-    assert count_active_cells(x, SPACING, reach) == (len(expected), n_box)
+    assert count_active_cells(x, SPACING, reach, n_box) == len(expected)
+    assert count_active_cells(x, SPACING, reach, n_box - 1) == np.inf
     nodes = np.unique((found.cells[:, None] + LOCAL).reshape(-1, 3), axis=0)
     np.testing.assert_array_equal(found.nodes, nodes)
     np.testing.assert_array_equal(found.nodes[found.cell_nodes], found.cells[:, None] + LOCAL)

@@ -7,6 +7,7 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.errors import ConfigurationError
+from magmatch.grid import spanned_points
 from magmatch.typing import Points, Scalars
 
 # Memory: about 4 kB per active cell for the matrices, as much again for the factor; 8 bytes per cell of the box.
@@ -18,9 +19,10 @@ STENCIL_REACH = 3
 FULL_STENCIL = (2 * STENCIL_REACH + 1) ** 3
 HALF_STENCIL = (FULL_STENCIL + 1) // 2
 
-_LOCAL = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+# Nodes of a cell, from its first one.
+LOCAL_NODES = spanned_points([np.arange(4)] * 3)
 # [a, b], a <= b: place in the half stencil of the offset from the cell's node a to its node b.
-HALF_OFFSET = ((_LOCAL[None] - _LOCAL[:, None]) @ np.array([49, 7, 1])).astype(np.int64)
+HALF_OFFSET = ((LOCAL_NODES[None] - LOCAL_NODES[:, None]) @ np.array([49, 7, 1])).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -68,8 +70,7 @@ class CellGrid:
         """Distance in the flattened ``node_index`` to each of the 343 neighbours."""
         _, ny, nz = self.node_index.shape
         d = np.arange(-STENCIL_REACH, STENCIL_REACH + 1)
-        x, y, z = np.meshgrid(d, d, d, indexing="ij")
-        return np.asarray(((x * ny + y) * nz + z).ravel(), dtype=np.int64)
+        return np.asarray(spanned_points([d] * 3) @ np.array([ny * nz, nz, 1]), dtype=np.int64)
 
     def flat_nodes(self) -> np.ndarray:
         """Where each node lies in the flattened ``node_index``."""
@@ -91,15 +92,12 @@ def _locate(u, cell_index, cell, t, ijk):  # type: ignore[no-untyped-def]
         cell[n] = cell_index[ijk[0], ijk[1], ijk[2]] if is_inside else -1
 
 
-def count_active_cells(
-    points: Points, spacing: float, reach: float, most_in_box: float = MAX_BOX_CELLS
-) -> tuple[int, float]:
-    """How many cells `lay_cells` would activate (-1: the box is too large to look at), and how many the box holds."""
+def count_active_cells(points: Points, spacing: float, reach: float, most_in_box: float = MAX_BOX_CELLS) -> float:
+    """How many cells `lay_cells` would activate; infinite where their box holds more than are worth looking at."""
     _, occupied, shape = _occupied(points, spacing, reach)
-    n_box = float(np.prod(shape))
-    if n_box > min(most_in_box, MAX_BOX_CELLS):
-        return -1, n_box
-    return int(np.isfinite(_distances(occupied, shape, reach)).sum()), n_box
+    if np.prod(shape) > most_in_box:
+        return np.inf
+    return float(np.isfinite(_distances(occupied, shape, reach)).sum())
 
 
 def lattice_coordinate(x: np.ndarray, spacing: float) -> np.ndarray:
@@ -136,7 +134,7 @@ def lay_cells(
     nodes = np.argwhere(is_node)
     node_index[is_node] = np.arange(len(nodes), dtype=np.int32)
     _, n_y, n_z = node_index.shape
-    corner, offset = ((p @ np.array([n_y * n_z, n_z, 1])) for p in (cells + STENCIL_REACH, _LOCAL))
+    corner, offset = ((p @ np.array([n_y * n_z, n_z, 1])) for p in (cells + STENCIL_REACH, LOCAL_NODES))
     cell_nodes = node_index.ravel()[corner[:, None] + offset]
     return CellGrid(
         first=first,
@@ -194,5 +192,5 @@ def ball_offsets(radius: float) -> np.ndarray:
     """Offsets (n, 3) of the cells whose centres lie within a radius (in cells)."""
     r = int(np.floor(radius))
     axis = np.arange(-r, r + 1)
-    offsets = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    offsets = spanned_points([axis] * 3)
     return np.asarray(offsets[(offsets**2).sum(axis=1) <= radius**2 + 1e-9])

@@ -6,6 +6,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from magmatch.field.equivalent_sources.shell import SourceShell
 from magmatch.field.folds import cube_numbers, has_path_order
+from magmatch.grid import spanned_points
 from magmatch.typing import Indices, Mask, Points
 
 # Least distance of charges from samples: in median distances of neighbours, beyond which chance leaves few holes, and
@@ -47,7 +48,7 @@ def _lattice(points: Points, step: float) -> Points:
     if np.any(counts < 1) or np.prod(counts.astype(np.float64)) > _MOST_NODES:
         return np.zeros((0, 3))
     axes = [(a + b - (n - 1) * step) / 2 + step * np.arange(n) for a, b, n in zip(start, end, counts, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return spanned_points(axes)
 
 
 def _in_hull(nodes: Points, points: Points) -> Mask:

@@ -18,6 +18,7 @@ from magmatch.field.inducing.kernels import N_ROWS
 from magmatch.field.linear_model import Axes
 from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX
 from magmatch.field.values import FieldValues
+from magmatch.grid import spanned_points
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
 log = logging.getLogger(__name__)
@@ -96,8 +97,7 @@ class SourceShell:
 
     def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
         """Field and derivatives on the grid spanned by three axes, in C order."""
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        return self.evaluate(points, weights, order, constant)
+        return self.evaluate(spanned_points(axes), weights, order, constant)
 
 
 def lay_shell(region: Points, distance: float, spacing: float, max_sources: int) -> SourceShell:

@@ -5,7 +5,7 @@ Every derivative of a Gaussian is a product of one function per axis, so on a re
 derivatives are three small matrix products, and at scattered points one matrix product and two short sums.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from magmatch.field.inducing.kernels import (
 )
 from magmatch.field.linear_model import Axes
 from magmatch.field.values import FieldValues
+from magmatch.grid import spanned_points
 from magmatch.typing import Mask, Matrix, Points, Vector3
 
 # Largest temporary array, in numbers: 64 MiB.
@@ -60,41 +61,32 @@ class GaussianGrid:
         """Prior covariance of what the weights stand for: the field at the nodes, or the potential over l."""
         if self.n_components == 3:
             return self.design(self.grid.nodes)
-        nodes = self.grid.nodes
-        x, y, z = self._tables((nodes[:, 0], nodes[:, 1], nodes[:, 2]), 0)
-        i, j, k = self.grid.levels()[1]
-        return np.asarray(x[0][:, i] * y[0][:, j] * z[0][:, k])
+        return self._products(self.grid.nodes, 0)((0, 0, 0))
 
     def design(self, points: Points, order: int = 0) -> Matrix:
         """Field and derivatives at points per unit of each weight."""
-        x, y, z = self._tables((points[:, 0], points[:, 1], points[:, 2]), order)
-        i, j, k = self.grid.levels()[1]
-
-        def product_of(alpha: Alpha) -> Matrix:
-            return np.asarray(x[alpha[0]][:, i] * y[alpha[1]][:, j] * z[alpha[2]][:, k])
-
-        stacked = stack_products(product_of, self.terms, order, self.lengthscale, (len(points), len(self.grid)))
+        product_of, shape = self._products(points, order), (len(points), len(self.grid))
+        stacked = stack_products(product_of, self.terms, order, self.lengthscale, shape)
         return stacked.reshape(N_ROWS[order] * len(points), self.n_weights)
 
     def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
         """Field and derivatives at scattered points."""
         out = np.zeros((N_ROWS[order], len(points)))
         if self._is_box_too_empty():
-            for rows in _chunks(len(points), N_ROWS[order] * self.n_weights):
+            for rows in chunks(len(points), N_ROWS[order] * self.n_weights):
                 part = self.design(points[rows], order) @ weights
                 out[:, rows] = part.reshape(N_ROWS[order], -1)
         else:
             box = self._scattered(weights)
             n_lines = self.n_components * (highest_derivative(self.terms, order) + 1) * box.shape[2] * box.shape[3]
-            for rows in _chunks(len(points), n_lines):
+            for rows in chunks(len(points), n_lines):
                 self._sum_at_points(points[rows], box, order, out[:, rows])
         return _as_values(out, order, constant)
 
     def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
         """Field and derivatives on the grid spanned by three axes, in C order."""
         if self._is_box_too_empty():
-            points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-            return self.evaluate(points, weights, order, constant)
+            return self.evaluate(spanned_points(axes), weights, order, constant)
         x, y, z = self._tables(axes, order)
         box = self._scattered(weights)
         plan, n = derivative_plan(self.terms, order), self.n_components
@@ -108,13 +100,19 @@ class GaussianGrid:
                 out[target.row] += (target.factor / self.lengthscale**target.n_derivatives) * summed[target.weight]
         return _as_values(out, order, constant)
 
+    def _products(self, points: Points, order: int) -> Callable[[Alpha], Matrix]:
+        """Gives the derivatives of the Gaussians of all nodes at points: (n, m)."""
+        x, y, z = self._tables((points[:, 0], points[:, 1], points[:, 2]), order)
+        i, j, k = self.grid.levels()[1]
+        return lambda alpha: np.asarray(x[alpha[0]][:, i] * y[alpha[1]][:, j] * z[alpha[2]][:, k])
+
     def _tables(self, coordinates: Axes, order: int) -> list[np.ndarray]:
         """Hermite functions of coordinates against the nodes' coordinates, per axis: (highest + 1, q, n_axis)."""
         highest = highest_derivative(self.terms, order)
-        tables = []
-        for x, nodes in zip(coordinates, self.grid.levels()[0], strict=True):
-            tables.append(hermite_functions((x[:, None] - nodes) / self.lengthscale, highest))
-        return tables
+        return [
+            hermite_functions((x[:, None] - nodes) / self.lengthscale, highest)
+            for x, nodes in zip(coordinates, self.grid.levels()[0], strict=True)
+        ]
 
     def _is_box_too_empty(self) -> bool:
         """Whether summing over the nodes one by one is cheaper than over the box around them."""
@@ -135,21 +133,16 @@ class GaussianGrid:
         flat = np.ascontiguousarray(box.transpose(0, 2, 3, 1)).reshape(-1, nx)
         along_x = {a: (flat @ x[a].T).reshape(n, ny, nz, -1) for a in {alpha[0] for alpha, _ in plan}}
         yT, zT = (np.ascontiguousarray(t.transpose(0, 2, 1)) for t in (y, z))
-        along_xy = {a: _sum_along(along_x[a[0]], yT[a[1]]) for a in {alpha[:2] for alpha, _ in plan}}
+        along_xy = {a: np.einsum("bjkn,jn->bkn", along_x[a[0]], yT[a[1]]) for a in {alpha[:2] for alpha, _ in plan}}
         for alpha, targets in plan:
             summed = np.einsum("bkn,kn->bn", along_xy[alpha[:2]], zT[alpha[2]])
             for target in targets:
                 out[target.row] += (target.factor / self.lengthscale**target.n_derivatives) * summed[target.weight]
 
 
-def _sum_along(values: np.ndarray, table: Matrix) -> np.ndarray:
-    """Sum over the second axis: (components, ny, nz, n) with (ny, n) to (components, nz, n)."""
-    return np.asarray(np.einsum("bjkn,jn->bkn", values, table))
-
-
-def _chunks(n: int, numbers_per_row: int) -> Iterator[slice]:
-    """Ranges of rows whose temporary arrays stay bounded."""
-    step = max(1, _CHUNK_NUMBERS // max(1, numbers_per_row))
+def chunks(n: int, numbers_per_point: int) -> Iterator[slice]:
+    """Ranges of n points whose temporary arrays stay bounded."""
+    step = max(1, _CHUNK_NUMBERS // max(1, numbers_per_point))
     return (slice(start, min(start + step, n)) for start in range(0, n, step))
 
 

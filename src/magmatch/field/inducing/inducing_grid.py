@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from magmatch.grid import distinct_cells
 from magmatch.typing import Points, Vector3
 
 log = logging.getLogger(__name__)
@@ -92,7 +93,7 @@ def _centred_origin(points: Points, spacing: float) -> Vector3:
 
 def _occupied_cells(points: Points, origin: Vector3, spacing: float) -> np.ndarray:
     """Grid coordinates of the cells that hold samples."""
-    return _distinct(np.floor((points - origin) / spacing + 1e-9).astype(np.int64))
+    return distinct_cells(np.floor((points - origin) / spacing + 1e-9).astype(np.int64))
 
 
 def _dilated(cells: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -101,19 +102,8 @@ def _dilated(cells: np.ndarray, first: int, last: int) -> np.ndarray:
     for axis in range(3):
         offsets = np.zeros((len(steps), 3), dtype=np.int64)
         offsets[:, axis] = steps
-        cells = _distinct((cells[:, None] + offsets).reshape(-1, 3))
+        cells = distinct_cells((cells[:, None] + offsets).reshape(-1, 3))
     return cells
-
-
-def _distinct(cells: np.ndarray) -> np.ndarray:
-    """Distinct rows in ascending order; as single numbers where these do not overflow, which sorts much faster."""
-    low = cells.min(axis=0)
-    sizes = [int(size) for size in cells.max(axis=0) - low + 1]
-    if sizes[0] * sizes[1] * sizes[2] >= 2**62:
-        return np.asarray(np.unique(cells, axis=0))
-    flat = np.unique(np.ravel_multi_index(tuple((cells - low).T), tuple(sizes)))
-    rows: np.ndarray = np.stack(np.unravel_index(flat, tuple(sizes)), axis=1) + low
-    return rows
 
 
 def _ball(radius: float) -> float:

@@ -145,7 +145,7 @@ class LiveTiles:
 
     def _forget(self) -> None:
         """Drop fitted tiles that were asked for longest ago, as far as memory demands."""
-        n_bytes = [fit.posterior.n_bytes for fit in self._fits.values()]
+        n_bytes = [fit.posterior.factors.n_bytes for fit in self._fits.values()]
         while len(n_bytes) > LEAST_FITTED and sum(n_bytes) > FITTED_BYTES:
             self._fits.popitem(last=False)
             n_bytes.pop(0)
@@ -167,8 +167,7 @@ class LiveTiles:
 
     def _block(self, index: Index) -> Block:
         if index not in self.blocks:
-            core = self.tiling.core
-            self.blocks[index] = Block(np.array(index) * core - core // 2, core)
+            self.blocks[index] = Block(self.tiling.first_cell(index), self.tiling.core)
         return self.blocks[index]
 
     def _add_tiles(self, points: Points) -> None:

@@ -16,7 +16,7 @@ from math import factorial
 import numpy as np
 import scipy.linalg
 
-from magmatch.field.cholesky.cells import ball_offsets
+from magmatch.field.cholesky.cells import LOCAL_NODES, ball_offsets
 from magmatch.field.spline.spline_basis import (
     CUBIC_COEFFICIENTS,
     SPLINES_PER_CELL,
@@ -95,10 +95,8 @@ def lone_cell_covariance(relative_lengthscale: float, divergence_weight: float, 
     offsets = ball_offsets(reach)
     cells = offsets - offsets.min(axis=0)
     width = cells.max(axis=0) + 4
-    local = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    nodes, flat = np.unique(
-        np.ravel_multi_index(tuple((cells[:, None] + local).reshape(-1, 3).T), tuple(width)), return_inverse=True
-    )
+    touched = (cells[:, None] + LOCAL_NODES).reshape(-1, 3)
+    nodes, flat = np.unique(np.ravel_multi_index(tuple(touched.T), tuple(width)), return_inverse=True)
     flat = flat.reshape(-1, SPLINES_PER_CELL)
     Q = np.zeros((len(nodes), len(nodes)))
     E = prior_element(relative_lengthscale, divergence_weight)

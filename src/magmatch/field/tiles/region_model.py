@@ -49,8 +49,7 @@ class WholeModel(SplineModel):
 def lay_splines(points: Points, hyperparameters: Hyperparameters) -> WholeModel | TiledModel:
     """Model of the surroundings of points."""
     spacing = hyperparameters.spacing
-    n_active, n_box = count_active_cells(points, spacing, hyperparameters.reach, MOST_BOX_CELLS)
-    if n_box <= MOST_BOX_CELLS and n_active <= MOST_CELLS:
+    if count_active_cells(points, spacing, hyperparameters.reach, MOST_BOX_CELLS) <= MOST_CELLS:
         cells = lay_cells(points, spacing, hyperparameters.reach)
         elimination = order_elimination(cells)
         if elimination.n_operations <= MOST_OPERATIONS:

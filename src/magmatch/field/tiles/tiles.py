@@ -15,6 +15,7 @@ import numpy as np
 from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky.cells import lattice_coordinate
 from magmatch.field.linear_model import Index
+from magmatch.grid import distinct_cells
 from magmatch.typing import Indices, Points, Scalars
 
 # Side of a core, cells: the cost per core is least at about four margins, and a factor stays below 0.2 GB.
@@ -35,8 +36,8 @@ class Tiling:
     spacing: float  # m: side of a cell
     margin: int  # cells: how far a tile's samples reach beyond its core
     reach: int  # cells: how far a sample activates cells around its own
-    core: int = CORE  # cells: side of a core; half the width over which tiles blend
-    blend: int = BLEND  # cells
+    core: int = CORE  # cells: side of a core
+    blend: int = BLEND  # cells: half the width over which tiles blend
 
     @classmethod
     def suited_to(cls, lengthscale: float, spacing: float, reach: float) -> "Tiling":
@@ -44,19 +45,24 @@ class Tiling:
         wished = round(FIXED_MARGIN + MARGIN_IN_LENGTHSCALES * min(lengthscale / spacing, MOST_MARGIN * 2))
         return cls(spacing, int(np.clip(wished, LEAST_MARGIN, MOST_MARGIN)), int(np.floor(reach)))
 
+    def first_cell(self, index: Index) -> np.ndarray:
+        """First cell of a tile's core."""
+        return np.asarray(np.array(index) * self.core - self.core // 2)
+
     def box(self, index: Index) -> tuple[np.ndarray, np.ndarray]:
         """First and one past the last cell of a tile, margin included."""
-        low = self._first_cell(np.asarray(index)) - self.margin
+        low = self.first_cell(index) - self.margin
         return low, low + self.core + 2 * self.margin
 
     def occupied(self, points: Points) -> list[Index]:
         """Tiles whose answer (blend included) samples at points inform, in order."""
-        cells = _distinct(self._cells(points))
+        cells = distinct_cells(self._cells(points))
         if np.ptp(cells, axis=0).max() > MOST_CELLS_ALONG:
             extent = np.ptp(points, axis=0).max()
             msg = f"the region ({extent:.3g} m) is too large for a spacing of {self.spacing:.3g} m; widen the spacing"
             raise ConfigurationError(msg)
-        found = _distinct(np.concatenate([tile for _, tile in self._tiles_around(cells, self.blend + self.reach)]))
+        around = self._tiles_around(cells, self.blend + self.reach)
+        found = distinct_cells(np.concatenate([tile for _, tile in around]))
         if len(found) > MOST_TILES:
             msg = (
                 f"the region is too large for a spacing of {self.spacing:.3g} m: it takes {len(found):,} tiles, at "
@@ -105,9 +111,6 @@ class Tiling:
         """Position in cells, counted from the first cell of tile 0."""
         return lattice_coordinate(np.asarray(points), self.spacing) + self.core // 2
 
-    def _first_cell(self, index: np.ndarray) -> np.ndarray:
-        return np.asarray(index * self.core - self.core // 2)
-
     def _cells(self, points: Points) -> np.ndarray:
         return np.asarray(np.floor(lattice_coordinate(points, self.spacing)).astype(np.int64))
 
@@ -153,14 +156,6 @@ def _between(first: np.ndarray, last: np.ndarray) -> Iterator[tuple[Indices, np.
         index = first + np.array(step)
         row = np.flatnonzero(np.all(index <= last, axis=1))
         yield row, index[row]
-
-
-def _distinct(rows: np.ndarray) -> np.ndarray:
-    """Rows without repetition, ascending."""
-    rows = rows[np.lexsort(rows.T[::-1])]
-    is_new = np.ones(len(rows), dtype=bool)
-    is_new[1:] = np.any(rows[1:] != rows[:-1], axis=1)
-    return np.asarray(rows[is_new])
 
 
 def smooth_step(t: np.ndarray) -> list[np.ndarray]:
