@@ -91,8 +91,8 @@ def test_factor_and_inverse_have_the_same_bits_on_one_core_and_on_several():
     several = model.infer(information)
     one = on_one_core(model.infer, information)
     assert np.array_equal(several.weights, one.weights)
-    inverse = on_one_core(selected_inverse, one.factor)
-    assert np.array_equal(selected_inverse(several.factor).stencil, inverse.stencil)
+    inverse = on_one_core(selected_inverse, one.factors.full)
+    assert np.array_equal(selected_inverse(several.factors.full).stencil, inverse.stencil)
 
 
 def test_threads_take_turns_as_before_once_all_parts_are_done(monkeypatch):

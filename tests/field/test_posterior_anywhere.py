@@ -84,11 +84,6 @@ def test_grid_is_the_dense_sum(posterior):
             np.testing.assert_allclose(grid, dense, atol=1e-9 * np.abs(dense).max())
 
 
-def test_covariance_of_other_orders_is_refused(posterior):
-    with pytest.raises(ValueError, match="order 0"):
-        posterior.covariance(queries(), 2)
-
-
 @pytest.mark.parametrize("prior", sorted(PRIORS))
 @pytest.mark.parametrize("box", [None, (0.0, 0.0, 0.0, 1.2, 1.2, 0.5)])
 def test_covariances_turn_with_the_map(prior, box):

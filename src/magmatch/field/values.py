@@ -64,13 +64,6 @@ def gradient_of(values: FieldValues) -> Tensors:
     return values.gradient
 
 
-def check_covariance_order(order: int) -> None:
-    """Refuse the covariance of second derivatives, which no posterior gives."""
-    if order not in (0, 1):
-        msg = f"expected the covariance of order 0 (field) or 1 (and gradient), got {order}"
-        raise ValueError(msg)
-
-
 def gradient_norm(gradient: Tensors) -> Scalars:
     """Frobenius norm of gradient tensors, T/m: (n,)."""
     norm: Scalars = np.sqrt(np.einsum("nij,nij->n", gradient, gradient))

@@ -197,8 +197,6 @@ def test_covariance_of_the_field_is_part_of_that_with_gradients(posterior):
     np.testing.assert_allclose(
         posterior.covariance(queries(), 1)[:, :3, :3], posterior.covariance(queries()), atol=1e-9 * H.signal_sd**2
     )
-    with pytest.raises(ValueError, match="covariance of order 0"):
-        posterior.covariance(queries(), 2)
 
 
 def test_draws_scatter_as_the_posterior_says(posterior):

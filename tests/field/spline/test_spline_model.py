@@ -250,8 +250,6 @@ def test_unknown_orders_are_refused(fitted, order):
     _, posterior, x, _ = fitted
     with pytest.raises(ValueError, match="order"):
         posterior.evaluate(x[:1], order)
-    with pytest.raises(ValueError, match="order"):
-        posterior.covariance(x[:1], order)
 
 
 def test_a_survey_of_few_samples_leaves_no_gaps_and_costs_no_more_than_one_of_many():

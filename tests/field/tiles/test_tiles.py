@@ -240,11 +240,6 @@ def test_weights_of_another_fit_are_refused(fitted):
         replace(posterior, tile_weights=[np.zeros(5)] * len(posterior.tiles)).evaluate(x)
 
 
-def test_unknown_orders_are_refused(fitted):
-    with pytest.raises(ValueError, match="order"):
-        fitted[1].covariance(inside(1), 2)
-
-
 def test_large_regions_are_tiled_and_small_ones_not():
     rng = np.random.default_rng(0)
     small = rng.uniform(0, [4, 4, 0.1], (200, 3))
@@ -269,7 +264,7 @@ def test_region_of_countless_tiles_is_refused_in_one_line(monkeypatch):
 @one_blas_thread()
 def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, monkeypatch):
     model, posterior, x, b = fitted
-    few_bytes = 4.5 * max(posterior.factored(k).factor.n_bytes for k in range(len(model.tiles)))
+    few_bytes = 4.5 * max(posterior.factored(k).factors.full.n_bytes for k in range(len(model.tiles)))
     monkeypatch.setattr("magmatch.field.tiles.tiled_model.FACTORED_BYTES", few_bytes)
     elsewhere = model.fit(x, b, {}, lambda fit, tasks: [fit(task) for task in tasks])
     frugal, q = model.infer(model.observe(x, b)), inside(40)
@@ -285,8 +280,8 @@ def test_no_more_factors_stay_than_there_is_room_for():
     posterior = model.infer(model.observe(*walk()))
     tile = posterior.factored(0)
     one = 3 * tile.factors.light.n_bytes
-    assert tile.factor.n_bytes == 2 * tile.factors.light.n_bytes
-    assert tile.n_bytes == one
+    assert tile.factors.full.n_bytes == 2 * tile.factors.light.n_bytes
+    assert tile.factors.n_bytes == one
     kept, made = TileCache(5 * one), []
     for k in range(4):
         kept.offer(k, posterior.factored(0))

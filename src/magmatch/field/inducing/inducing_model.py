@@ -7,7 +7,7 @@ prior is N(0, I), so that neither the unit of the field nor the condition of ``K
 posterior.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,13 +16,12 @@ from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.inducing.gaussian_grid import chunks
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
 from magmatch.field.linear_model import Axes, Index, Runner, StoredTile
-from magmatch.field.values import FieldValues, check_covariance_order
+from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
 
-# Rows times weights of one block of the design matrix, in numbers: 64 MiB.
-_BLOCK_NUMBERS = 2**23
 # Stands for a constant field that is held at zero, T.
 _NO_CONSTANT_SD = 1e-30
 
@@ -111,7 +110,7 @@ class InducingModel:
         """Information in samples."""
         m, b = len(self.factor), np.asarray(field, dtype=np.float64) / self.hyperparameters.noise_sd
         gram, eta = np.zeros((m, m), order="F"), np.zeros(m)
-        for rows in _blocks(len(points), 3 * m):
+        for rows in chunks(len(points), 3 * m):
             A = self.features(points[rows], 0)
             gram = blas.dsyrk(1.0, A, beta=1.0, c=gram, lower=1, overwrite_c=1)
             eta += A @ b[rows].T.ravel()
@@ -183,7 +182,7 @@ class InducingPosterior:
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points, by default of the posterior mean."""
         w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
-        return self.model.basis.evaluate(np.asarray(points, dtype=np.float64), w[:-3], order, w[-3:])
+        return self.model.basis.evaluate(points, w[:-3], order, w[-3:])
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
         """Field and derivatives on the grid spanned by three axes, one axis after the other."""
@@ -191,15 +190,13 @@ class InducingPosterior:
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's far from the samples (DTC)."""
-        check_covariance_order(order)
-        points = np.asarray(points, dtype=np.float64)
         k = N_ROWS[order]
         h = self.hyperparameters
         prior = (h.prior_scale * h.signal_sd) ** 2 * self.model.kernel.at_one_point(order)
         prior[:3, :3] += self.model.constant_sd**2 * np.eye(3)
         out = np.empty((len(points), k, k))
         is_whole = self.model.basis.is_whole(points)
-        for rows in _blocks(len(points), k * len(self.factor)):
+        for rows in chunks(len(points), k * len(self.factor)):
             A = self.model.features(points[rows], order)
             beside = prior - h.noise_sd**2 * _squares(A, k)
             beside[is_whole[rows]] = 0.0
@@ -211,7 +208,7 @@ class InducingPosterior:
 
     def influence(self, points: Points) -> np.ndarray:
         """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``."""
-        features = self.model.features(np.asarray(points, dtype=np.float64), 0)
+        features = self.model.features(points, 0)
         half = blas.dtrsm(1.0, self.factor, features, lower=1, overwrite_b=1)
         n = len(points)
         # From rows a n + i, component by component, to rows 3 i + a.
@@ -230,18 +227,12 @@ class InducingPosterior:
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies near a sample of the region the model was laid over."""
-        p, model = np.asarray(points, dtype=np.float64), self.model
-        distance, _ = model.samples.query(p, distance_upper_bound=model.known_reach)
+        model = self.model
+        distance, _ = model.samples.query(points, distance_upper_bound=model.known_reach)
         is_known = np.isfinite(distance)
         if model.sources is not None:
-            is_known &= model.sources.query(p, distance_upper_bound=model.known_reach)[0] > distance
+            is_known &= model.sources.query(points, distance_upper_bound=model.known_reach)[0] > distance
         return np.asarray(is_known)
-
-
-def _blocks(n: int, numbers_per_point: int) -> Iterator[slice]:
-    """Ranges of points whose design matrices stay bounded."""
-    step = max(1, _BLOCK_NUMBERS // numbers_per_point)
-    return (slice(start, min(start + step, n)) for start in range(0, n, step))
 
 
 def _squares(A: Matrix, k: int) -> np.ndarray:

@@ -14,7 +14,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from magmatch.field.values import check_covariance_order
 from magmatch.typing import Matrix, Points
 
 # How often each axis is differentiated.
@@ -49,15 +48,12 @@ def _alpha(axes: tuple[int, ...]) -> Alpha:
     return axes.count(0), axes.count(1), axes.count(2)
 
 
-def divergence_free_terms() -> tuple[Term, ...]:
-    """Terms of ``l^2/2 (grad grad^T - I lap)``: the operator of the kernel, scaled to unit variance."""
-    mixed = [Term(a, b, _alpha((a, b)), 0.5) for a, b in product(range(3), repeat=2) if a != b]
+# ``l^2/2 (grad grad^T - I lap)``: the divergence-free operator, scaled to unit variance.
+DIVERGENCE_FREE = (
+    *(Term(a, b, _alpha((a, b)), 0.5) for a, b in product(range(3), repeat=2) if a != b),
     # On the diagonal d_a d_a - lap leaves minus the other two second derivatives.
-    pure = [Term(a, a, _alpha((k, k)), -0.5) for a, k in product(range(3), repeat=2) if a != k]
-    return (*mixed, *pure)
-
-
-DIVERGENCE_FREE = divergence_free_terms()
+    *(Term(a, a, _alpha((k, k)), -0.5) for a, k in product(range(3), repeat=2) if a != k),
+)
 # ``-l^2 grad grad^T``: covariance of the gradient of a Gaussian potential, scaled to unit variance.
 CURL_FREE = tuple(Term(a, b, _alpha((a, b)), -1.0) for a, b in product(range(3), repeat=2))
 # ``-l grad``: the field of a potential that is itself the weights' Gaussian, one weight per node.
@@ -151,7 +147,6 @@ class Kernel:
 
     def at_one_point(self, order: int = 0) -> Matrix:
         """Prior covariance of field (order 0: (3, 3)) or field and gradient (order 1: (12, 12)) at one point."""
-        check_covariance_order(order)
         origin = np.zeros((1, 3))
         rows = self.covariance(origin, origin, 2 * order)
         if order == 0:
@@ -178,11 +173,6 @@ class DivergenceFreeKernel(Kernel):
 
     __slots__ = ()
     terms = DIVERGENCE_FREE
-
-    @property
-    def scale(self) -> float:
-        """The scaling factor sf of the printed form, T m."""
-        return self.signal_sd * self.lengthscale / float(np.sqrt(2))
 
 
 class CurlFreeKernel(Kernel):

@@ -10,8 +10,7 @@ import numpy as np
 
 from magmatch.compiled import compiled
 
-SPLINES_PER_AXIS = 4
-SPLINES_PER_CELL = SPLINES_PER_AXIS**3
+SPLINES_PER_CELL = 4**3
 
 # Row i: coefficients (of 1, t, t^2, t^3) of the i-th spline that touches the cell 0 <= t < 1.
 CUBIC_COEFFICIENTS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]], dtype=np.float64) / 6.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch.field.cholesky.cells import HALF_OFFSET, CellGrid, lay_cells
 from magmatch.field.cholesky.factors import Factors
-from magmatch.field.cholesky.multifrontal import CholeskyFactor, factorise
+from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
 from magmatch.field.cholesky.point_solves import joint_covariances, marginal_covariances, solve_operations
 from magmatch.field.cholesky.refined_solve import refined_solve
@@ -28,7 +28,7 @@ from magmatch.field.spline.spline_prior import (
     prior_outside,
     relative_prior_precision,
 )
-from magmatch.field.values import FieldValues, check_covariance_order
+from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 
 # Tile of a region that one factor can hold.
@@ -137,21 +137,11 @@ class SplinePosterior:
         """The region as one tile."""
         return {WHOLE: self.weights}
 
-    @property
-    def factor(self) -> CholeskyFactor:
-        """Of the posterior precision times the noise variance, in double precision."""
-        return self.factors.full
-
-    @property
-    def n_bytes(self) -> int:
-        """Memory of the factors that were made."""
-        return self.factors.n_bytes
-
     def evaluate(self, points: Points, order: int = 0, weights: Scalars | None = None) -> FieldValues:
         """Field and derivatives at points; outside the active cells the constant field alone."""
         w = self.weights if weights is None else np.ascontiguousarray(weights, dtype=np.float64)
         derivatives = derivative_table(order)
-        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        cell, t = self.cells.locate(points)
         out = np.zeros((len(cell), len(derivatives)))
         evaluate_points(
             cell,
@@ -176,15 +166,15 @@ class SplinePosterior:
         There the field has variance `signal_sd` squared beside the constant's; its gradient that of a lone cell.
         A few points are solved for; many take the selected inverse, which is computed once and kept.
         """
-        check_covariance_order(order)
         derivatives, h = derivative_table(order), self.hyperparameters
-        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        cell, t = self.cells.locate(points)
         unknowns, n_rows = self._unknowns(cell), len(derivatives)
-        e = self.factor.elimination
+        factor = self.factors.full
+        e = factor.elimination
         affordable = LARGEST_SHARE_FOR_SOLVES * 2 * e.n_operations
         # Decided by the points alone, so that the same question gets the same bits whatever was asked before.
         if solve_operations(e, unknowns, n_rows) < affordable:
-            out = marginal_covariances(self.factor, unknowns, self._rows(cell, t, derivatives))
+            out = marginal_covariances(factor, unknowns, self._rows(cell, t, derivatives))
         else:
             inverse, out = self._selected_inverse(), np.zeros((len(cell), n_rows, n_rows))
             point_covariances(
@@ -201,7 +191,7 @@ class SplinePosterior:
 
         To a thousandth.
         """
-        cell, t = self.cells.locate(np.asarray(points, dtype=np.float64))
+        cell, t = self.cells.locate(points)
         rows = self._rows(cell, t, derivative_table(0))
         return joint_covariances(self.factors.light, self._unknowns(cell), rows)
 
@@ -217,12 +207,12 @@ class SplinePosterior:
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
-        return np.asarray(self.cells.locate(np.asarray(points, dtype=np.float64))[0] >= 0)
+        return np.asarray(self.cells.locate(points)[0] >= 0)
 
     def _selected_inverse(self) -> StencilMatrix:
         """Compute once, on first use: it costs about twice a factorisation."""
         if not self._inverse:
-            self._inverse.append(selected_inverse(self.factor))
+            self._inverse.append(selected_inverse(self.factors.full))
         return self._inverse[0]
 
     def _unknowns(self, cell: np.ndarray) -> np.ndarray:

@@ -16,8 +16,8 @@ MOST_TILES = 64
 class TileCache:
     """Keeps some things as they were made, and beside them the last few that were asked for."""
 
-    def __init__(self, n_bytes: float = np.inf, n_kept: int = MOST_TILES) -> None:
-        self._n_bytes, self._n_kept, self._lock = n_bytes / 2, n_kept, Lock()
+    def __init__(self, n_bytes: float = np.inf) -> None:
+        self._n_bytes, self._lock = n_bytes / 2, Lock()
         self._offered: dict[int, SplinePosterior] = {}
         self._made = OrderedDict[int, SplinePosterior]()
 
@@ -44,8 +44,8 @@ class TileCache:
                 self._offered[number] = posterior
 
     def _is_full(self) -> bool:
-        return len(self._made) >= self._n_kept or _n_bytes(self._made.values()) > self._n_bytes
+        return len(self._made) >= MOST_TILES or _n_bytes(self._made.values()) > self._n_bytes
 
 
 def _n_bytes(posteriors: Iterable[SplinePosterior]) -> int:
-    return sum(posterior.n_bytes for posterior in posteriors)
+    return sum(posterior.factors.n_bytes for posterior in posteriors)

@@ -50,10 +50,6 @@ class TiledDraws:
         self.tasks, self.factored, self.n_draws, self.seed = tasks, factored, n_draws, seed
         self._found: dict[int, Matrix] = {}
 
-    def draws(self) -> list[TiledDraw]:
-        """Each of them."""
-        return [TiledDraw(self, k) for k in range(self.n_draws)]
-
     def of_tile(self, number: int) -> Matrix:
         """Weights of a tile in every draw: (n_draws, m + 3)."""
         if number not in self._found:

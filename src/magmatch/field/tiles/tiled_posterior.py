@@ -34,7 +34,7 @@ from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_fit import TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
-from magmatch.field.values import FieldValues, check_covariance_order
+from magmatch.field.values import FieldValues
 from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Points, Scalars, Vector3
 
@@ -93,8 +93,7 @@ class TiledPosterior:
             drawn = None if weights is None else weights.of_tile(number)
             return self.tile(number).evaluate(p, order, drawn)
 
-        p = np.asarray(points, dtype=np.float64)
-        return blended_values(p, order, self.constant, self._shares(p, max(order, 0)), evaluate)
+        return blended_values(points, order, self.constant, self._shares(points, order), evaluate)
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
         """Field and derivatives on the grid spanned by three ascending axes, tile by tile, axis after axis."""
@@ -113,21 +112,22 @@ class TiledPosterior:
         return total.values()
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
-        """Bound of the posterior covariance of field (and gradient) at each point; the prior's where no tile is."""
-        check_covariance_order(order)
-        p = np.asarray(points, dtype=np.float64)
+        """Bound of the posterior covariance of field (and gradient) at each point.
+
+        Where no tile is, that of the prior and the spread of the tiles' constants.
+        """
         size = 3 if order == 0 else 12
-        shares = list(self._shares(p, order))
-        return blended_covariance(p, order, self._outside()[:size, :size], shares, self.factored)
+        spread = np.asarray(np.cov(np.array([w[-3:] for w in self.tile_weights]).T, bias=True))
+        outside = outside_covariance(self.hyperparameters, spread)[:size, :size]
+        return blended_covariance(points, order, outside, list(self._shares(points, order)), self.factored)
 
     def influence(self, points: Points) -> np.ndarray:
         """How the fitted field at samples follows what was measured at them: (3 n, 3 n), row ``3 i + a``.
 
         As if each tile bore on its neighbours with the square root of its share: exact inside of tiles.
         """
-        p = np.asarray(points, dtype=np.float64)
-        n, shares = len(p), list(self._shares(p, 0))
-        joints = side_by_side(lambda share: self.factored(share[0]).influence(p[share[1]]), shares)
+        n, shares = len(points), list(self._shares(points, 0))
+        joints = side_by_side(lambda share: self.factored(share[0]).influence(points[share[1]]), shares)
         out = np.zeros((n, 3, n, 3))
         for (_, rows, weights), joint in zip(shares, joints, strict=True):
             root = np.sqrt(weights[0])
@@ -137,7 +137,8 @@ class TiledPosterior:
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
-        return TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62))).draws()
+        draws = TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62)))
+        return [TiledDraw(draws, k) for k in range(n_draws)]
 
     def without_factors(self) -> "TiledPosterior":
         """Few factors are ever kept."""
@@ -145,10 +146,9 @@ class TiledPosterior:
 
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
-        p = np.asarray(points, dtype=np.float64)
-        known = np.zeros(len(p), dtype=bool)
-        for number, rows in self.tiling.blended(p, self._tile_keys()):
-            known[rows] |= self.tile(number).knows(p[rows])
+        known = np.zeros(len(points), dtype=bool)
+        for number, rows in self.tiling.blended(points, self._tile_keys()):
+            known[rows] |= self.tile(number).knows(points[rows])
         return known
 
     def tile(self, number: int) -> SplinePosterior:
@@ -167,11 +167,3 @@ class TiledPosterior:
         if not self._keys:
             self._keys.append(TileKeys(self.tiles))
         return self._keys[0]
-
-    def _outside(self) -> np.ndarray:
-        """Covariance of field and gradient where no tile is: the prior's, and the spread of the constants."""
-        return outside_covariance(self.hyperparameters, self._spread())
-
-    def _spread(self) -> np.ndarray:
-        """Covariance of the tiles' constants about their mean: (3, 3)."""
-        return np.asarray(np.cov(np.array([w[-3:] for w in self.tile_weights]).T, bias=True))
