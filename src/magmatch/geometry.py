@@ -109,10 +109,6 @@ def transform_from_matrix(matrix: np.ndarray) -> RigidTransform:
     matrix : (4, 4) array
         ``[[R, t], [0, 1]]``, translation in m.
 
-    Returns
-    -------
-    RigidTransform
-
     Raises
     ------
     ValueError

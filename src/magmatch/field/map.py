@@ -240,10 +240,6 @@ class FieldMap:
             In the map's frame.
         run : callable, optional
             Runs the tasks of a tiled fit; sequentially by default.
-
-        Returns
-        -------
-        FieldMap
         """
         for survey in surveys:
             require_part(survey)

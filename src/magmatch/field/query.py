@@ -4,12 +4,10 @@
 import numpy as np
 
 from magmatch.arguments import points_of
+from magmatch.field.axis_grid import CHUNK
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, counted, followed
 from magmatch.typing import Points, Scalars
-
-# Points evaluated at a time; bounds the memory whatever the number of points.
-CHUNK = 20_000
 
 
 def query_map(

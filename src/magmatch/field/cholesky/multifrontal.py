@@ -137,16 +137,14 @@ def _eliminate(
         )  # fmt: skip
         # Its memory serves the next front; an empty view of it would hold it.
         updates[child], is_leaf = _NO_SINGLES, False
-    failed = 0
     if n:
         info = np.zeros(1, np.int32)
         _factor_front(n, n_below, *in_precision(block), *in_precision(update), not is_leaf, info)
-        failed = int(info[0])
+        if info[0]:
+            msg = f"matrix is not positive definite: pivot {front.start + info[0]} of {e.n_unknowns} fails"
+            raise np.linalg.LinAlgError(msg)
     elif is_leaf:
         update[:] = 0
-    if failed:
-        msg = f"matrix is not positive definite: pivot {front.start + failed} of {e.n_unknowns} fails"
-        raise np.linalg.LinAlgError(msg)
     return update
 
 

@@ -25,9 +25,6 @@ _COVERAGE, _IN_SDS = 0.95, 1.96
 # Standard errors by which neighbours' residuals must be alike to count as misfit.
 _LEAST_T = 2.0
 
-# From held-in and held-out rows to the posterior of the held-in samples.
-FitWithout = Callable[[Mask], Posterior]
-
 
 def calibrated(
     prior: Prior, points: Points, field: Vectors, h: Hyperparameters, model: LinearModel | None = None
@@ -74,7 +71,9 @@ def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> fl
     return float(np.sqrt(1.0 + shared.mean() / variance))
 
 
-def widened(h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit: FitWithout) -> Hyperparameters:
+def widened(
+    h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit_without: Callable[[Mask], Posterior]
+) -> Hyperparameters:
     """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
 
     The mean does not change: noise and prior grow by the same factor. Of a few spreads, the sharpest in mean log
@@ -82,7 +81,7 @@ def widened(h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fi
     """
     sizes, variances = [], []
     for fold in folds.left_out:
-        posterior, rows = fit(fold), _some(fold)
+        posterior, rows = fit_without(fold), _some(fold)
         sizes.append(np.abs(posterior.evaluate(points[rows]).field - field[rows]))
         covariance = posterior.covariance(points[rows])
         variances.append(np.diagonal(covariance, axis1=1, axis2=2) / (h.inflation * h.noise_sd) ** 2)

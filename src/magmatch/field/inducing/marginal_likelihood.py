@@ -72,7 +72,7 @@ def fit_lengthscale(
     points: Points,
     field: Vectors,
     bounds: tuple[float, float],
-    n_samples: int = 300,
+    n_samples: int,
 ) -> ScaleFit:
     """Most probable lengthscale, signal and noise; deterministic."""
     rows = choose_samples(points, field, n_samples)

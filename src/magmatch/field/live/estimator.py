@@ -137,10 +137,6 @@ class FieldEstimator:
         with_variance : bool
             False leaves the variance NaN and saves its cost, which for hundreds of points per block is that of a fit.
 
-        Returns
-        -------
-        Prediction
-
         Raises
         ------
         SurveyError

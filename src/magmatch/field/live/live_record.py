@@ -79,7 +79,6 @@ class LiveRecord:
             "n_chosen": self.n_chosen,
             "n_samples": self.n_samples,
         }
-        # What is empty is told by the shape alone.
         write_archive(path, SCHEMA, attributes, self.arrays)
 
     @classmethod

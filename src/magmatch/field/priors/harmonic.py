@@ -92,7 +92,7 @@ class HarmonicPrior:
             shell = self._sources(points, field, h).filled(h, self.config.constant_sd)
         else:
             shell = self._shell(points, h.lengthscale, h.spacing, self.config.max_sources)
-        if shell.distance > 1.01 * h.lengthscale:
+        if shell.distance > _SAME_DISTANCE * h.lengthscale:
             log.warning(
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
                 shell.distance, h.lengthscale, self.config.max_sources,

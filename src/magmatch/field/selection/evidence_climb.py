@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -44,8 +45,8 @@ class NoiseOptimum:
 def climb(search: EvidenceSearch, start: Hyperparameters) -> NoiseOptimum:
     """Noise, divergence weight and lengthscale of the greatest evidence."""
     best = _settled(search, start)
-    best = _along(search, best, _steps("divergence_weight", DIVERGENCE_WEIGHT_STEPS))
-    return _along(search, best, _steps("lengthscale", LENGTHSCALE_STEPS))
+    best = _along(search, best, [partial(_times, "divergence_weight", by) for by in DIVERGENCE_WEIGHT_STEPS])
+    return _along(search, best, [partial(_times, "lengthscale", by) for by in LENGTHSCALE_STEPS])
 
 
 def settle(search: EvidenceSearch, start: Hyperparameters | NoiseOptimum, finer: Step) -> NoiseOptimum:
@@ -133,17 +134,10 @@ def _better(search: EvidenceSearch, h: Hyperparameters, best: NoiseOptimum, leas
     return found if search.log_evidence(found.tried) + found.gain >= needed else None
 
 
-def _steps(name: str, factors: Sequence[float]) -> list[Step]:
-    """Multiply a number by each of some factors, as far as is allowed."""
-
-    def times(factor: float) -> Step:
-        def step(h: Hyperparameters) -> Hyperparameters | None:
-            other: Hyperparameters = replace(h, **{name: rounded(getattr(h, name) * factor)})
-            return other if is_allowed(other) else None
-
-        return step
-
-    return [times(factor) for factor in factors]
+def _times(name: str, factor: float, h: Hyperparameters) -> Hyperparameters | None:
+    """The same with one number multiplied by a factor, where that is allowed."""
+    other: Hyperparameters = replace(h, **{name: rounded(getattr(h, name) * factor)})
+    return other if is_allowed(other) else None
 
 
 def rounded(value: float) -> float:

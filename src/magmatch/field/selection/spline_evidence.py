@@ -123,14 +123,10 @@ class EvidenceSearch:
         if len(step) and has_path_order(self.points):
             # These share what the model cannot follow there.
             in_a_quarter_cell = h.spacing / 4 / max(float(np.median(step)), 1e-300)
-        residual = self.field - self._posterior(h).evaluate(self.points).field
+        mean = SplinePosterior(h, self._model(h).cells, Factors.gone(), self._fit(h).weights)
+        residual = self.field - mean.evaluate(self.points).field
         correlated = integrated_autocorrelation_time(residual, self.order)
         self.autocorrelation_time = max(correlated, float(np.clip(in_a_quarter_cell, 1.0, LONGEST_AUTOCORRELATION)))
-
-    def _posterior(self, h: Hyperparameters) -> SplinePosterior:
-        """Posterior of all samples, whose factor is made if it is asked for."""
-        factors = Factors(lambda _: self._factor(h, self._observed(h))[1])
-        return SplinePosterior(h, self._model(h).cells, factors, self._fit(h).weights)
 
     def fit_without(self, rows: Mask, h: Hyperparameters) -> SplinePosterior:
         """Posterior without some samples."""

@@ -68,7 +68,7 @@ def check_array(path: str | Path, name: str, entries: Mapping[str, bytes]) -> No
     if meta.get("chunk_key_encoding") != CHUNK_KEYS or meta.get("storage_transformers"):
         raise DataFormatError(path, f"{where}: expected chunks named 'c/0/0' and stored as they are")
     shape, grid = meta.get("shape"), meta.get("chunk_grid")
-    chunk = _at(grid, "configuration", "chunk_shape") if _at(grid, "name") == "regular" else None
+    chunk = look_into(grid, "configuration", "chunk_shape") if look_into(grid, "name") == "regular" else None
     if not _is_shape(shape) or not _is_shape(chunk) or len(shape) != len(chunk) or 0 in chunk:
         raise DataFormatError(path, f"{where}: expected a shape of 1 to 3 numbers and one of its chunks")
     n_chunks = [-(-n // c) for n, c in zip(shape, chunk, strict=True)]
@@ -82,7 +82,7 @@ def check_array(path: str | Path, name: str, entries: Mapping[str, bytes]) -> No
             raise DataFormatError(path, f"entry '{key}' is missing or of the wrong length")
 
 
-def _at(value: Any, *keys: str) -> Any:
+def look_into(value: Any, *keys: str) -> Any:
     """Look into nested objects; None where there is nothing."""
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None

@@ -21,6 +21,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters, is_number
 from magmatch.field.linear_model import Index, Posterior, StoredTile, is_refit
 from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
+from magmatch.field.storage.archive_checks import look_into
 from magmatch.geometry import transform_from_matrix
 from magmatch.typing import Scalars
 
@@ -183,7 +184,7 @@ def _survey(k: int, about: Any, arrays: Mapping[str, np.ndarray]) -> Survey:
             raise ValueError(msg)
         # Unit already; to normalise once more would change their last bits.
         orientations = Rotation(quaternions, normalize=False)
-    frame, name, pose_sd = (_at(about, key) for key in ("frame", "name", "pose_sd"))
+    frame, name, pose_sd = (look_into(about, key) for key in ("frame", "name", "pose_sd"))
     if not (isinstance(frame, str) and isinstance(name, str) and is_number(pose_sd) and 0 <= pose_sd < np.inf):
         msg = "entry 'zarr.json', surveys: expected frame and name in words and pose_sd in metres"
         raise ValueError(msg)
@@ -232,7 +233,3 @@ def _transform(attributes: Mapping[str, Any], name: str) -> RigidTransform:
         found = str(error)
     msg = f"entry 'zarr.json', {name}: {found}"
     raise ValueError(msg)
-
-
-def _at(value: Any, key: str) -> Any:
-    return value.get(key) if isinstance(value, dict) else None

@@ -88,21 +88,21 @@ def blended_covariance(
 
 def products(along: list[list[np.ndarray]], order: int) -> list[np.ndarray]:
     """A product of one function per axis, its gradient (n, 3) and Hessian (n, 3, 3), from their derivatives."""
-    (x, y, z), zero = along, [0, 0, 0]
-    out = [x[0] * y[0] * z[0]]
+    out = [_differentiated(along)]
     if order >= 1:
-        out.append(np.stack([_mixed(along, [*zero[:a], 1, *zero[a + 1 :]]) for a in range(3)], axis=1))
+        out.append(np.stack([_differentiated(along, a) for a in range(3)], axis=1))
     if order >= 2:
-        hessian = np.empty((len(x[0]), 3, 3))
+        hessian = np.empty((len(out[0]), 3, 3))
         for a, b in np.ndindex(3, 3):
-            orders = [int(a == axis) + int(b == axis) for axis in range(3)]
-            hessian[:, a, b] = _mixed(along, orders)
+            hessian[:, a, b] = _differentiated(along, a, b)
         out.append(hessian)
     return out
 
 
-def _mixed(along: list[list[np.ndarray]], orders: list[int]) -> np.ndarray:
-    return np.asarray(along[0][orders[0]] * along[1][orders[1]] * along[2][orders[2]])
+def _differentiated(along: list[list[np.ndarray]], *axes: int) -> np.ndarray:
+    """The product's derivative along some axes."""
+    x, y, z = (one[axes.count(axis)] for axis, one in enumerate(along))
+    return np.asarray(x * y * z)
 
 
 def _with_slope(covariance: np.ndarray, slope: np.ndarray) -> np.ndarray:

@@ -12,10 +12,9 @@ from contextlib import ExitStack
 from functools import cached_property
 from itertools import islice
 from queue import Empty, Queue
-from types import TracebackType
 from typing import Any, Self
 
-from magmatch.errors import ConfigurationError, MissingExtraError, TaskError
+from magmatch.errors import ConfigurationError, TaskError, import_extra
 from magmatch.field.tiles.tile_fit import TileTask
 from magmatch.threads import on_one_core
 from magmatch.typing import Scalars
@@ -42,18 +41,12 @@ class DaskRunner:
     def __init__(self, jobs: int = 2, scheduler: str | None = None) -> None:
         self.jobs, self.scheduler = jobs, scheduler
         self._open = ExitStack()
-        try:
-            import distributed  # noqa: F401
-        except ImportError as error:
-            feature = "fitting tiles in several processes"
-            raise MissingExtraError(feature, "distributed") from error
+        import_extra("distributed", "fitting tiles in several processes", "distributed")
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
 
     def __call__(self, fit: Callable[[TileTask], Scalars], tasks: Iterable[TileTask]) -> Iterator[Scalars]:
