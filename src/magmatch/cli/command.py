@@ -113,14 +113,11 @@ def _layout_parameters(surveys: Sequence[str]) -> dict[str, tuple[tuple[str, str
             flag = _flag(survey, name)
             words = field.description if not survey else f"The same for {survey.upper()} alone."
             option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
-            parameters[prefix + name] = ((survey, name), Annotated[_optional(field.annotation), option])
+            kind: Any = field.annotation
+            parameters[prefix + name] = ((survey, name), Annotated[kind | None, option])
     return parameters
 
 
 def _flag(survey: str, setting: str) -> str:
     """Option of one setting, for one survey or for all."""
     return "--" + (f"{survey}_{setting}" if survey else setting).replace("_", "-")
-
-
-def _optional(annotation: Any) -> Any:
-    return annotation | None

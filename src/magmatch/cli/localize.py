@@ -13,7 +13,7 @@ from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
-from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.settings import merged
 from magmatch.cli.walks import read_walk
 
 if TYPE_CHECKING:
@@ -73,13 +73,8 @@ def localize(
     from magmatch.localization.smooth import smooth as with_hindsight
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
-    check_outputs((out,), inputs=(place, log, *([config] if config else [])), page=report)
-    if report is not None:
-        from magmatch.cli.sessions import require_pictures
-
-        require_pictures()
-    settings = LocalizerConfig() if config is None else merged(LocalizerConfig(), read_settings(config), config)
-    settings = with_limits(settings, min_probability, max_sd)
+    check_outputs((out,), inputs=(place, log, config), page=report)
+    settings = with_limits(merged(LocalizerConfig(), config), min_probability, max_sd)
     if odometry_sd is not None:
         sd = tuple(numbers("--odometry-sd", odometry_sd, 2, "metres,degrees, such as 0.3,4"))
         if min(sd) <= 0:

@@ -4,6 +4,7 @@
 import logging
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,8 +15,7 @@ from magmatch.cli.inputs import read_map, read_samples
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
-from magmatch.cli.settings import merged, read_settings
-from magmatch.cli.tile_runner import runner
+from magmatch.cli.settings import merged
 from magmatch.data.units import field_text
 
 if TYPE_CHECKING:
@@ -80,20 +80,13 @@ def build(
         prior is None and domain is None and config is None and sniff(surveys[0]) == "map" and len(surveys) > 1
     )
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
-    check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], *([config] if config else [])], page=report)
-    if report is not None:
-        from magmatch.viz.figures.plotting import require_plotly
-
-        require_plotly()
+    check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], config], page=report)
     if is_addition:
         with runner(jobs, scheduler) as run:
             grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
         draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
         return
-    settings = FieldConfig(prior="auto")
-    if config is not None:
-        read = read_settings(config)
-        settings = merged(settings, read.get("field", read), config)
+    settings = merged(FieldConfig(prior="auto"), config, "field")
     stated: dict[str, Any] = {} if prior is None else {"prior": one_of("--prior", prior, ("auto", *PRIORS))}
     if domain is not None:
         stated["domain"] = parse_domain(domain)
@@ -112,6 +105,20 @@ def build(
     )
     _warn_of_sensors(samples, field_map)
     draw(report, field_map, samples, command_again(surveys, layouts, out))
+
+
+@contextmanager
+def runner(jobs: int, scheduler: str | None) -> "Iterator[Runner]":
+    """Give the runner for the tasks of a tiled map: this process, others on this machine, or a cluster."""
+    if jobs == 1 and scheduler is None:
+        yield map
+        return
+    from magmatch.field.tiles.distributed import DaskRunner
+
+    if scheduler is not None and "://" not in scheduler:
+        refuse("--scheduler", "an address such as tcp://10.0.0.1:8786", scheduler)
+    with DaskRunner(jobs, scheduler) as run:
+        yield run
 
 
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:

@@ -12,12 +12,14 @@ from magmatch.atomic import real_path
 from magmatch.errors import ConfigurationError, DataFormatError
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = (), *, page: Path | None = None) -> None:
-    """Make sure that results and a page can be written to their paths, before any work is done."""
+def check_outputs(
+    outputs: Iterable[Path | None], inputs: Iterable[Path | None] = (), *, page: Path | None = None
+) -> None:
+    """Make sure that results can be written to their paths, and a page be drawn, before any work is done."""
     if page is not None and page.suffix.lower() not in ("", ".html", ".htm"):
         msg = f"{page}: a page is HTML, expected a name that ends in .html"
         raise ConfigurationError(msg)
-    taken = {real_path(path): "an input" for path in inputs}
+    taken = {real_path(path): "an input" for path in inputs if path is not None}
     for path in (*outputs, page):
         if path is None:
             continue
@@ -28,6 +30,10 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = (), *
         check_output(path)
         if not place.exists() or place.is_file():  # two results may share a device such as /dev/stdout
             taken[place] = "another result"
+    if page is not None:
+        from magmatch.viz.figures.plotting import require_plotly
+
+        require_plotly()
 
 
 def check_output(path: Path) -> None:
@@ -36,20 +42,14 @@ def check_output(path: Path) -> None:
         raise DataFormatError(path, "is a folder, expected the name of a file to write")
     if path.exists() and not path.is_file():
         return
-    folder = real_path(path).parent
-    if not folder.is_dir():
-        raise DataFormatError(path, f"the folder {folder} does not exist; create it first")
-    _try_to_write(folder, path)
+    _try_to_write(real_path(path).parent, path)
 
 
 def check_folder(path: Path) -> None:
     """Make sure that a folder for results exists or can be created (its parent must exist), without creating it."""
     if path.exists() and not path.is_dir():
         raise DataFormatError(path, "is a file, expected the name of a folder to write to")
-    parent = real_path(path).parent
-    if not parent.is_dir():
-        raise DataFormatError(path, f"the folder {parent} does not exist; create it first")
-    _try_to_write(path if path.is_dir() else parent, path)
+    _try_to_write(path if path.is_dir() else real_path(path).parent, path)
 
 
 def as_json(content: dict[str, Any]) -> str:
@@ -59,6 +59,8 @@ def as_json(content: dict[str, Any]) -> str:
 
 def _try_to_write(folder: Path, path: Path) -> None:
     """Create and delete a file: only this finds missing permissions, read-only disks and odd file systems alike."""
+    if not folder.is_dir():
+        raise DataFormatError(path, f"the folder {folder} does not exist; create it first")
     try:
         handle, name = tempfile.mkstemp(prefix=".magmatch-", dir=folder)
     except PermissionError:

@@ -10,7 +10,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, refuse
 from magmatch.cli.outputs import check_outputs
-from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.settings import merged
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 
 if TYPE_CHECKING:
@@ -64,19 +64,14 @@ def prepare(
     if report is None and out.parent != Path("/dev"):  # a pipe has no folder for the report
         report = out.with_suffix(".json")
     layout = layouts.of()
-    inputs = [path for path in (log, config, sensor_from, layout.trajectory) if path is not None]
-    check_outputs((out, report), inputs=inputs)
+    check_outputs((out, report), inputs=(log, config, sensor_from, layout.trajectory))
     where = parse_place(place, date)
-    settings = PreparationConfig()
-    if config is not None:
-        read = read_settings(config)
-        settings = merged(settings, read.get("preparation", read), config)
+    settings = merged(PreparationConfig(), config, "preparation")
     survey, channels = read_survey_and_channels(log, layout)
     trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
-    raw = (
-        None if known is not None else read_raw_magnetometer(log, layout)
-    )  # a known correction belongs to one of them
+    # A known correction belongs to one of the two magnetometers.
+    raw = None if known is not None else read_raw_magnetometer(log, layout)
     prepared, done = prepare_either(
         survey, raw, settings, trajectory=trajectory, channels=channels, place=where, sensor=known
     )

@@ -98,11 +98,7 @@ def register(
     settings = registration_config(preset, config, sensor)
     settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd, planar)
     settings = with_limits(settings, min_probability, max_sd)
-    check_outputs((out,), inputs=[path for path in (base, target, config) if path], page=report)
-    if report is not None:
-        from magmatch.viz.figures.plotting import require_plotly
-
-        require_plotly()
+    check_outputs((out,), inputs=(base, target, config), page=report)
     loaded = perf_counter()
     read = read_survey_or_map(target, layouts, "target")
     base_map, mapped, result = _register(base, read, layouts, settings, seed, keep_index)

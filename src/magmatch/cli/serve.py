@@ -10,7 +10,7 @@ import typer
 from magmatch.cli.command import command
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import refuse, vertical
-from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.settings import merged
 from magmatch.errors import DataFormatError, import_extra
 
 EXAMPLES = (
@@ -69,9 +69,7 @@ def serve(
         "host": host, "port": port, "states": states or beside, "origins": tuple(origin or ()),
         "foxglove_port": foxglove, "token": token, **_workers(workers),
     }  # fmt: skip
-    settings = ServeConfig(**given)
-    if config is not None:
-        settings = merged(settings, read_settings(config), config)
+    settings = merged(ServeConfig(**given), config)
     localizer = settings.localizer.model_copy(update=vertical(planar=planar, no_gravity=no_gravity))
     signal.signal(signal.SIGTERM, _end)
     say(f"Loading {place}")

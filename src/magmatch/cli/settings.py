@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Config = TypeVar("Config", bound=BaseModel)
 # Schemas of results, which hold the settings they were made with.
 RESULTS = ("magmatch.registration/", "magmatch.slam/", "magmatch.localization/")
+# What can be estimated between the two magnetometers; 'auto' leaves it to the configuration.
+SENSORS = ("auto", "none", "bias", "scale", "full")
 # Bytes of a settings file, and of a result used as settings; stated in docs/formats.md.
 MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
 
@@ -29,17 +31,7 @@ def registration_config(preset: str, path: Path | None, sensor: str = "auto") ->
 
     config = PRESETS[one_of("--preset", preset, PRESETS)]
     one_of("--sensor", sensor, SENSORS)
-    if path is not None:
-        config = merged(config, read_settings(path), path)
-    return with_sensor(config, sensor)
-
-
-# What can be estimated between the two magnetometers; 'auto' leaves it to the configuration.
-SENSORS = ("auto", "none", "bias", "scale", "full")
-
-
-def with_sensor(config: "RegistrationConfig", sensor: str) -> "RegistrationConfig":
-    """Set what to estimate between the two magnetometers, unless it is left to the configuration."""
+    config = merged(config, path)
     if sensor == "auto":
         return config
     if config.search == "keypoints" and sensor != "none":
@@ -48,8 +40,13 @@ def with_sensor(config: "RegistrationConfig", sensor: str) -> "RegistrationConfi
     return type(config).model_validate(_over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))
 
 
-def merged(config: Config, settings: Mapping[str, Any], path: Path) -> Config:
-    """Override a configuration with settings."""
+def merged(config: Config, path: Path | None, part: str = "") -> Config:
+    """Override a configuration with the settings of a file, or with a part of them if the file has it."""
+    if path is None:
+        return config
+    settings = read_settings(path)
+    if part and isinstance(settings.get(part), dict):
+        settings = settings[part]
     try:
         return type(config).model_validate(_over(config.model_dump(), settings))
     except ValidationError as error:

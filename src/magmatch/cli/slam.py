@@ -12,7 +12,7 @@ from magmatch.cli.inputs import read_poses_of
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.sessions import deliver, require_pictures
-from magmatch.cli.settings import merged, read_settings
+from magmatch.cli.settings import merged
 from magmatch.cli.walks import read_walk
 
 if TYPE_CHECKING:
@@ -90,8 +90,8 @@ def slam(
     check_folder(out)
     check_outputs([rerun], logs)
     require_pictures(rerun)
-    settings = SlamConfig() if config is None else merged(SlamConfig(), read_settings(config), config)
-    settings = with_odometry_sd(settings.model_copy(update=switches), odometry_sd or [], logs)
+    settings = merged(SlamConfig(), config).model_copy(update=switches)
+    settings = with_odometry_sd(settings, odometry_sd or [], logs)
     surveys = [read_walk(path, layouts) for path in logs]
     if not any(":" not in text for text in odometry_sd or []):
         stated = {path.name: read_drift(path, layouts.of()) for path in logs}

@@ -57,7 +57,15 @@ def view(
 
     goal = out or (None if live or rerun else Path(files[0].stem + ".html"))
     check_outputs((rerun,), inputs=files, page=goal)
-    _require(goal, rerun, live=live)
+    # Before any work is done.
+    if rerun is not None:
+        from magmatch.viz.viewers.rerun_recording import require_rerun
+
+        require_rerun()
+    if live:
+        from magmatch.viz.viewers.live_viewer import require_viser
+
+        require_viser()
     results = [path for path in files if sniff(path) == "registration"]
     drawn = [read_survey_or_map(path, layouts) for path in files if path not in results]
     if len(results) > 1 or (results and len(drawn) not in {0, 2}):
@@ -76,26 +84,13 @@ def view(
         _write_page(goal, drawn, result)
         put(str(goal))
     if rerun is not None:
-        _record(rerun, drawn, result)
+        from magmatch.viz.viewers.exhibit import exhibit
+        from magmatch.viz.viewers.rerun_recording import write_rerun
+
+        write_rerun(rerun, exhibit(drawn, result))
         put(str(rerun))
     if live:
         _serve(drawn, result, port)
-
-
-def _require(page: Path | None, recording: Path | None, *, live: bool) -> None:
-    """Require the packages needed, before any work is done."""
-    if page is not None:
-        from magmatch.viz.figures.plotting import require_plotly
-
-        require_plotly()
-    if recording is not None:
-        from magmatch.viz.viewers.rerun_recording import require_rerun
-
-        require_rerun()
-    if live:
-        from magmatch.viz.viewers.live_viewer import require_viser
-
-        require_viser()
 
 
 def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
@@ -122,13 +117,6 @@ def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "Registrat
     else:
         base, target = drawn or (None, None)
         write_report(goal, base, target, result)
-
-
-def _record(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
-    from magmatch.viz.viewers.exhibit import exhibit
-    from magmatch.viz.viewers.rerun_recording import write_rerun
-
-    write_rerun(goal, exhibit(drawn, result))
 
 
 def _serve(drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None", port: int) -> None:
