@@ -274,6 +274,12 @@ def test_a_bad_configuration_names_the_setting(case, good, out, run, tmp_path):
     assert "c.yaml" in outcome.err
 
 
+@pytest.mark.parametrize(("command", "part"), [("map", "field"), ("prepare", "preparation")])
+def test_a_part_of_the_settings_that_is_no_group_is_named(command, part, good, out, run, tmp_path):
+    config = written(tmp_path, "c.yaml", f"{part}: 3\n")
+    assert_refused(run(command, good, "--config", config, "--out", out / "m"), f"column '{part}'", out)
+
+
 def test_a_missing_configuration_is_named(good, out, run, tmp_path):
     assert_refused(run("map", good, "--config", tmp_path / "c.yaml", "--out", out / "m"), "c.yaml", out)
 

@@ -27,7 +27,7 @@ class Layouts:
         """The options as they would be typed."""
         words = []
         for (of, name), value in self.given.items():
-            flag = _flag(of, name)
+            flag = flag_of(of, name)
             words += ([flag] if value else []) if isinstance(value, bool) else [flag, str(value)]
         return words
 
@@ -110,7 +110,7 @@ def _layout_parameters(surveys: Sequence[str]) -> dict[str, tuple[tuple[str, str
     for survey in surveys:
         prefix = f"{survey}_" if survey else ""
         for name, field in SurveyFormat.model_fields.items():
-            flag = _flag(survey, name)
+            flag = flag_of(survey, name)
             words = field.description if not survey else f"The same for {survey.upper()} alone."
             option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
             kind: Any = field.annotation
@@ -118,6 +118,6 @@ def _layout_parameters(surveys: Sequence[str]) -> dict[str, tuple[tuple[str, str
     return parameters
 
 
-def _flag(survey: str, setting: str) -> str:
+def flag_of(survey: str, setting: str) -> str:
     """Option of one setting, for one survey or for all."""
     return "--" + (f"{survey}_{setting}" if survey else setting).replace("_", "-")

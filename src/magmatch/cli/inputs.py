@@ -4,7 +4,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magmatch.cli.command import Layouts
+from magmatch.cli.command import Layouts, flag_of
 from magmatch.errors import ConfigurationError, DataFormatError
 
 if TYPE_CHECKING:
@@ -23,8 +23,7 @@ def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Surve
         return read_survey(path, layouts.of(survey))
     stated = [name for of, name in layouts.given if of == survey]
     if stated and survey:
-        flag = f"--{survey}-{stated[0].replace('_', '-')}"
-        msg = f"{path} is a saved map, whose units and frame are known; leave out {flag}"
+        msg = f"{path} is a saved map, whose units and frame are known; leave out {flag_of(survey, stated[0])}"
         raise ConfigurationError(msg)
     return read_map(path)
 
