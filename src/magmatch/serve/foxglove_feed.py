@@ -2,6 +2,7 @@
 """The same picture by Foxglove's protocol, on this machine only: transforms, ellipses, hypotheses and the maps."""
 
 import time
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,11 @@ class FoxgloveFeed:
     """A server beside ours."""
 
     def __init__(self, port: int) -> None:
-        self._foxglove = import_extra("foxglove", "Foxglove's protocol", "foxglove")
-        channels, self._messages = (
-            import_extra("foxglove.channels", "", "foxglove"),
-            import_extra("foxglove.messages", "", "foxglove"),
-        )
-        context = self._context = self._foxglove.Context()
+        foxglove = import_extra("foxglove", "Foxglove's protocol", "foxglove")
+        channels, self._messages = import_module("foxglove.channels"), import_module("foxglove.messages")
+        context = self._context = foxglove.Context()
         try:
-            self._server = self._foxglove.start_server(name="magmatch", host="127.0.0.1", port=port, context=context)
+            self._server = foxglove.start_server(name="magmatch", host="127.0.0.1", port=port, context=context)
         except RuntimeError as error:
             msg = f"--foxglove {port}: {error}; say another port"
             raise ConfigurationError(msg) from None

@@ -31,6 +31,13 @@ class RefusedError(Exception):
         return found | ({"WWW-Authenticate": "Bearer"} if self.status == 401 else {})
 
 
+def or_raised(found: Any) -> Any:
+    """An answer of another process; a refusal is raised."""
+    if isinstance(found, RefusedError):
+        raise found
+    return found
+
+
 def without_paths(words: str, names: Mapping[Path, str]) -> str:
     """What is said of files on one line, by names instead of their paths, whether these are absolute or not."""
     words = " ".join(words.split())

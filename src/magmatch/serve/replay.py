@@ -35,8 +35,6 @@ class Replayed:
     poses: RigidTransform | None  # those poses, ``T_map_body``
     n_answers: int
     n_errors: int  # samples that were refused
-    status: str  # of the last answer
-    map: str | None  # of the last answer; None where none is told
 
 
 def live_url(url: str) -> str:
@@ -72,8 +70,8 @@ def replay(
                 live_url(url), additional_headers=headers, subprotocols=[PROTOCOL], compression=None, max_queue=None,
                 proxy=None, open_timeout=PATIENCE,
             ) as socket:  # fmt: skip
-                if sender.run(socket):
-                    return sender.result()
+                sender.run(socket)
+                return sender.result()
         except errors.InvalidStatus as error:
             said = _sentence(error.response.body)
             status = error.response.status_code
@@ -106,22 +104,20 @@ class _Sender:
         assert log.times is not None
         self._times, self._q, self._b = log.times, R.as_quat(), R.inv().apply(log.field)
         self._p, self._speed, self._on_pose = log.positions, speed, on_pose
-        self.key, self._next = "", 0
+        self.key = ""
         self._found: dict[float, list[list[float]]] = {}
         self._n_answers = self._n_errors = 0
-        self._status: dict[str, Any] = {"status": "searching", "map": None}
         self._begun = monotonic()
 
-    def run(self, socket: Any) -> bool:
-        """Send what is left; whether all was answered."""
+    def run(self, socket: Any) -> None:
+        """Send what is left, until all is answered."""
         socket.send(json.dumps({"type": "hello", "name": "replay"} | ({"key": self.key} if self.key else {})))
         welcome = json.loads(socket.recv(timeout=PATIENCE))
         self.key = welcome["key"]
         # What the service has not seen, or has forgotten, is sent again.
         known = -np.inf if welcome["t"] is None else welcome["t"]
-        self._next = int(np.searchsorted(self._times, known, side="right"))
         under_way = 0
-        for n in range(self._next, len(self._times)):
+        for n in range(int(np.searchsorted(self._times, known, side="right")), len(self._times)):
             due = self._begun + (self._times[n] - self._times[0]) / self._speed
             while under_way == WINDOW or (under_way and monotonic() < due):
                 with suppress(TimeoutError):
@@ -132,7 +128,6 @@ class _Sender:
             under_way += 1
         for _ in range(under_way):
             self._take(socket.recv(timeout=PATIENCE))
-        return True
 
     def _take(self, answer: str | bytes) -> None:
         said = read_pose(answer)
@@ -140,7 +135,6 @@ class _Sender:
             self._n_errors += 1
             return
         self._n_answers += 1
-        self._status = said
         self._found.pop(said["t"], None)
         if "T_map_body" in said:
             self._found[said["t"]] = said["T_map_body"]
@@ -150,10 +144,8 @@ class _Sender:
         """What came back."""
         times = sorted(self._found)
         poses = [transform_from_matrix(np.array(self._found[t])) for t in times]
-        return Replayed(
-            np.array(times), RigidTransform.concatenate(poses) if poses else None, self._n_answers, self._n_errors,
-            self._status["status"], self._status["map"],
-        )  # fmt: skip
+        found = RigidTransform.concatenate(poses) if poses else None
+        return Replayed(np.array(times), found, self._n_answers, self._n_errors)
 
 
 def _sentence(body: bytes | None) -> str:

@@ -43,16 +43,13 @@ def remove(folder: Path, client: str) -> None:
     path_of(folder, client).unlink(missing_ok=True)
 
 
-def sweep(folder: Path, keep: float) -> int:
-    """Remove the states that are older than so many seconds, and what interrupted writers left; says how many."""
-    removed = 0
+def sweep(folder: Path, keep: float) -> None:
+    """Remove the states that are older than so many seconds, and what interrupted writers left."""
     for path in list(folder.iterdir()):
         is_ours = NAME.fullmatch(path.name) or (path.name.startswith(".") and ".state.tmp-" in path.name)
         with suppress(FileNotFoundError):
             if is_ours and path.stat().st_mtime < time() - keep:
                 path.unlink()
-                removed += 1
-    return removed
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import Any
 from magmatch.errors import TaskError
 from magmatch.serve.bodies.tracker import run_tracker
 from magmatch.serve.config import ServeConfig
-from magmatch.serve.refusals import RefusedError
+from magmatch.serve.refusals import RefusedError, or_raised
 
 log = logging.getLogger(__name__)
 # Requests that go to a tracker at once: what it does in a few ms.
@@ -77,10 +77,7 @@ class TrackerHandle:
         """Send a request and wait for the answer."""
         future: asyncio.Future[Any] = self._loop.create_future()
         self.ask(lambda found: None if future.done() else future.set_result(found), verb, *arguments)
-        found = await future
-        if isinstance(found, RefusedError):
-            raise found
-        return found
+        return or_raised(await future)
 
     async def stop(self) -> None:
         """Let the process write what it knows and end."""

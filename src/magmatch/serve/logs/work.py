@@ -178,9 +178,8 @@ def _for_client(words: str, place: Path, upload: Path, question: LogQuestion) ->
 def _registered(known: Place, survey: Survey, question: PoseOfLog) -> dict[str, Any]:
     prior = PosePriorConfig(is_gravity_aligned=question.gravity_aligned, is_planar=question.planar)
     config = RegistrationConfig(prior=prior)
-    if isinstance(known, Atlas):
-        return register(replace(known, config=config), survey, seed=question.seed).to_dict()
-    return register(known, survey, config, seed=question.seed).to_dict()
+    base = replace(known, config=config) if isinstance(known, Atlas) else known
+    return register(base, survey, config, seed=question.seed).to_dict()
 
 
 def _localized(known: Place, survey: Survey, question: WhereOfLog, config: LocalizerConfig) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from magmatch.errors import ConfigurationError, import_extra
 from magmatch.serve.bodies.trackers import TRACKER
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.logs.work import begin_worker
-from magmatch.serve.refusals import RefusedError
+from magmatch.serve.refusals import RefusedError, or_raised
 
 log = logging.getLogger(__name__)
 # Seconds within which a cluster's scheduler has to answer.
@@ -46,27 +46,21 @@ class LogWorkers:
         """Result of a function of a log; raises it where that is a `RefusedError`."""
         try:
             if self._cluster is not None:
-                return _or_raised(await self._cluster.run(function, *arguments))
+                return or_raised(await self._cluster.run(function, *arguments))
             async with self._turns:
-                return _or_raised(await self._here.run(function, *arguments))
+                return or_raised(await self._here.run(function, *arguments))
         except asyncio.CancelledError:  # the server does so, and would answer 500
             raise RefusedError(503, "the service ends; send the log to the next one", retry_after=5) from None
 
     async def run_short(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Result of a function that waits for no log."""
-        return _or_raised(await self._here.run(function, *arguments))
+        return or_raised(await self._here.run(function, *arguments))
 
     def close(self) -> None:
         """End all work."""
         self._here.close()
         if self._cluster is not None:
             self._cluster.close()
-
-
-def _or_raised(found: Any) -> Any:
-    if isinstance(found, RefusedError):
-        raise found
-    return found
 
 
 class Pool:
