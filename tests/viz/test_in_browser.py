@@ -144,7 +144,7 @@ def others(pair, tmp_path_factory):
     """Pages of other kinds: a refusal, and a map."""
     folder = tmp_path_factory.mktemp("others")
     write_report(folder / "refused.html", pair.base, pair.target, pair.refused)
-    write_map_report(folder / "map.html", pair.base_map, [pair.base])
+    write_map_report(folder / "map.html", pair.base_map, [pair.base], "magmatch map base.csv")
     return folder
 
 

@@ -203,7 +203,7 @@ def test_a_hundred_thousand_samples_stay_under_five_megabytes(pair, tmp_path):
     accepted = replace(pair.accepted, degenerate_directions=free, links=links, alternatives=others)
     write_report(tmp_path / "r.html", base, target, refused)
     write_report(tmp_path / "a.html", base, target, accepted)
-    write_map_report(tmp_path / "m.html", base, [large])
+    write_map_report(tmp_path / "m.html", base, [large], "magmatch map base.csv")
     write_view(tmp_path / "v.html", [large, base])
     for page in tmp_path.iterdir():
         assert page.stat().st_size < LIMIT

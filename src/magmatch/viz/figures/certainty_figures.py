@@ -20,14 +20,13 @@ from magmatch.viz.figures.plotting import (
     LINK_COLOR,
     TARGET_COLOR,
     TARGET_MARKER,
+    between,
+    curves3d,
     described,
     flat,
-    for_display,
     label,
-    lines3d,
     new_scene,
     points3d,
-    require_plotly,
     thinned,
 )
 from magmatch.viz.figures.slices import cut_through
@@ -35,8 +34,7 @@ from magmatch.viz.figures.slices import cut_through
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-DASHES = ("solid", "dash", "dot")
-POSE_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 # How far the farthest sample is drawn to go along a free direction, in the target's extent.
 SWEEP = 0.2
 MAX_ARROWS, MAX_SWEPT = 40, 1500
@@ -46,12 +44,15 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
     """Draw an ellipsoid with its axes."""
     surface = scale * ellipsoid.surface()
     rings, meridians = [*surface[2:-2:2]], [*surface.swapaxes(0, 1)[:-1:4]]
-    traces: list[Any] = [_curves([*rings, *meridians], name=f"{LEVEL:.0%} of the probability", color=BASE_COLOR)]
+    gap = np.full((1, 3), np.nan)
+    curves = np.concatenate([part for curve in (*rings, *meridians) for part in (curve, gap)])
+    thin = {"color": BASE_COLOR, "width": 1.5}
+    traces: list[Any] = [curves3d(curves, name=f"{LEVEL:.0%} of the probability", line=thin)]
     for k, (half, direction) in enumerate(zip(scale * ellipsoid.half_axes, ellipsoid.directions, strict=True)):
         end = np.asarray(half * direction)[None]
         line = {"color": TARGET_COLOR, "width": 6, "dash": DASHES[k]}
         name = f"{half:.3g} {unit} along {direction_words(direction)}"
-        traces.append(lines3d(-end, end, name=name, line=line))
+        traces.append(curves3d(between(-end, end), name=name, line=line))
     figure = new_scene(title, traces, note, unit=unit)
     halves = ", ".join(f"{scale * h:.3g}" for h in ellipsoid.half_axes)
     return described(
@@ -74,7 +75,7 @@ def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, fre
         _points(here, "target", TARGET_MARKER, TARGET_COLOR, 2.5),
         _points(ways[0], "moved one way", "cross", LINK_COLOR, 2),
         _points(ways[1], "moved the other way", "x", LINK_COLOR, 2),
-        lines3d(ways[0][arrows], ways[1][arrows], name="direction", line={"color": INK, "width": 3}),
+        curves3d(between(ways[0][arrows], ways[1][arrows]), name="direction", line={"color": INK, "width": 3}),
     ]
     figure = new_scene(f"Free: {label(free.words)}", traces, "the data fit nearly as well all along the lines")
     return described(
@@ -88,14 +89,6 @@ def _points(p: Points, name: str, symbol: str, color: str, size: float) -> Any:
     return points3d(p, name=name, marker=marker, hoverinfo="name")
 
 
-def _curves(curves: list[Points], name: str, color: str) -> Any:
-    """Several curves as one trace."""
-    gap = np.full((1, 3), np.nan)
-    x, y, z = for_display(np.concatenate([part for curve in curves for part in (curve, gap)])).T
-    line = {"color": color, "width": 1.5}
-    return require_plotly().Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=line, hoverinfo="skip")
-
-
 def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":
     """Where the target would lie under each of several poses: numbered outlines, or paths, in plan view."""
     p_target = target.positions[thinned(len(target), MAX_SWEPT)]
@@ -104,7 +97,7 @@ def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) 
     dots, p_base = {"size": 3, "color": BASE_COLOR, "opacity": 0.35}, base.positions[thinned(len(base), MAX_SWEPT)]
     traces = [flat(cut.along(p_base), marker=dots, name=f"base: {label(base.name)}", hoverinfo="skip")]
     for k, p in enumerate(lain):
-        line = {"color": TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": POSE_DASHES[k % len(POSE_DASHES)]}
+        line = {"color": TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": DASHES[k % len(DASHES)]}
         outline = _outline(cut.along(p), is_path=has_order(target))
         traces.append(flat(outline, "lines", line=line, name=f"pose {k + 1}", hoverinfo="name"))
         text = {"text": [f"<b>{k + 1}</b>"], "textfont": {"size": 18, "color": INK}}

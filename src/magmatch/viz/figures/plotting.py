@@ -71,9 +71,9 @@ def between(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, starts.shape[1])
 
 
-def lines3d(starts: Points, ends: Points, **style: Any) -> Any:
-    """One line per row in space."""
-    x, y, z = for_display(between(starts, ends)).T
+def curves3d(p: Points, **style: Any) -> Any:
+    """Curves in space, as a single trace: parted where a row is NaN."""
+    x, y, z = for_display(p).T
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="lines", hoverinfo="skip", **style)
 
 
@@ -97,6 +97,12 @@ def colorbar(unit: str) -> dict[str, Any]:
     """Scale of colours below a picture: beside it, it would take a phone's width."""
     place = {"orientation": "h", "thickness": 12, "len": 0.9, "outlinewidth": 0, **AT_THE_FOOT}
     return place | {"ticksuffix": f" {unit}" if unit else ""}
+
+
+def coloured_by_field(magnitude: Scalars, limits: tuple[float, float]) -> dict[str, Any]:
+    """Colours of markers by field magnitude, uT."""
+    colors = {"color": for_display(magnitude), "colorscale": FIELD_SCALE, "cmin": limits[0], "cmax": limits[1]}
+    return colors | {"colorbar": colorbar("uT")}
 
 
 def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> "Figure":

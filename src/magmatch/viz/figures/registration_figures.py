@@ -24,12 +24,11 @@ from magmatch.viz.figures.plotting import (
     TARGET_MARKER,
     UT_PER_TESLA,
     between,
-    colorbar,
+    curves3d,
     described,
     flat,
     for_display,
     label,
-    lines3d,
     magnitude_ut,
     new_plane,
     new_scene,
@@ -146,10 +145,8 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     for cut, field_map, offset in zip(cuts, (base_map, target_map), (np.zeros(2), shift), strict=True):
         field, is_known = field_on(cut, field_map)
         moved = replace(cut, first=cut.first + offset[0], second=cut.second + offset[1])
-        traces.append(
-            heatmap(moved, magnitude_ut(field), is_known, limits, FIELD_SCALE,
-                    colorbar=colorbar("uT"), hovertemplate="%{z:.2f} uT<extra></extra>")
-        )  # fmt: skip
+        hover = "%{z:.2f} uT<extra></extra>"
+        traces.append(heatmap(moved, magnitude_ut(field), is_known, limits, FIELD_SCALE, hovertemplate=hover))
     ends[1] = ends[1] + shift
     traces += [
         *_links_on_plane(*ends),
@@ -230,7 +227,7 @@ def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, l
         for name, p, color, symbol, size in ends
     ]
     line = {"color": LINK_COLOR, "width": 4}
-    return [*traces, lines3d(link_base[rows], link_target[rows], name="links", line=line, **ASKED_FOR)]
+    return [*traces, curves3d(between(link_base[rows], link_target[rows]), name="links", line=line, **ASKED_FOR)]
 
 
 def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> Any:

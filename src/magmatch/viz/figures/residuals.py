@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 from magmatch.viz.figures.plotting import thinned
@@ -64,7 +65,7 @@ def compare(
     n_compared: int = MAX_COMPARED,
 ) -> Comparison:
     """Put the target's samples into the base map."""
-    survey = target.survey if isinstance(target, FieldMap) else target
+    survey = survey_of(target)
     noise = (base, target) if isinstance(target, FieldMap) else (base, base)
     variance = sum(m.hyperparameters.noise_sd**2 for m in noise)
     rows = thinned(len(survey), n_compared)

@@ -12,15 +12,13 @@ from magmatch.typing import Points
 from magmatch.viz.figures.ellipsoids import LEVEL
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
-    FIELD_SCALE,
     INK,
     LINK_COLOR,
     TARGET_COLOR,
     between,
-    colorbar,
+    coloured_by_field,
     described,
     flat,
-    for_display,
     label,
     magnitude_ut,
     new_plane,
@@ -46,7 +44,7 @@ def session_figures(session: Session, component: int) -> "list[Figure]":
     field_map = session.map(component)
     cut = cut_through(np.concatenate(after))
     limits = common_limits(magnitude_ut(field_map.survey.field))
-    marks = [_line(cut, p, session.names[k], INK, n) for n, (k, p) in enumerate(zip(logs, after, strict=True))]
+    marks = [_line(cut, p, session.names[k], n) for n, (k, p) in enumerate(zip(logs, after, strict=True))]
     marks += _closures(session, cut, set(logs))
     marks += _ellipses(session, cut, logs)
     marks += _fixed_points(session, cut, logs)
@@ -86,15 +84,8 @@ def _before(
     traces = []
     for k, p in zip(logs, before, strict=True):
         rows = thinned(len(p))
-        marker = {
-            "size": 4,
-            "color": for_display(magnitude_ut(session.given[k].field[rows])),
-            "colorscale": FIELD_SCALE,
-            "cmin": limits[0],
-            "cmax": limits[1],
-            "showscale": k == logs[0],
-            "colorbar": colorbar("uT"),
-        }
+        colors = coloured_by_field(magnitude_ut(session.given[k].field[rows]), limits)
+        marker = {"size": 4, "showscale": k == logs[0]} | colors
         traces.append(flat(cut.along(p[rows]), marker=marker, name=label(session.names[k])))
     as_given = "as surveyed" if session.is_rigid else "as odometry has them"
     figure = cut.figure(f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces)
@@ -102,8 +93,8 @@ def _before(
     return described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
 
 
-def _line(cut: Cut, p: Points, name: str, color: str, n: int) -> Any:
-    style = {"color": color, "width": 1.2, "dash": DASHES[n % len(DASHES)]}
+def _line(cut: Cut, p: Points, name: str, n: int) -> Any:
+    style = {"color": INK, "width": 1.2, "dash": DASHES[n % len(DASHES)]}
     return flat(cut.along(p[thinned(len(p))]), "lines", line=style, name=label(name), hoverinfo="name")
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of one survey."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,15 +9,13 @@ from magmatch.data.survey import Survey
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     BASE_MARKER,
-    FIELD_SCALE,
     INK,
     LINK_COLOR,
     TARGET_COLOR,
     UT_PER_TESLA,
-    colorbar,
+    coloured_by_field,
     described,
     flat,
-    for_display,
     label,
     magnitude_ut,
     new_plane,
@@ -36,15 +34,7 @@ def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
     rows = thinned(len(survey))
     magnitude = magnitude_ut(survey.field[rows])
     low, high = common_limits(magnitude)
-    marker: dict[str, Any] = {
-        "size": 3 if len(rows) < 1000 else 2,
-        "symbol": BASE_MARKER,
-        "color": for_display(magnitude),
-        "colorscale": FIELD_SCALE,
-        "cmin": low,
-        "cmax": high,
-        "colorbar": colorbar("uT"),
-    }
+    marker = {"size": 3 if len(rows) < 1000 else 2, "symbol": BASE_MARKER} | coloured_by_field(magnitude, (low, high))
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
     traces = [points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)]
     if left_out is not None and len(left_out):

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of a map: its surveys, the field, its uncertainty, and how to reproduce it."""
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -43,9 +42,7 @@ MEANINGS = {
 }
 
 
-def write_map_report(
-    path: str | Path, field_map: FieldMap, read: Sequence[Survey] = (), command: str | None = None
-) -> None:
+def write_map_report(path: str | Path, field_map: FieldMap, read: Sequence[Survey], command: str) -> None:
     """Write one HTML page about a map; it works offline and on a phone.
 
     `read` holds the surveys as read (map frame), to show which samples were left out; `command` reproduces the map.
@@ -174,9 +171,7 @@ def _number(name: str, value: float) -> str:
     return f"{value:.3g}" + (" m" if name in ("lengthscale", "spacing") else "")
 
 
-def _again(field_map: FieldMap, command: str | None) -> Section:
-    names = [part.name for part in field_map.surveys]
-    command = command or f"magmatch map {shlex.join(names)} --config settings.yaml --out MAP"
+def _again(field_map: FieldMap, command: str) -> Section:
     words = (
         f"magmatch {__version__}. The same surveys and settings give the same map. Settings: save as settings.yaml."
     )

@@ -3,8 +3,6 @@
 
 from pathlib import Path
 
-from scipy.spatial.transform import RigidTransform
-
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
@@ -105,7 +103,7 @@ def _field(base: Survey | FieldMap, target: Survey | FieldMap, result: Registrat
 
 def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: RegistrationResult) -> list[Section]:
     """Whether the base explains the target's samples, under the pose that is shown."""
-    T_base_target: RigidTransform | None = shown_pose(result)
+    T_base_target = shown_pose(result)
     if T_base_target is None:
         return []
     title = "Overlap and residuals"

@@ -8,8 +8,10 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult, Sensor
 from magmatch.registration.sensor_calibration import in_words as calibration_words
+from magmatch.typing import Matrix
 from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
 from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
 from magmatch.viz.figures.registration_figures import shown_pose
@@ -40,8 +42,9 @@ def answer_words(result: RegistrationResult) -> str:
     if T is None:
         return ""
     words = f"Turned by {turn_words(T)}, moved by {length_text(float(np.linalg.norm(T.translation)))}"
-    turn, shift = result.standard_deviations or (None, None)
-    return words if turn is None or shift is None else f"{words}; sd {angle_text(turn)}, {length_text(shift)}"
+    if (sd := result.standard_deviations) is not None:
+        words += f"; sd {angle_text(sd[0])}, {length_text(sd[1])}"
+    return words
 
 
 def figures_table(result: RegistrationResult) -> str:
@@ -95,13 +98,9 @@ def certainty(result: RegistrationResult, target: Survey | None) -> list[Section
                 ]
             ),
         ]
-    blocks += [
-        details(
-            "Standard deviations in the target's axes, about its frame's origin",
-            table(_deviations(result))
-            + note("Square roots of the covariance's diagonal. A distant origin makes the shifts large."),
-        ),
-    ]
+    origin = note("Square roots of the covariance's diagonal. A distant origin makes the shifts large.")
+    deviations = table(_deviations(result.covariance, result.standard_deviations)) + origin
+    blocks.append(details("Standard deviations in the target's axes, about its frame's origin", deviations))
     return [Section(title, blocks)]
 
 
@@ -121,7 +120,7 @@ def other_poses(
     """Rival poses with their numbers; the best candidate first if nothing was accepted."""
     if not result.alternatives:
         return []
-    survey = target.survey if isinstance(target, FieldMap) else target
+    survey = None if target is None else survey_of(target)
     center = np.zeros(3) if survey is None else survey.centroid
     listed = result.alternatives[:MAX_LISTED]
     columns: dict[str, list[str]] = {
@@ -152,8 +151,7 @@ def other_poses(
     blocks = [paragraph(words), table(rows, list(told))]
     drawn = [other.T_base_target for other in listed[:MAX_DRAWN_POSES] if other.base is None]
     if base is not None and survey is not None and drawn and not any(other.base for other in listed):
-        base_survey = base.survey if isinstance(base, FieldMap) else base
-        blocks.append(figure_row([poses_figure(base_survey, survey, drawn)]))
+        blocks.append(figure_row([poses_figure(survey_of(base), survey, drawn)]))
     return [Section("Other poses", blocks)]
 
 
@@ -193,15 +191,13 @@ def _ellipsoid_words(place: Ellipsoid, turn: Ellipsoid) -> str:
     )
 
 
-def _deviations(result: RegistrationResult) -> list[list[str]]:
+def _deviations(covariance: Matrix, best: tuple[float, float] | None) -> list[list[str]]:
     """Roots of the covariance's diagonal in words."""
-    if result.covariance is None:
-        return []
-    sd = np.sqrt(np.diag(result.covariance))
+    sd = np.sqrt(np.diag(covariance))
     axes = ["about x", "about y", "about z", "origin along x", "origin along y", "origin along z"]
     text = [f"{DEG * s:.3f} deg" for s in sd[:3]] + [f"{MM * s:.1f} mm" for s in sd[3:]]
     rows = [[axis, words] for axis, words in zip(axes, text, strict=True)]
-    turn, shift = result.standard_deviations or (0.0, 0.0)
+    turn, shift = best or (0.0, 0.0)
     return [["where the data constrain it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.maps import survey_of
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages.map_page import map_sections
 from magmatch.viz.pages.page import Section, figure_row, write_page
@@ -15,12 +16,10 @@ from magmatch.viz.pages.page import Section, figure_row, write_page
 
 def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
     """Write one HTML page that shows surveys and maps, each in its own frame."""
-    sections, names = [], []
+    sections = []
     for item in drawn:
-        survey = item if isinstance(item, Survey) else item.survey
-        names.append(survey.name)
-        sections += _of_survey(survey) if isinstance(item, Survey) else _of_map(item)
-    write_page(path, f"magmatch: {', '.join(names)}", sections)
+        sections += _of_survey(item) if isinstance(item, Survey) else _of_map(item)
+    write_page(path, f"magmatch: {', '.join(survey_of(item).name for item in drawn)}", sections)
 
 
 def _of_survey(survey: Survey) -> list[Section]:

@@ -10,8 +10,9 @@ from scipy.spatial.transform import RigidTransform, Slerp
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotation_matrix
+from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
-from magmatch.typing import Indices, Mask, Matrix, Points, Scalars
+from magmatch.typing import Indices, Mask, Matrix, Scalars
 from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut, thinned
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.slices import Cut, common_limits, field_on
@@ -60,14 +61,6 @@ class Exhibit:
         low, high = self.limits
         return [*said, f"Shades of field magnitude go from {low:.3g} uT (dark) to {high:.3g} uT (light)."]
 
-    @property
-    def links(self) -> tuple[Points, Points]:
-        """Ends of the links: on the base in its frame, and on the target in its own; (n, 3) each."""
-        if self.result is None:
-            return np.zeros((0, 3)), np.zeros((0, 3))
-        rows = thinned(len(self.result.links.base), MAX_LINKS)
-        return self.result.links.base[rows], self.result.links.target[rows]
-
     def pose_of_target(self, share: float) -> RigidTransform:
         """Where the target's frame stands on the way from as it was recorded (0) to registered (1)."""
         if self.T_base_target is None:
@@ -76,10 +69,18 @@ class Exhibit:
         turn = Slerp([0.0, 1.0], type(self.T_base_target.rotation).from_matrix(ends))(share)
         return RigidTransform.from_components(share * self.T_base_target.translation, turn)
 
+    def links(self, share: float) -> np.ndarray:
+        """Both ends of every link in the base's frame, (n, 2, 3), with the target where `pose_of_target` has it."""
+        if self.result is None:
+            return np.zeros((0, 2, 3), dtype=np.float32)
+        rows, ends = thinned(len(self.result.links.base), MAX_LINKS), self.result.links
+        moved = self.pose_of_target(share).apply(ends.target[rows])
+        return np.stack([ends.base[rows], moved], axis=1).astype(np.float32)
+
 
 def exhibit(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> Exhibit:
     """Assemble what a viewer shows; with a result, its base and its target."""
-    surveys = [item.survey if isinstance(item, FieldMap) else item for item in drawn]
+    surveys = [survey_of(item) for item in drawn]
     names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
     colors = np.array([[0, 54, 95], [213, 94, 0], [87, 96, 106], [0, 158, 115], [204, 121, 167]])
     parts = tuple(

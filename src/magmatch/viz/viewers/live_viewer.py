@@ -27,14 +27,14 @@ def require_viser() -> ModuleType:
 
 
 @contextmanager
-def serve(shown: Exhibit, port: int = 8080, host: str = "127.0.0.1") -> Iterator[Any]:
-    """Show an exhibit at a web address while the block runs, by default to this machine only.
+def serve(shown: Exhibit, port: int) -> Iterator[Any]:
+    """Show an exhibit at a web address while the block runs, to this machine only.
 
     If `port` is in use, the next free one is taken; `address_of` gives the address.
     """
     viser = require_viser()
     with redirect_stdout(io.StringIO()):  # it prints a table of addresses, and a word when it stops
-        server = viser.ViserServer(host=host, port=port, label="magmatch", verbose=False)
+        server = viser.ViserServer(host="127.0.0.1", port=port, label="magmatch", verbose=False)
     try:
         _furnish(server, shown)
         yield server
@@ -59,17 +59,16 @@ def _furnish(server: Any, shown: Exhibit) -> None:
     server.initial_camera.look_at = tuple(center)
     server.initial_camera.position = tuple(center + size * np.array([0.42, -0.72, 0.6]))
     server.gui.add_markdown("  \n".join(shown.words))
-    frames = {part.name: _frame(server, f"/{part.name}", 0.04 * size) for part in shown.parts}
+    length = 0.04 * size
+    frames = {
+        part.name: server.scene.add_frame(f"/{part.name}", axes_length=length, axes_radius=0.03 * length)
+        for part in shown.parts
+    }
     if shown.result is not None:
         _add_links(server, shown, frames["target"], size)
     _add_samples(server, shown, POINT_SHARE * size)
     for part in shown.parts:
-        if part.field_map is not None:
-            _add_cut(server, shown, part)
-
-
-def _frame(server: Any, name: str, length: float) -> Any:
-    return server.scene.add_frame(name, axes_length=length, axes_radius=0.03 * length)
+        _add_cut(server, shown, part)
 
 
 def _add_samples(server: Any, shown: Exhibit, point_size: float) -> None:
@@ -103,11 +102,9 @@ def _add_samples(server: Any, shown: Exhibit, point_size: float) -> None:
 
 def _add_links(server: Any, shown: Exhibit, target: Any, size: float) -> None:
     """A slider that moves the target, and lines between corresponding keypoints, which follow it."""
-    lines = None
-    if len(shown.links[0]):
-        lines = server.scene.add_line_segments(
-            "/links", points=_segments(shown, 1.0), colors=(87, 96, 106), thickness=0.001 * size
-        )
+    lines, links = None, shown.links(1.0)
+    if len(links):
+        lines = server.scene.add_line_segments("/links", points=links, colors=(87, 96, 106), thickness=0.001 * size)
     if shown.T_base_target is None:
         return
     is_accepted = shown.result is not None and shown.result.is_accepted
@@ -119,7 +116,7 @@ def _add_links(server: Any, shown: Exhibit, target: Any, size: float) -> None:
         target.wxyz = T.rotation.as_quat(scalar_first=True)
         target.position = T.translation
         if lines is not None:
-            lines.points = _segments(shown, share)
+            lines.points = shown.links(share)
 
     move(1.0)
 
@@ -129,7 +126,7 @@ def _add_links(server: Any, shown: Exhibit, target: Any, size: float) -> None:
 
 
 def _add_cut(server: Any, shown: Exhibit, part: Part) -> None:
-    """A cut through a map that can be moved along an axis."""
+    """A cut through a part's map, if it has one, that can be moved along an axis."""
     field_map, p = part.field_map, part.survey.positions
     if field_map is None:
         return
@@ -171,9 +168,3 @@ def _colors(shown: Exhibit, part: Part, choice: str) -> np.ndarray:
     if choice == BY_SURVEY:
         return np.tile(part.color.astype(np.uint8), (len(part.rows), 1))
     return shaded(magnitude_ut(part.survey.field[part.rows]), shown.limits).astype(np.uint8)
-
-
-def _segments(shown: Exhibit, share: float) -> np.ndarray:
-    """Both ends of every link in the base's frame: (n, 2, 3)."""
-    ends_base, ends_target = shown.links
-    return np.stack([ends_base, shown.pose_of_target(share).apply(ends_target)], axis=1).astype(np.float32)

@@ -99,7 +99,6 @@ def _log_part(rr: ModuleType, recording: Any, shown: Exhibit, part: Part) -> Non
 
 def _log_registration(rr: ModuleType, recording: Any, shown: Exhibit) -> None:
     """The target's frame on its way, and the links that shrink with it."""
-    ends_base, ends_target = shown.links
     if shown.T_base_target is None:
         return
     for step in range(N_STEPS + 1):
@@ -107,9 +106,9 @@ def _log_registration(rr: ModuleType, recording: Any, shown: Exhibit) -> None:
         T = shown.pose_of_target(step / N_STEPS)
         pose = rr.Transform3D(translation=T.translation, quaternion=rr.Quaternion(xyzw=T.rotation.as_quat()))
         recording.log("target", pose)
-        if len(ends_base):
-            strips = np.stack([ends_base, T.apply(ends_target)], axis=1)
-            recording.log("links", rr.LineStrips3D(strips, colors=LINK))
+        links = shown.links(step / N_STEPS)
+        if len(links):
+            recording.log("links", rr.LineStrips3D(links, colors=LINK))
 
 
 def _faces(cut: Cut, is_known: np.ndarray) -> np.ndarray:
