@@ -353,7 +353,7 @@ def test_no_permission_to_write_is_refused_before_the_work(good, out, run, monke
     def deny(*_args, **_named):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("magmatch.cli.outputs.tempfile.mkstemp", deny)
+    monkeypatch.setattr("magmatch.cli.outputs.tempfile.NamedTemporaryFile", deny)
     assert_refused(run("map", good, "--out", out / "m"), "no permission to write", out)
 
 

@@ -2,7 +2,6 @@
 """Output paths: checked before the work begins."""
 
 import json
-import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -62,8 +61,7 @@ def _try_to_write(folder: Path, path: Path) -> None:
     if not folder.is_dir():
         raise DataFormatError(path, f"the folder {folder} does not exist; create it first")
     try:
-        handle, name = tempfile.mkstemp(prefix=".magmatch-", dir=folder)
+        with tempfile.NamedTemporaryFile(prefix=".magmatch-", dir=folder):
+            pass
     except PermissionError:
         raise DataFormatError(path, f"no permission to write in the folder {folder}") from None
-    os.close(handle)
-    Path(name).unlink()

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
     from magmatch.registration.result import RegistrationResult
 
 
@@ -18,10 +20,10 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
     jargon = [term.lower() for term in terms_in(result.reason)]
     lines += [f"('magmatch glossary' explains {', '.join(jargon)})"] if jargon else []
     lines += [] if result.base is None else [f"Map: {result.base}"]
-    if result.T_base_target is not None:
+    if (T := result.T_base_target) is not None:
         lines += ["T_base_target (p_base = T p_target, metres):"]
-        lines += ["  " + " ".join(f"{v:12.6f}" for v in row) for row in result.T_base_target.as_matrix()]
-        lines += [f"  {_motion(result)}"]
+        lines += ["  " + " ".join(f"{v:12.6f}" for v in row) for row in T.as_matrix()]
+        lines += [f"  {_motion(T, result.standard_deviations)}"]
     lines += [_figures(result)]
     lines += [f"Sensor of the {side} calibrated: {words}" for side, words in calibration_words(result.sensor).items()]
     lines += [f"Free direction: {d.words}" for d in result.degenerate_directions]
@@ -87,16 +89,13 @@ def _text(value: Any, unit: str) -> str:
     return f"{value} {unit}".rstrip()
 
 
-def _motion(result: "RegistrationResult") -> str:
+def _motion(T: "RigidTransform", sd: tuple[float, float] | None) -> str:
     """Size of the motion, with its standard deviation if known."""
     import numpy as np
 
-    T = result.T_base_target
-    if T is None:
-        return ""
     text = f"turned by {np.rad2deg(T.rotation.magnitude()):.2f} deg, moved by {np.linalg.norm(T.translation):.3f} m"
-    if result.standard_deviations is not None:
-        turn, shift = result.standard_deviations
+    if sd is not None:
+        turn, shift = sd
         text += f"; sd {np.rad2deg(turn):.2f} deg, {1e3 * shift:.1f} mm where the target lies"
     return text
 

@@ -102,7 +102,8 @@ async def _admit(
         await socket.send_denial_response(_refusal(service, refused))
         return
     try:
-        await socket.accept(_subprotocol(socket))
+        # Ours, where it is offered: the token beside it is not said back.
+        await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", []) else None)
         await follow(service, socket)
     except (WebSocketDisconnect, RuntimeError):  # it left while something was sent
         pass
@@ -148,11 +149,6 @@ async def _watch(service: Service, socket: WebSocket) -> None:
         async with service.watched() as pictures:
             while True:
                 await socket.send_text(await pictures.get())
-
-
-def _subprotocol(socket: WebSocket) -> str | None:
-    """Ours, where it is offered: the token beside it is not said back."""
-    return PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", []) else None
 
 
 def _refusal(service: Service, refused: RefusedError) -> Response:

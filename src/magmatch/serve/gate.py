@@ -2,22 +2,16 @@
 """Who may come in: asked of every request and connection before anything else is done."""
 
 import secrets
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from magmatch.serve.allowance import Allowances
 from magmatch.serve.config import LOOPBACK, ServeConfig
 from magmatch.serve.metrics import Metrics
 from magmatch.serve.refusals import RefusedError
-
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 # Without data of anybody: the page that asks for the token, and whether the service is well.
 OPEN = {"/", "/page.js", "/page.css", "/health", "/docs", "/openapi.json"}
@@ -35,7 +29,7 @@ HEADERS = {
 class Gate:
     """Checks in this order: Host, Origin, how often, token."""
 
-    def __init__(self, app: App, config: ServeConfig, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, config: ServeConfig, metrics: Metrics) -> None:
         self._app, self._config, self._metrics = app, config, metrics
         self._requests, self._connects = Allowances(config.max_requests), Allowances(config.max_connects)
         named = {urlsplit(one).hostname or "" for one in config.origins}
@@ -46,7 +40,7 @@ class Gate:
         """Let in, or answer with a refusal."""
         is_http = scope["type"] == "http"
 
-        async def send_guarded(message: MutableMapping[str, Any]) -> None:
+        async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
                 message["headers"] = [
                     *message.get("headers", []), *((k.lower().encode(), v.encode()) for k, v in HEADERS.items())

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magmatch.field.map import FieldMap
-from magmatch.typing import Points, Scalars
+from magmatch.typing import Scalars
 from magmatch.viz.figures.coverage import Coverage
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
@@ -52,7 +52,8 @@ def field_figures(field_map: FieldMap) -> "list[Figure]":
         values = UT_PER_TESLA * field[:, k]
         range_k = common_limits(UT_PER_TESLA * field_map.survey.field[:, k])
         figures.append(slice_figure(f"B{axis}", main, values, is_known, range_k, FIELD_SCALE))
-    for normal in _other_normals(p, main):
+    size = np.ptp(p, axis=0)
+    for normal in main.axes[:2] if size.min() >= THICK * size.max() else ():
         cut = cut_normal_to(p, normal)
         figures.append(magnitude_slice("|B|, across", cut, *field_on(cut, field_map), limits))
     return figures
@@ -107,9 +108,3 @@ def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
     figure.update_layout(height=130 + 40 * len(names))
     told = ", ".join(f"{name} {v:.3g} uT" for name, v in zip(names, values, strict=True))
     return described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")
-
-
-def _other_normals(p: Points, main: Cut) -> list[int]:
-    """Axes along which a thick box is cut as well."""
-    size = np.ptp(p, axis=0)
-    return [] if size.min() < THICK * size.max() else list(main.axes[:2])
