@@ -8,7 +8,7 @@ processor; beside them, in the same run, the registration of two rooms of 2,500 
 compared with. Each walk is worked on in a process of its own, whose peak memory is stated.
 
 Run: PYTHONPATH=benchmarks/experiments python benchmarks/bench_slam_long.py [--kilometres 1 3 10] [--routes grid laps]
-    [--percent 1] [--seed 0] [--save NAME]
+    [--seed 0] [--save NAME]
 """
 
 import json
@@ -64,7 +64,7 @@ def laps(kilometres: float, rng: np.random.Generator) -> tuple[np.ndarray, list[
     return path, along_corridor(lambda s: around_loop(LAP, 1.0, s), loop_length(LAP, 1.0), 1.0, rng)
 
 
-def walk(route: str, kilometres: float, percent: float, seed: int) -> tuple[mm.Survey, np.ndarray]:
+def walk(route: str, kilometres: float, seed: int) -> tuple[mm.Survey, np.ndarray]:
     """A log with drifting odometry, and its true path."""
     rng = np.random.default_rng([seed, len(route)])
     path, sources = {"grid": streets, "laps": laps}[route](kilometres, rng)
@@ -80,7 +80,7 @@ def walk(route: str, kilometres: float, percent: float, seed: int) -> tuple[mm.S
         middle = path[rows].mean(axis=0)
         reach = FAR + np.linalg.norm(path[rows] - middle, axis=1).max()
         field[rows] += field_of([sources[k] for k in near.query_ball_point(middle, reach)], path[rows])
-    return drifted(path, field, DRIFTS[percent], rng), path
+    return drifted(path, field, DRIFTS[1.0], rng), path
 
 
 def room() -> float:
@@ -101,12 +101,11 @@ def room() -> float:
     return float(np.median([timed(mm.register, base, target).processor for _ in range(5)]))
 
 
-def work(route: str, kilometres: float, percent: float, seed: int) -> dict[str, object]:
-    """One walk."""
-    log, path = walk(route, kilometres, percent, seed)
+def work(route: str, kilometres: float, seed: int) -> dict[str, object]:
+    log, path = walk(route, kilometres, seed)
     registration = room()
     session, clock, processor = timed(mm.slam, log)
-    p, turned = at_nodes(session, [path])
+    p, turned = at_nodes(session, path)
     off = off_truth(session, p, turned)
     wrong = sum(bool(c.is_kept) and o > 1 for o, c in zip(off, session.graph.closures, strict=True))
     after = session.trajectories[0].positions
@@ -118,17 +117,15 @@ def work(route: str, kilometres: float, percent: float, seed: int) -> dict[str, 
 
 
 def main() -> None:
-    asked = arguments(
-        __doc__, [], kilometres=[1.0, 3.0, 10.0], routes=["grid", "laps"], percent=1.0, seed=0, save=saver
-    )
+    asked = arguments(__doc__, [], kilometres=[1.0, 3.0, 10.0], routes=["grid", "laps"], seed=0, save=saver)
     if asked.words:
         route, kilometres = asked.words
-        print(json.dumps(work(route, float(kilometres), asked.percent, asked.seed)))
+        print(json.dumps(work(route, float(kilometres), asked.seed)))
         return
     table = []
     for route in asked.routes:
         for kilometres in asked.kilometres:
-            r = alone(__file__, route, kilometres, "--percent", asked.percent, "--seed", asked.seed)
+            r = alone(__file__, route, kilometres, "--seed", asked.seed)
             table.append([
                 route, f"{r['length'] / 1000:.1f}", f"{r['before']:.2f}", f"{r['after']:.2f}", f"{r['nees']:.1f}",
                 r["closures"], r["wrong"], f"{r['processor']:.0f}", f"{r['clock']:.0f}",

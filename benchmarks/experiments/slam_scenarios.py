@@ -32,6 +32,7 @@ from magmatch.simulation.paths import (
     loop_length,
     resample,
     smooth_noise,
+    upright,
     wander,
 )
 from magmatch.simulation.structures import along_corridor, around_box, calibrated, is_clear, under_table
@@ -58,7 +59,7 @@ def place(name: str, passes: int, rng: np.random.Generator) -> tuple[np.ndarray,
     """True path (n, 3) and its field, T."""
     if name == "table":
         sources = under_table((2.0, 1.5), 0.08, 15, rng)
-        path, _ = circles(np.array([0.0, 0.0, 0.05]), (0.25, 0.4, 0.55), passes, 800 * passes)
+        path = circles(np.array([0.0, 0.0, 0.05]), (0.25, 0.4, 0.55), passes, 800 * passes)
     elif name == "corridor":
         length = loop_length(CORRIDOR, 1.0)
         path, heading = around_loop(CORRIDOR, 1.0, np.arange(0, passes * length, 0.06))
@@ -107,20 +108,15 @@ def drifted(path: np.ndarray, field: np.ndarray, drift: Drift, rng: np.random.Ge
     turned = np.concatenate([[0], np.cumsum(np.radians(drift.heading) * walked * rng.standard_normal(len(steps)))])
     scale = 1 + drift.scale * rng.standard_normal()
     moved = walked[:, None] * [drift.place, drift.place, drift.height] * rng.standard_normal((len(steps), 3))
-    positions = np.cumsum(about_z(turned[:-1]).apply(scale * steps) + moved, axis=0)
+    positions = np.cumsum(upright(turned[:-1]).apply(scale * steps) + moved, axis=0)
     positions = np.concatenate([np.zeros((1, 3)), positions])
     lean = [smooth_noise(len(path), SWING, np.radians(drift.lean), rng) for _ in range(2)]
-    attitude = about_z(turned) * Rotation.from_rotvec(np.column_stack([*lean, 0 * ahead]))
+    attitude = upright(turned) * Rotation.from_rotvec(np.column_stack([*lean, 0 * ahead]))
     measured = attitude.apply(field + NOISE * rng.standard_normal(field.shape))
     log = mm.Survey(
-        positions, measured, times=path_walked(path), orientations=attitude * about_z(ahead), name="walk.csv"
+        positions, measured, times=path_walked(path), orientations=attitude * upright(ahead), name="walk.csv"
     )
     return log.transformed(RigidTransform.from_rotation(Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))))
-
-
-def about_z(angles: np.ndarray) -> Rotation:
-    """Turns about the vertical."""
-    return Rotation.from_euler("z", angles[:, None])
 
 
 def heading_error(log: mm.Survey, truth: Rotation) -> float:
@@ -142,16 +138,11 @@ def nees_of(session: mm.Session, p: np.ndarray, turned: Rotation) -> float:
     return float(np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]).mean() / 2)
 
 
-def at_nodes(session: mm.Session, paths: list[np.ndarray]) -> tuple[np.ndarray, Rotation]:
-    """True places of all nodes of logs whose true paths are given, and what takes odometry's axes there to true."""
-    middles = [one.middles for one in session.paths]
-    turned = [
-        (log.orientations[rows] * about_z(heading_along(path))[rows].inv()).inv()
-        for log, path, rows in zip(session.given, paths, middles, strict=True)
-    ]
-    return np.concatenate([path[rows] for path, rows in zip(paths, middles, strict=True)]), Rotation.concatenate(
-        turned
-    )
+def at_nodes(session: mm.Session, path: np.ndarray) -> tuple[np.ndarray, Rotation]:
+    """True places of all nodes of a log whose true path is given, and what takes odometry's axes there to true."""
+    rows = session.paths[0].middles
+    turned = (session.given[0].orientations[rows] * upright(heading_along(path))[rows].inv()).inv()
+    return path[rows], turned
 
 
 def ceiling(session: mm.Session, p: np.ndarray, turned: Rotation) -> mm.Survey:
@@ -176,23 +167,19 @@ def true_shift(a: int, b: int, p: np.ndarray, turned: Rotation) -> RigidTransfor
 
 def off_truth(session: mm.Session, p: np.ndarray, turned: Rotation) -> list[float]:
     """How far off each closure is in the plane, m."""
-    return [
-        float(
-            np.linalg.norm((c.T_first_second.translation - true_shift(c.first, c.second, p, turned).translation)[:2])
-        )
-        for c in session.graph.closures
-    ]
+    closures = session.graph.closures
+    shifts = [c.T_first_second.translation - true_shift(c.first, c.second, p, turned).translation for c in closures]
+    return [float(np.linalg.norm(shift[:2])) for shift in shifts]
 
 
 def work(name: str) -> dict[str, object]:
-    """One log."""
     kind, passes, percent, seed = name.split(" ")
     rng = np.random.default_rng([PLACES.index(kind), int(seed)])
     path, field = place(kind, int(passes), rng)
     log = drifted(path, field, DRIFTS[float(percent)], rng)
     session, seconds, processor = timed(mm.slam, log)
-    field_length, ahead = session.paths[0].windows[0].length, about_z(heading_along(path))
-    p, turned = at_nodes(session, [path])
+    field_length, ahead = session.paths[0].windows[0].length, upright(heading_along(path))
+    p, turned = at_nodes(session, path)
     off = off_truth(session, p, turned)
     is_wrong = [
         apart > max(field_length / 2, 3 * float(np.sqrt(np.trace(c.covariance[3:5, 3:5]))))

@@ -10,25 +10,13 @@ from magmatch.simulation.paths import (
     around_loop,
     boustrophedon,
     circles,
+    heading_along,
     loop_length,
     resample,
     smooth_noise,
-    times_along,
-    uniform_in_box,
 )
 
 SETTINGS = settings(deadline=None, max_examples=25)
-
-
-def test_uniform_samples_fill_the_box(rng):
-    low, high = np.array([-1.0, 0, 2]), np.array([1.0, 3, 2.5])
-    points = uniform_in_box(low, high, 4000, rng)
-    assert (points >= low).all()
-    assert (points <= high).all()
-    # Mean and deviation of a uniform distribution, to five standard errors.
-    sides = high - low
-    assert (np.abs(points.mean(axis=0) - (low + high) / 2) < 5 * sides / np.sqrt(12 * 4000)).all()
-    np.testing.assert_allclose(points.std(axis=0), sides / np.sqrt(12), rtol=0.05)
 
 
 def test_resampling_a_line_keeps_both_ends_and_equal_steps():
@@ -56,8 +44,8 @@ def test_sweep_runs_along_its_rows(along):
 
 def test_circles_keep_radius_and_height_and_head_along_the_tangent():
     center = np.array([0.2, -0.1, 0.05])
-    points, heading = circles(center, (0.4,), 2, 500)
-    arm = points - center
+    points = circles(center, (0.4,), 2, 500)
+    heading, arm = heading_along(points), points - center
     np.testing.assert_allclose(np.linalg.norm(arm[:, :2], axis=1), 0.4, rtol=1e-3)  # chords of 2 degrees
     np.testing.assert_allclose(points[:, 2], 0.05, atol=1e-12)
     tangent = np.column_stack([-arm[:, 1], arm[:, 0]]) / 0.4
@@ -89,10 +77,6 @@ def test_loop_stays_on_the_rectangle():
     points, _ = around_loop((20.0, 10.0), 1.0, np.linspace(0, 60, 2000))
     np.testing.assert_allclose(points.min(axis=0), [0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(points.max(axis=0), [20, 10, 0], atol=1e-6)
-
-
-def test_times_follow_the_distance():
-    np.testing.assert_allclose(times_along(np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0]]), 0.5), [0, 2, 6])
 
 
 def test_smooth_noise_has_its_deviation_and_no_steps(rng):

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magmatch.simulation.magnets import Box, Cylinder, distance_to, field_of
-from magmatch.simulation.paths import uniform_in_box
 from magmatch.simulation.structures import around_box, calibrated, inside_box, is_clear, rearranged, under_table
 
 SETTINGS = settings(deadline=None, max_examples=20)
@@ -65,7 +64,7 @@ def test_magnets_stick_under_the_table_top(rng):
 
 
 def test_calibrated_room_varies_as_asked(rng):
-    probes = uniform_in_box(-HIGH, HIGH, 300, rng)
+    probes = rng.uniform(-HIGH, HIGH, (300, 3))
     sources = calibrated(around_box(-HIGH, HIGH, 0.3, rng), probes, 15e-6)
     field = field_of(sources, probes)
     assert np.sqrt(field.var(axis=0).sum()) == pytest.approx(15e-6, rel=1e-9)
@@ -73,7 +72,7 @@ def test_calibrated_room_varies_as_asked(rng):
 
 @pytest.mark.parametrize("fraction", [0.0, 0.25, 1.0])
 def test_the_fraction_asked_for_moves_and_stays_clear(rng, fraction):
-    samples = uniform_in_box(-HIGH, HIGH, 300, rng)
+    samples = rng.uniform(-HIGH, HIGH, (300, 3))
     before = around_box(-HIGH, HIGH, 0.3, rng)
     after = rearranged(before, fraction, samples, 0.3, rng)
     distance = np.array([np.linalg.norm(a.center - b.center) for a, b in zip(after, before, strict=True)])

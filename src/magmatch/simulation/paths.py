@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where and how a sensor is carried: random samples of a box, hand-held sweeps, robot circles, a corridor loop."""
+"""Where and how a sensor is carried: hand-held sweeps, robot circles, a corridor loop."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,11 +20,6 @@ class SensorPath:
     times: Scalars | None = None  # (n,), s: strictly increasing; None for samples in no order
     # Length n, optional: takes sensor coordinates to world coordinates; None for a sensor that did not turn
     orientations: Rotation | None = None
-
-
-def uniform_in_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) -> Points:
-    """Points drawn uniformly from a box."""
-    return rng.uniform(low, high, (n, 3))
 
 
 def resample(corners: Points, n: int) -> Points:
@@ -53,12 +48,11 @@ def boustrophedon(
     return resample(np.array(corners), n)
 
 
-def circles(center: Vector3, radii: Sequence[float], laps: int, n: int) -> tuple[Points, Scalars]:
-    """Circles about a point, one radius after another, at constant height: points, and headings from x (rad)."""
+def circles(center: Vector3, radii: Sequence[float], laps: int, n: int) -> Points:
+    """Circles about a point, one radius after another, at constant height."""
     angle = np.linspace(0, 2 * np.pi * laps, 180 * laps + 1)
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), 0 * angle]) for r in radii]
-    positions = resample(np.concatenate(rings) + center, n)
-    return positions, heading_along(positions)
+    return resample(np.concatenate(rings) + center, n)
 
 
 def wander(size: tuple[float, float, float], n: int, interval: float, rng: np.random.Generator) -> Points:
@@ -105,9 +99,9 @@ def heading_along(positions: Points) -> Scalars:
     return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
 
 
-def times_along(positions: Points, speed: float) -> Scalars:
-    """Times of passing each point at constant speed, starting at 0: (n,), s."""
-    return path_walked(positions) / speed
+def upright(heading: Scalars) -> Rotation:
+    """Orientations of a sensor that looks where it goes, its heading from x (rad), z up."""
+    return Rotation.from_euler("z", heading[:, None])
 
 
 def smooth_noise(n: int, width: int, sd: float, rng: np.random.Generator) -> Scalars:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.errors import ConfigurationError
-from magmatch.geometry import random_transform
+from magmatch.geometry import path_walked, random_transform
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import Source
 from magmatch.simulation.paths import (
@@ -20,8 +20,7 @@ from magmatch.simulation.paths import (
     heading_along,
     loop_length,
     smooth_noise,
-    times_along,
-    uniform_in_box,
+    upright,
     wander,
 )
 from magmatch.simulation.scene import Scene, Streams
@@ -34,7 +33,7 @@ from magmatch.simulation.structures import (
     rearranged,
     under_table,
 )
-from magmatch.typing import Points, Scalars, Vector3
+from magmatch.typing import Points, Vector3
 
 TABLE_SIZE = (2.0, 1.5)  # m; 3 m^2 as published
 TABLE_MAGNET_DEPTH = 0.08  # m under the surface: top and spacer, so that rows resolve what lies under them
@@ -89,15 +88,11 @@ def _room(
     return _scene(config, streams, sources, base, target, frame)
 
 
-def _room_turned(axis: str, angle_deg: float) -> Builder:
+def _room_turned(config: SimulationConfig, streams: Streams, *, axis: str, angle_deg: float) -> Scene:
     """Build the published office: the target's axes turned by a known angle, its origin half a metre away."""
-
-    def build(config: SimulationConfig, streams: Streams) -> Scene:
-        offset = streams.frames.uniform(-0.5, 0.5, 3)
-        rotation = Rotation.from_euler(axis, angle_deg, degrees=True)
-        return _room(config, streams, RigidTransform.from_components(offset, rotation).inv())
-
-    return build
+    offset = streams.frames.uniform(-0.5, 0.5, 3)
+    rotation = Rotation.from_euler(axis, angle_deg, degrees=True)
+    return _room(config, streams, RigidTransform.from_components(offset, rotation).inv())
 
 
 def _nowhere(config: SimulationConfig, streams: Streams) -> Scene:
@@ -105,15 +100,15 @@ def _nowhere(config: SimulationConfig, streams: Streams) -> Scene:
     scene = _room(config, streams, "any")
     high = np.array(config.room_size) / 2
     others = around_box(-high, high, config.clearance, streams.elsewhere)
-    others = calibrated(others, uniform_in_box(-high, high, N_PROBES, streams.probes), config.anomaly_sd)
+    others = calibrated(others, streams.probes.uniform(-high, high, (N_PROBES, 3)), config.anomaly_sd)
     return replace(scene, target_sources=tuple(others), accept=False)
 
 
 def _uniform(config: SimulationConfig, streams: Streams) -> Scene:
     """Earth's field and noise only: any translation and any turn about the field explains the data."""
     high = np.array(config.room_size) / 2
-    base = SensorPath(uniform_in_box(-high, high, config.n_samples, streams.base))
-    target = SensorPath(uniform_in_box(-high, high, config.n_samples, streams.target))
+    base = SensorPath(streams.base.uniform(-high, high, (config.n_samples, 3)))
+    target = SensorPath(streams.target.uniform(-high, high, (config.n_samples, 3)))
     return replace(_scene(config, streams, [], base, target, "any"), accept=False)
 
 
@@ -124,10 +119,10 @@ def _repeated(config: SimulationConfig, streams: Streams) -> Scene:
     # Copies beyond the base's ends, so that the row's own ends do not tell the rooms apart.
     steps = [np.array([2 * high[0] * k, 0.0, 0.0]) for k in range(-4, 5)]
     sources = [replace(source, center=source.center + step) for step in steps for source in pattern]
-    sources = calibrated(sources, uniform_in_box(-high, high, N_PROBES, streams.probes), config.anomaly_sd)
+    sources = calibrated(sources, streams.probes.uniform(-high, high, (N_PROBES, 3)), config.anomaly_sd)
     three = high * (3.0, 1.0, 1.0)
-    base = SensorPath(uniform_in_box(-three, three, config.n_samples, streams.base))
-    target = SensorPath(uniform_in_box(-high, high, config.n_samples, streams.target))
+    base = SensorPath(streams.base.uniform(-three, three, (config.n_samples, 3)))
+    target = SensorPath(streams.target.uniform(-high, high, (config.n_samples, 3)))
     return replace(_scene(config, streams, sources, base, target, "any"), accept=False)
 
 
@@ -158,7 +153,7 @@ def _carried(config: SimulationConfig, streams: Streams, *, is_level: bool) -> S
         positions = wander(size, n, SAMPLE_INTERVAL, rng)
         tilt = np.column_stack([smooth_noise(n, 12, tilt_sd, rng) for _ in range(3)])
         ahead = np.unwrap(heading_along(positions))
-        orientations = _upright(ahead) * Rotation.from_rotvec(tilt)
+        orientations = upright(ahead) * Rotation.from_rotvec(tilt)
         return SensorPath(positions, SAMPLE_INTERVAL * np.arange(n), orientations)
 
     return _scene(config, streams, list(room.base_sources), walk(streams.base), walk(streams.target), "any")
@@ -179,18 +174,14 @@ def _table_robot(config: SimulationConfig, streams: Streams) -> Scene:
     """A robot drives circles near the table's centre at a fixed height, to be found in the table's map."""
     base = _hand_held_sweep(0, Rotation.identity(), config.n_samples, streams.base)
     center = np.array([*streams.target.uniform(-0.1, 0.1, 2), ROBOT_HEIGHT])
-    positions, heading = circles(center, (0.25, 0.4, 0.55), 2, config.n_samples)
-    target = SensorPath(positions, times_along(positions, 0.2), _upright(heading))
+    positions = circles(center, (0.25, 0.4, 0.55), 2, config.n_samples)
+    target = SensorPath(positions, path_walked(positions) / 0.2, upright(heading_along(positions)))
     return _scene(config, streams, _magnets(streams), base, target, "any")
 
 
 def _corridor(config: SimulationConfig, streams: Streams) -> Scene:
     """A stretch of a corridor loop walked twice, 0.1 to 0.4 m apart, by dead reckoning in two frames."""
-    length = loop_length(LOOP_SIZE, LOOP_CORNER)
-
-    def place(s: Scalars) -> tuple[Points, Scalars]:
-        return around_loop(LOOP_SIZE, LOOP_CORNER, s)
-
+    length, place = loop_length(LOOP_SIZE, LOOP_CORNER), partial(around_loop, LOOP_SIZE, LOOP_CORNER)
     sources = along_corridor(place, length, CORRIDOR_HALF_WIDTH, streams.sources)
     start, phase = streams.sources.uniform(0, length), streams.sources.uniform(0, 2 * np.pi)
 
@@ -200,7 +191,7 @@ def _corridor(config: SimulationConfig, streams: Streams) -> Scene:
         apart = 0.25 + 0.15 * np.sin(2 * np.pi * s / 12 + phase)
         positions += (side * apart / 2)[:, None] * np.column_stack([-np.sin(heading), np.cos(heading), 0 * s])
         positions[:, 2] = 0.5
-        return SensorPath(positions, times_along(positions, 0.5), _upright(heading_along(positions)))
+        return SensorPath(positions, path_walked(positions) / 0.5, upright(heading_along(positions)))
 
     base = walk(-1.0, 0.0, CORRIDOR_STRETCH)
     early, late = streams.target.uniform(0, 1, 2)
@@ -227,10 +218,8 @@ def _scene(
     if config.target_turn is not None:
         frame = _turned_by(config.target_turn, streams.frames)
     T_target_world = _frame(frame, target, streams.frames) if isinstance(frame, str) else frame
-    everything = tuple(sources)
-    T_base_world = RigidTransform.identity()
-    earth_field = np.array(config.earth_field)
-    return Scene(everything, everything, base, target, T_base_world, T_target_world, earth_field)
+    everything, earth_field = tuple(sources), np.array(config.earth_field)
+    return Scene(everything, everything, base, target, RigidTransform.identity(), T_target_world, earth_field)
 
 
 def _frame(kind: str, path: SensorPath, rng: np.random.Generator) -> RigidTransform:
@@ -255,9 +244,9 @@ def _turned_by(angle: float, rng: np.random.Generator) -> RigidTransform:
 
 def _samples(low: Vector3, high: Vector3, furniture: list[Source], n: int, rng: np.random.Generator) -> Points:
     """Random points of a box that keep off its furniture."""
-    points = uniform_in_box(low, high, n, rng)
+    points = rng.uniform(low, high, (n, 3))
     while not (free := is_clear(furniture, points, INSIDE_CLEARANCE)).all():
-        points[~free] = uniform_in_box(low, high, int((~free).sum()), rng)
+        points[~free] = rng.uniform(low, high, (int((~free).sum()), 3))
     return points
 
 
@@ -273,18 +262,13 @@ def _hand_held_sweep(along: int, held: Rotation, n: int, rng: np.random.Generato
     positions += np.column_stack([smooth_noise(n, 10, sd, rng) for sd in (0.01, 0.01, 0.005)])
     wobble = np.column_stack([smooth_noise(n, 15, np.deg2rad(2), rng) for _ in range(3)])
     # The first pose defines the target's frame: held exactly as the scenario says.
-    return SensorPath(positions, times_along(positions, 0.25), held * Rotation.from_rotvec(wobble - wobble[0]))
-
-
-def _upright(heading: Scalars) -> Rotation:
-    """Orientation of a sensor that looks where it drives, z up."""
-    return Rotation.from_euler("z", heading[:, None])
+    return SensorPath(positions, path_walked(positions) / 0.25, held * Rotation.from_rotvec(wobble - wobble[0]))
 
 
 SCENARIOS: dict[str, Builder] = {
-    "office": _room_turned("z", 30.0),
-    "office-z30": _room_turned("z", 30.0),
-    "office-x30": _room_turned("x", -30.0),
+    "office": partial(_room_turned, axis="z", angle_deg=30.0),
+    "office-z30": partial(_room_turned, axis="z", angle_deg=30.0),
+    "office-x30": partial(_room_turned, axis="x", angle_deg=-30.0),
     "office-random": partial(_room, frame="any"),
     "office-overlap": partial(_room, frame="any", overlap=0.5),
     "office-inside": partial(_room, frame="any", n_inside=5),

@@ -62,10 +62,7 @@ class Streams:
         if seed < 0:
             msg = f"the seed must not be negative, got {seed}"
             raise ConfigurationError(msg)
-        names = ("sources", "elsewhere", "moves", "base", "target", "frames", "base_errors", "target_errors")
-        children = np.random.SeedSequence(seed).spawn(len(names) + 1)
-        self.probes = np.random.default_rng(children.pop())
         (
             self.sources, self.elsewhere, self.moves, self.base, self.target,
-            self.frames, self.base_errors, self.target_errors,
-        ) = map(np.random.default_rng, children)  # fmt: skip
+            self.frames, self.base_errors, self.target_errors, self.probes,
+        ) = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(9))  # fmt: skip
