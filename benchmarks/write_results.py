@@ -11,7 +11,6 @@ older than the code where what it covers differs from its commit: in the folder,
 ages its tables can be one commit.
 """
 
-import argparse
 import json
 import re
 import subprocess
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magmatch_evaluation.saved_table import FOLDER, ResultTable, markdown_table
+from magmatch_evaluation.script import arguments
 
 PAGES = (Path("README.md"), Path("docs") / "results.md")
 # The one on which every table stands.
@@ -116,21 +116,19 @@ def faults(tables: dict[str, ResultTable], root: Path, history: History, *, is_r
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true")
-    parser.add_argument("--release", action="store_true")
-    parser.add_argument("--root", type=Path, default=Path(__file__).parents[1], help="of another checkout")
-    arguments = parser.parse_args()
-    root, history = arguments.root, History(arguments.root)
+    # Of another checkout, where a root is given.
+    asked = arguments(__doc__, check=False, release=False, root=Path)
+    root = asked.root or Path(__file__).parents[1]
+    history = History(root)
     if not history.is_whole():
         print("results: no history here (an archive or a shallow clone), so the age of tables is not checked")
         return 0
     tables = {path.stem: ResultTable.load(path) for path in sorted((root / FOLDER).glob("*.json"))}
-    wrong = list(faults(tables, root, history, is_release=arguments.release))
+    wrong = list(faults(tables, root, history, is_release=asked.release))
     for page in PAGES:
         text = (root / page).read_text(encoding="utf-8")
         new = filled(text, tables, history)
-        if new != text and (arguments.check or arguments.release):
+        if new != text and (asked.check or asked.release):
             wrong.append(f"{page}: differs from {FOLDER}; run: make results")
         elif new != text:
             (root / page).write_text(new, encoding="utf-8")

@@ -14,22 +14,10 @@ from dataclasses import asdict, dataclass, replace
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 FOLDER = Path("benchmarks") / "results"
 PACKAGES = ("numpy", "scipy", "numba")
-
-
-class Saver(Protocol):
-    """Saves one table: columns, rows, the command if not as typed, and the commits if not that of the start."""
-
-    def __call__(  # noqa: D102
-        self,
-        columns: Sequence[str],
-        rows: Sequence[Sequence[str]],
-        command: str | None = None,
-        commits: Sequence[str] | None = None,
-    ) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,30 +53,40 @@ class ResultTable:
         path.write_text("\n".join(["{", *lines, ' "rows": [', cells, " ]", "}"]) + "\n", encoding="utf-8")
 
 
-def saver(name: str) -> Saver:
-    """Give the function that saves a benchmark's table: the type of its option ``--save NAME``.
+@dataclass(frozen=True, slots=True)
+class Saver:
+    """What saves a table in its file, and the commit when the work began: others may commit in the hours it takes."""
 
-    NAME is a file in ``benchmarks/results``, where title, note and covers stand already. The commit is noted now,
-    before hours of work during which others may commit; `ArgumentTypeError` where covered code is not committed.
-    """
-    path, old = FOLDER / f"{name}.json", None
-    try:
-        old = ResultTable.load(path)
-    except FileNotFoundError:
-        message = f"expected {path}, with title, note and covers, below the current folder: docs/evaluation.md"
-        raise ArgumentTypeError(message) from None
-    commit = clean_commit(old.covers)
+    path: Path
+    old: ResultTable
+    commit: str
 
-    def save(
+    def __call__(
+        self,
         columns: Sequence[str],
         rows: Sequence[Sequence[str]],
         command: str | None = None,
         commits: Sequence[str] | None = None,
     ) -> None:
-        new = replace(old, remark="", command=command or typed(), commits=[commit] if commits is None else commits)
-        replace(new, machine=this_machine(), date=today(), columns=columns, rows=rows).save(path)
+        """Save columns and rows, with the command if not as typed, and the commits if not that of the beginning."""
+        commits = [self.commit] if commits is None else commits
+        new = replace(self.old, remark="", command=command or typed(), commits=commits, machine=this_machine())
+        replace(new, date=today(), columns=columns, rows=rows).save(self.path)
 
-    return save
+
+def saver(name: str) -> Saver:
+    """Give what saves a benchmark's table: the type of its option ``--save NAME``.
+
+    NAME is a file in ``benchmarks/results``, where title, note and covers stand already; `ArgumentTypeError` where
+    it is not there, or where covered code is not committed.
+    """
+    path = FOLDER / f"{name}.json"
+    try:
+        old = ResultTable.load(path)
+    except FileNotFoundError:
+        message = f"expected {path}, with title, note and covers, below the current folder: docs/evaluation.md"
+        raise ArgumentTypeError(message) from None
+    return Saver(path, old, clean_commit(old.covers))
 
 
 def show(
