@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Accuracy, calibration and time of the default field model; OPENBLAS_NUM_THREADS=1 gives the one-thread figures.
 
-Usage: python benchmarks/bench_field.py [--from DIR] [--quick] [--repeat 3]
+Usage: python benchmarks/bench_field.py [--from DIR] [--repeat 3]
 Simulated rooms and tables have exact truth; the walk is walk one of CEA predicting walk two. Times are seconds of the
 processor, the least of the repetitions: choosing the numbers, fit, field and gradient at the queries, their sd.
 """
-
-import time
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.threads import single_threaded
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import UT, arguments, rmse_ut
+from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 
 COLUMNS = ("case", "RMSE, uT", "95 % interval covers", "numbers / fit / field / sd, s", "together, s")
 
@@ -97,26 +95,20 @@ def walk(walks, training, test):
     return base.positions, base.field, {"other walk": (other.positions, other.field)}
 
 
-def timed(x, b, q):
+def fitted(x, b, q):
     """Numbers, model and posterior, and the processor time of each step."""
-    prior, clock = PRIORS["spline"], time.process_time
-    t = [clock()]
-    h = prior.choose_hyperparameters(x, b)
-    t.append(clock())
-    model = prior.build(x, b, h)
-    posterior = model.fit(x, b, {}, map)
-    t.append(clock())
-    posterior.evaluate(q, 1)
-    t.append(clock())
-    posterior.covariance(q, 1)
-    t.append(clock())
-    return h, model, posterior, np.diff(t)
+    prior = PRIORS["spline"]
+    h, _, choosing = timed(prior.choose_hyperparameters, x, b)
+    model, _, building = timed(prior.build, x, b, h)
+    posterior, _, fitting = timed(model.fit, x, b, {}, map)
+    asking = [timed(ask, q, 1).processor for ask in (posterior.evaluate, posterior.covariance)]
+    return h, model, posterior, np.array([choosing, building + fitting, *asking])
 
 
 def measure(name, scenario, has_truth=True, repeat=1):
     x, b, tests = scenario
     q = next(iter(tests.values()))[0]
-    rounds = [timed(x, b, q) for _ in range(repeat)]
+    rounds = [fitted(x, b, q) for _ in range(repeat)]
     h, model, posterior, _ = rounds[0]
     times = np.min([seconds for *_, seconds in rounds], axis=0)
     size = f"{model.cells.n_nodes} nodes" if isinstance(model, SplineModel) else f"{len(model.tiles)} tiles"
@@ -135,18 +127,18 @@ def measure(name, scenario, has_truth=True, repeat=1):
 
 @single_threaded
 def main():
-    asked = arguments(__doc__, recordings=None, quick=False, repeat=3, save=saver)
+    asked = arguments(__doc__, recordings=None, repeat=3, save=saver)
     # Compiles, or loads what was compiled.
     for scenario in (room(99, 400), lanes(99, 900)):
-        timed(*scenario[:2], scenario[0])
-    few = range(1 if asked.quick else 4)
+        fitted(*scenario[:2], scenario[0])
+    few = range(4)
     cases = [(f"room {seed}", room(seed)) for seed in few]
     cases += [("room", room(4, 3000))]
     cases += [(f"room {seed}", room(10 + seed, n)) for n in (300, 1000) for seed in few]
     cases += [(f"lanes {seed}", lanes(seed, n)) for n in (400, 1000, 3000) for seed in few]
     cases += [("plane", plane(1)), *((f"table {seed}", table(seed)) for seed in few[:2])]
     rows = [row for name, case in cases for row in measure(name, case, repeat=asked.repeat)]
-    if asked.recordings and not asked.quick:
+    if asked.recordings:
         walks = load_recordings("cea", asked.recordings)
         for name, order in (("building", ("training", "test")), ("building, reversed", ("test", "training"))):
             rows += measure(name, walk(walks, *order), has_truth=False, repeat=asked.repeat)

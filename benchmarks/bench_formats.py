@@ -154,7 +154,6 @@ def with_rosbags(path: str) -> int:
 
 
 def with_pandas(path: str) -> int:
-    """A data frame."""
     import pandas as pd
 
     return len(pd.read_csv(path) if path.endswith(".csv") else pd.read_parquet(path))

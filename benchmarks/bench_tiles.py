@@ -25,6 +25,7 @@ from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.tiles.distributed import DaskRunner
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
+from magmatch.geometry import path_walked
 from magmatch_evaluation.script import UT, alone, arguments, peak_mib, rmse_ut, timed
 
 CELL = 4.0
@@ -67,7 +68,7 @@ def walk(extent, n, gap):
             lane[:, axis], lane[:, 1 - axis] = (0, extent[axis]) if k % 2 else (extent[axis], 0), at
             lanes.append(lane)
     corners = np.concatenate(lanes)
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    arc = path_walked(corners)
     s = np.linspace(0, arc[-1], n)
     x = np.stack([np.interp(s, arc, c) for c in corners.T] + [np.ones(n)], axis=1)
     sway = np.cumsum(rng.normal(size=(n, 3)), axis=0)
@@ -160,14 +161,13 @@ def doubling(jobs, area):
 def main():
     """Run every case, and every size of one, in a process of its own, and print how much more each size costs."""
     cases = {"office": office, "million": million, "doubling": doubling, "agreement": agreement}
-    # Largest area of the doubling in m^2.
-    asked = arguments(__doc__, tuple(cases), jobs=1, size=float, most=1e4, is_alone=False)
+    asked = arguments(__doc__, tuple(cases), jobs=1, size=float, is_alone=False)
     logging.basicConfig(level=logging.WARNING)
     if asked.is_alone:
         size = [] if asked.size is None else [asked.size]
         print(json.dumps(cases[asked.words[0]](asked.jobs, *size)))
         return
-    sizes = {"doubling": [10 * 2.0**k for k in range(11) if 10 * 2.0**k <= 1.1 * asked.most]}
+    sizes = {"doubling": [10 * 2.0**k for k in range(11)]}
     for case in asked.words:
         before = None
         for size in sizes.get(case, [None]):

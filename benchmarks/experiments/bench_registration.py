@@ -24,7 +24,6 @@ DENSITY = 333.0  # samples per m^2 of floor: 3,000 in 9 m^2
 
 
 def grow(seed: int) -> list[list[str]]:
-    """Processor times by size."""
     rows = []
     sizes = [(n, 3.0) for n in SAMPLES] + [(round(DENSITY * side**2), side) for side in SIDES]
     for n, side in sizes:

@@ -89,7 +89,6 @@ def room(kind: str, seed: int) -> SimulatedPair:
 
 @lru_cache(maxsize=1)
 def building(source: Path | None) -> dict[str, Survey]:
-    """Both walks through it."""
     return load_recordings("cea", source)
 
 
@@ -107,23 +106,16 @@ def weighed(index: MapIndex, target: Survey | mm.FieldMap, samples: Survey, sear
         found = strategy.refine_and_weigh(pair, strategy.search(pair))
         answer = settle_and_decide(found, config.decision, clock)
         tolerance = config.decision.tolerance(found.pair.length)
-        posterior = posterior_over(found.ranked, tolerance)
-        poses = [
-            {
-                "kind": p.kind,
-                "log_evidence": p.log_evidence,
-                "misfit": p.misfit,
-                "T": found.pair.estimate(p).T_base_target.as_matrix().tolist(),
-            }
-            for p in posterior.poses
-        ]
+        poses = []
+        for p in posterior_over(found.ranked, tolerance).poses:
+            T = found.pair.estimate(p).T_base_target.as_matrix().tolist()
+            poses.append({"kind": p.kind, "log_evidence": p.log_evidence, "misfit": p.misfit, "T": T})
         yield {"status": answer.status.value, "reason": answer.reason, "tolerance": tolerance, "poses": poses}
         if answer.is_accepted:
             return
 
 
 def make(name: str, *, folder: Path, source: Path | None) -> Row:
-    """Register one pair."""
     what, *words = name.split(" ")
     search, T_true = "auto", None
     if what == "room":

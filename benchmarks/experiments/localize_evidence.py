@@ -19,7 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from localize_walks import cea, indexed, odometry_of, place_of, real_walk, stretch
+from localize_walks import cea, indexed, odometry_of, place_of, quantiles, real_walk, stretch
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
@@ -101,10 +101,8 @@ def work(name, data, out):
     # What one height means is decided for whole logs: `follow_log`.
     is_planar = np.ptp(log.positions[:, 2]) < 1e-6
     localizer = mm.Localizer(map_of(place_name, data, out), CONFIG.model_copy(update={"is_planar": is_planar}))
-    poses, z = (
-        RigidTransform.from_components(log.positions, log.orientations),
-        log.orientations.inv().apply(log.field),
-    )
+    poses = RigidTransform.from_components(log.positions, log.orientations)
+    z = log.orientations.inv().apply(log.field)
     walked = path_walked(log.positions)
     d, first, said, errors, nees, asked = truth.shape[1] - 1, None, [], [], [], -np.inf
     true = np.stack([np.interp(log.times, truth[:, 0], c) for c in truth.T[1:]], axis=1)
@@ -164,11 +162,6 @@ def names(table, n):
     return [row for one in ("starts", "others", "off") for row in names(one, n)]
 
 
-def quantiles(values, shares):
-    values = [np.inf if v is None else v for v in values]
-    return " / ".join(f"{np.quantile(values, q, method='nearest'):.2f}" for q in shares) if values else ""
-
-
 def of_places(rows):
     """One line: where a pose is stated, and whether it is right."""
     errors, nees = (np.concatenate([row[key] for row in rows]) for key in ("errors", "nees"))
@@ -176,7 +169,7 @@ def of_places(rows):
     never = sum(row["first"] is None for row in rows)
     return [
         len(rows), quantiles([row["first"] for row in rows], (0.5, 0.9)), never, sum(is_wrong),
-        quantiles(list(errors), (0.5, 0.95)), f"{np.mean([row['stated'] for row in rows]):.2f}",
+        quantiles(errors, (0.5, 0.95)), f"{np.mean([row['stated'] for row in rows]):.2f}",
         f"{np.mean([row['late'] for row in rows]):.2f}", f"{np.mean(nees):.2f}" if len(nees) else "",
     ]  # fmt: skip
 
@@ -201,12 +194,8 @@ def reliability(rows):
     table = []
     for low, high in pairwise(BINS):
         # Means of each walk that was ever said to be so probable: stated, right.
-        on, off = (
-            np.array(
-                [np.mean(mine, axis=0) for row in part if (mine := [s for s in row["said"] if low <= s[0] < high])]
-            )
-            for part in parts
-        )
+        said = ([[s for s in row["said"] if low <= s[0] < high] for row in part] for part in parts)
+        on, off = (np.array([np.mean(mine, axis=0) for mine in some if mine]) for some in said)
         rates = [len(some) / n_walks for some, n_walks in zip((on, off), n, strict=True)]
         if not any(rates):
             continue
@@ -215,14 +204,10 @@ def reliability(rows):
         right = sums[0][1] / max(len(on), 1)
         shares, most_off = wilson_interval(sums[0][1], len(on)), wilson_interval(len(off), n[1])[::-1]
         bounds = [of_all(share, rates[0], rate) for share, rate in zip(shares, most_off, strict=True)]
-        line = (
-            len(on),
-            len(off),
-            f"{stated:.3f}",
-            f"{of_all(right, *rates):.3f}",
+        table.append([
+            f"{low:g} to {min(high, 1):g}", len(on), len(off), f"{stated:.3f}", f"{of_all(right, *rates):.3f}",
             f"{bounds[0]:.2f} to {bounds[1]:.2f}",
-        )
-        table.append([f"{low:g} to {min(high, 1):g}", *line])
+        ])  # fmt: skip
     return table
 
 

@@ -1,7 +1,7 @@
 """Walks in a known map from an unknown start: first fix, error, wrong fixes, and whether what is stated is true.
 
     python benchmarks/experiments/localize_walks.py --data DIR --out DIR [--sets cea1,infcenter,museum] [--n 20]
-        [--cases outside,stairs] [--quick] [--save NAME]
+        [--cases outside,stairs] [--smooth] [--save NAME]
 
 DIR holds ``cea/corridor_*.csv``: walk one is the map, walk two is walked with its true field and with odometry that
 is made up (drift, scale, a phone that is tilted, a sensor's bias); ``dodolilo/infcenter`` and ``ipin2023/pdr``: walks
@@ -70,13 +70,8 @@ def odometry_of(p, b, rng, level, bias):
     moves += np.sqrt(step[1:, None]) * [place_walk, place_walk, height_walk] * rng.standard_normal((n - 1, 3))
     wrong = turned * Rotation.from_rotvec(np.c_[tilts, np.zeros(n)]) * R
     z = R.inv().apply(b) + 0.3e-6 * rng.standard_normal((n, 3)) + bias
-    return mm.Survey(
-        np.vstack([np.zeros(3), np.cumsum(moves, axis=0)]),
-        wrong.apply(z),
-        np.cumsum(step + 1e-6) / 0.8,
-        wrong,
-        name="walk",
-    )
+    places = np.vstack([np.zeros(3), np.cumsum(moves, axis=0)])
+    return mm.Survey(places, wrong.apply(z), np.cumsum(step + 1e-6) / 0.8, wrong, name="walk")
 
 
 @cache
@@ -257,7 +252,6 @@ def changed(rows, error, walked, is_stated, leaves, back):
 
 
 def work(name, data, out, smooth):
-    """One row."""
     place_name, case, seed = name.split(": ")
     place = place_of(place_name, data, out)
     if place_name.startswith("cea"):
@@ -285,9 +279,8 @@ def work(name, data, out, smooth):
     which = np.searchsorted(stated, rows)
     off = poses.translation[which][:, :d] - true
     R = poses.rotation.as_matrix()[which]
-    C = np.array([R[k] @ track.estimates[n].covariance[3:, 3:] @ R[k].T for k, n in enumerate(rows)]).reshape(
-        -1, 3, 3
-    )
+    C = np.array([R[k] @ track.estimates[n].covariance[3:, 3:] @ R[k].T for k, n in enumerate(rows)])
+    C = C.reshape(-1, 3, 3)
     nees = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C[:, :d, :d]), off) / d
     error = np.linalg.norm(off, axis=1)
     right = rows[error < 1.0]
@@ -314,31 +307,27 @@ def names(sets, n, cases=CASES):
             for r in range(1, 6):
                 yield from (f"route{r}_{a} route{r}_{a + 1}: route{r}_{b}: 0" for a, b in ((1, 3), (3, 1)))
         else:
-            yield from (
-                f"{one}: {case}: {k}"
-                for case in cases
-                for k in range(n)
-                if case != "elsewhere" or one != "cea"
-                if case not in FLOORS or one == "cea"
-            )
+            own = [case for case in cases if (case not in FLOORS if one != "cea" else case != "elsewhere")]
+            yield from (f"{one}: {case}: {k}" for case in own for k in range(n))
+
+
+def quantiles(values, shares):
+    """Some quantiles; None, which never happened, comes last."""
+    values = [np.inf if v is None else v for v in values]
+    return " / ".join(f"{np.quantile(values, q, method='nearest'):.2f}" for q in shares) if values else ""
 
 
 def cells(label, case, rows):
-    """A line of the table."""
-    first = np.array([np.inf if row["first"] is None else row["first"] for row in rows])
+    first = [row["first"] for row in rows]
     error, nees = (np.concatenate([row[key] for row in rows]) for key in ("error", "nees"))
-    again = [np.inf if row["again"] is None else row["again"] for row in rows if "again" in row]
-
-    def at(values, shares):
-        return " / ".join(f"{np.quantile(values, q, method='nearest'):.2f}" for q in shares) if len(values) else ""
-
+    again = [row["again"] for row in rows if "again" in row]
     after = [row["after"] for row in rows if row["first"] is not None]
     seconds = sum(row["seconds"] for row in rows) / sum(row["walked"] for row in rows)
     return [
-        label, case, len(rows), at(first, (0.5, 0.9)), int(np.isinf(first).sum()),
-        sum(row["wrong"] > 0 for row in rows), at(error, (0.5, 0.75, 0.95)),
+        label, case, len(rows), quantiles(first, (0.5, 0.9)), first.count(None),
+        sum(row["wrong"] > 0 for row in rows), quantiles(error, (0.5, 0.75, 0.95)),
         f"{np.mean([row['share'] for row in rows]):.2f}", f"{np.mean(after or [0.0]):.2f}",
-        f"{np.mean(nees):.2f}" if len(nees) else "", at(again, (0.5, 0.9)), f"{seconds:.3f}",
+        f"{np.mean(nees):.2f}" if len(nees) else "", quantiles(again, (0.5, 0.9)), f"{seconds:.3f}",
     ]  # fmt: skip
 
 
@@ -364,11 +353,11 @@ def cost(place, data):
 
 def main() -> None:
     asked = arguments(
-        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", cases=",".join(CASES), n=20, quick=False,
-        smooth=False, jobs=os.cpu_count(), save=saver,
+        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", cases=",".join(CASES), n=20, smooth=False,
+        jobs=os.cpu_count(), save=saver,
     )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
-    wanted = list(names(asked.sets.split(","), 1 if asked.quick else asked.n, asked.cases.split(",")))
+    wanted = list(names(asked.sets.split(","), asked.n, asked.cases.split(",")))
     for place in dict.fromkeys(name.split(": ")[0] for name in wanted):
         place_of(place, asked.data, asked.out)
     file = asked.out / ("smooth.jsonl" if asked.smooth else "walks.jsonl")
@@ -385,7 +374,7 @@ def main() -> None:
     costs = [
         (one, *(f"{x:.3g}" for x in cost(place_of(one, asked.data, asked.out), asked.data)))
         for one in ("cea1", "cea")
-        if one in asked.sets.split(",") and not asked.quick
+        if one in asked.sets.split(",")
     ]
     show(("map", "a tracked sample", "a search", "evaluation, us"), costs)
 

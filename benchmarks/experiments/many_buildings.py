@@ -1,13 +1,13 @@
 """One short survey against many places: CEA, simulated corridors and rooms, and recordings, all in one folder.
 
     python benchmarks/experiments/many_buildings.py FOLDER [--buildings 100] [--rooms 0] [--others] [--among 0]
-        [--tries 50] [--simulated 50] [--second 0] [--lengths 10] [--from DIR] [--seed 700] [--floor 2] [--absent]
+        [--tries 50] [--simulated 50] [--lengths 10] [--from DIR] [--seed 700] [--absent]
 
 FOLDER keeps the maps and their indexes from run to run; other maps in it are places, too. A simulated building is a
 corridor around a rectangle of its own size, walked twice along either side; a room is one of `many_rooms.py`; CEA
 is walk one through both floors, and ``--others`` adds the other recordings. Targets are stretches of CEA's walk two
-(`--tries`), walks along the middle of as many different simulated corridors (`--simulated`), and second surveys of
-as many rooms (`--second`), each in a random frame of its own. Right = the right place first, and in it within 0.25
+(`--tries`) on its second floor, and walks along the middle of as many different simulated corridors (`--simulated`),
+each in a random frame of its own. Right = the right place first, and in it within 0.25
 m and 3 deg. ``--among 100 1000`` asks each target twice, among its own place and 99, and 999, others (0: all). With
 ``--absent`` each target's own place is taken out, so that nothing is right. Seconds are per query in one process
 with the folder open; those of opening it are printed besides.
@@ -104,17 +104,16 @@ def surveys(asked: argparse.Namespace, cea: mm.Survey) -> Iterator[tuple[str, Ca
                     yield f"{source}-{name}", lambda survey=survey: survey
 
 
-def make_maps(folder: Path, places: Iterable[tuple[str, Callable[[], mm.Survey]]]) -> list[str]:
-    """Build the maps that are not there yet; names of all."""
+def make_maps(folder: Path, places: Iterable[tuple[str, Callable[[], mm.Survey]]]) -> None:
+    """Build the maps that are not there yet."""
     folder.mkdir(parents=True, exist_ok=True)
-    start, n_built, names = time.perf_counter(), 0, []
+    start, n_built = time.perf_counter(), 0
     for name, make in places:
-        names.append(f"{name}.map")
-        if not (folder / names[-1]).exists():
-            mm.build_map(make()).save(folder / names[-1])
+        path = folder / f"{name}.map"
+        if not path.exists():
+            mm.build_map(make()).save(path)
             n_built += 1
     print(f"{n_built} maps built in {time.perf_counter() - start:.0f} s")
-    return names
 
 
 def building_survey(number: int) -> mm.Survey:
@@ -178,11 +177,11 @@ def report(name: str, outcomes: Sequence[tuple]) -> None:
 def main() -> None:
     asked = arguments(
         __doc__, (), recordings=None, buildings=100, rooms=0, others=False, among=[0], tries=50, simulated=50,
-        second=0, lengths=[10.0], seed=700, floor=2, absent=False,
+        lengths=[10.0], seed=700, absent=False,
     )  # fmt: skip
     folder = Path(asked.words[0])
     walks = load_recordings("cea", asked.recordings)
-    wanted = make_maps(folder, surveys(asked, walks["training"]))
+    make_maps(folder, surveys(asked, walks["training"]))
     indexing = timed(mm.open_atlas, folder).clock
     before = resident()
     atlas, opening, _ = timed(mm.open_atlas, folder)
@@ -191,14 +190,10 @@ def main() -> None:
           f"{opening:.2f} s; resident {before}, open {resident()}")  # fmt: skip
     for length in asked.lengths:
         rng = np.random.default_rng([asked.seed, int(length)])
-        walk, second = walks[f"test-floor{asked.floor}"], [n for n in wanted if n.endswith(".base.map")]
-        targets = {f"CEA floor {asked.floor}": (("cea.map", s) for s in stretches(walk, length, asked.tries, rng))}
+        some = stretches(walks["test-floor2"], length, asked.tries, rng)
+        targets = {"CEA floor 2": (("cea.map", stretch) for stretch in some)}
         numbers = rng.choice(asked.buildings - 1, min(asked.simulated, asked.buildings - 1), replace=False)
         targets["simulated"] = ((f"building-{k:03d}.map", simulated_target(int(k), length, rng)) for k in numbers)
-        chosen = rng.choice(len(second), min(asked.second, len(second)), replace=False) if second else []
-        pairs = ((second[k], room(second[k].removesuffix(".base.map"))) for k in chosen)
-        # In the frame of the room's map.
-        targets["rooms"] = ((name, pair.target.transformed(pair.T_base_target)) for name, pair in pairs)
         for kind, some in targets.items():
             found = [judge(atlas, asked.among, s, name, rng, is_absent=asked.absent) for name, s in some]
             for n, outcomes in zip(asked.among, zip(*found, strict=True), strict=False):

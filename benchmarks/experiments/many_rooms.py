@@ -83,7 +83,6 @@ def different_places(name: str) -> dict[str, object]:
 
 
 def work(folder: Path, name: str) -> dict[str, object]:
-    """One row."""
     return different_places(name) if " / " in name else same_place(name, folder)
 
 
@@ -114,7 +113,6 @@ def site_of(name: str) -> str:
 
 
 def table_of_rooms(found: Rows) -> list[list[str]]:
-    """One row per overlap."""
     lines = []
     for overlap, (max_m, max_deg) in TOLERANCE.items():
         rows = [r for name, r in found.items() if name.startswith(f"{round(100 * overlap)}-")]

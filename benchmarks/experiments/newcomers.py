@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What newcomers bring: walks with phones, registered with each other and with maps of the others.
 
-    python benchmarks/experiments/newcomers.py --data DIR --out FOLDER [--quick] [--jobs N] [--minutes M]
-        [--save NAME] [--pairs]
+    python benchmarks/experiments/newcomers.py --data DIR --out FOLDER [--jobs N] [--minutes M] [--save NAME]
 
 DIR holds ``dodolilo/infcenter`` (9 walks of one phone through a server room), ``ipin2023/pdr`` (5 routes of a museum,
 two walks with each of two phones) and ``make_surveys.py``, which puts the walks at their true positions. Pairs share
@@ -16,7 +15,6 @@ Right: within 0.5 m (museum: 1 m) and 3 degrees or two stated standard deviation
 or refused with a reason that names drift: found in the halves of the walk, or as a question.
 Maps of bases are made before, once, and are not in the seconds. Rows stay in FOLDER, a second run goes on where the
 first ended. Planar rows come first; a run that ends early has the same share of every kind of pair.
-``--quick`` takes every eighth pair, ``--pairs`` lists all.
 """
 
 import logging
@@ -70,7 +68,6 @@ def others(walk: str) -> list[str]:
 
 
 def site_of(walk: str) -> str:
-    """Room or route."""
     return walk.split("_", maxsplit=1)[0] if walk.startswith("inf") else walk.rsplit("_", 1)[0]
 
 
@@ -184,7 +181,6 @@ class Row:
 
 
 def table(rows: list[Row]) -> list[list[str]]:
-    """One line per kind of pair, place and mode."""
     lines = []
     for kind, place, mode in product(KINDS, TOLERANCE, MODES):
         these = [r for r in rows if (r.kind, r.mode) == (kind, mode) and r.walk.startswith(place)]
@@ -207,19 +203,17 @@ def table(rows: list[Row]) -> list[list[str]]:
 
 
 def main() -> None:
-    asked = arguments(
-        __doc__, data=Path, out=Path, quick=False, jobs=1, minutes=np.inf, pairs=False, save=saver,
-    )  # fmt: skip
+    asked = arguments(__doc__, data=Path, out=Path, jobs=1, minutes=np.inf, save=saver)
     logging.getLogger("magmatch").setLevel(logging.ERROR)
     asked.out.mkdir(parents=True, exist_ok=True)
-    wanted = [pair for pair in pairs(asked.data, asked.out) if crc32(pair.encode()) % 8 == 0 or not asked.quick]
-    names = [f"{pair} {mode}" for mode in reversed(MODES) for pair in evenly(wanted)]
+    wanted = evenly(pairs(asked.data, asked.out))
+    names = [f"{pair} {mode}" for mode in reversed(MODES) for pair in wanted]
     make = partial(one, asked.data, asked.out)
     found = kept(asked.out / "rows.jsonl", names, make, jobs=asked.jobs, minutes=asked.minutes)
     show(COLUMNS, table([Row(row) for row in found.values()]), asked.save, found.values())
     for name, row in sorted(found.items()):
         told = Row(row)
-        if asked.pairs or told.is_wrong or (told.best_is_right and not told.is_accepted):
+        if told.is_wrong or (told.best_is_right and not told.is_accepted):
             (m, deg), (sd_m, sd_deg) = told.error, told.sd
             print(
                 f"{name}: {m:.2f} m, {deg:.1f} deg, sd {sd_m:.2f} m, {sd_deg:.1f} deg; {row['status']}: {told.reason}"

@@ -1,11 +1,11 @@
 """Register surveys that are clean, corrupted by clock and sensor errors, and corrupted but prepared.
 
 python benchmarks/experiments/prepared_pairs.py [--seeds 10] [--scenario office-hand-held]
-    [--hard-iron-ut 30] [--soft-iron 0.05] [--clock-offset-ms 40] [--spikes 0] [--both] [--spin]
+    [--hard-iron-ut 30] [--soft-iron 0.05] [--clock-offset-ms 40] [--spikes 0] [--spin]
 python benchmarks/experiments/prepared_pairs.py kok/eight jidling/volume [--from FOLDER]
 
-The target is corrupted (with --both the base as well, by errors of its own). Errors are of the best pose, also where
-it was refused; those of the claim are 30 uT, 5 % and 40 ms. With --spin the target's sensor was turned about by hand
+The target is corrupted. Errors are of the best pose, also where it was refused; those of the claim are 30 uT, 5 % and
+40 ms. With --spin the target's sensor was turned about by hand
 beforehand (500 readings), which a robot that turns about the vertical only cannot do without.
 
 Recordings that are named, and hold orientations, are prepared instead, and their halves registered as recorded and as
@@ -34,7 +34,7 @@ from magmatch_evaluation.survey_pairs import in_halves
 def main() -> None:
     asked = arguments(
         __doc__, (), recordings=None, seeds=10, first=0, scenario="office-hand-held", hard_iron_ut=30.0,
-        soft_iron=0.05, clock_offset_ms=40.0, spikes=0, both=False, spin=False,
+        soft_iron=0.05, clock_offset_ms=40.0, spikes=0, spin=False,
     )  # fmt: skip
     for name in asked.words:
         show_halves(name, asked.recordings)
@@ -71,13 +71,9 @@ def run(seed: int, asked: Namespace) -> list[float]:
     rng = np.random.default_rng(seed)
     raw, corruption = corrupted(pair.target, asked, rng)
     (prepared, report), seconds, _ = timed(prepare, raw, sensor=spun(corruption, rng) if asked.spin else None)
-    clean_base = mm.build_map(pair.base)
-    raw_base = prepared_base = clean_base
-    if asked.both:
-        base, _ = corrupted(pair.base, asked, rng)
-        raw_base, prepared_base = mm.build_map(base), mm.build_map(prepare(base)[0])
+    base_map = mm.build_map(pair.base)
     row: list[float] = []
-    for base_map, target in ((clean_base, pair.target), (raw_base, raw), (prepared_base, prepared)):
+    for target in (pair.target, raw, prepared):
         result = mm.register(base_map, target)
         distance, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
         row += [1e3 * distance, np.degrees(angle), float(result.is_accepted)]
@@ -109,7 +105,6 @@ def estimate_errors(report: PreparationReport, truth: Corruption) -> list[float]
 
 
 def as_text(row: list[float] | np.ndarray) -> str:
-    """One line of the table."""
     shown = [f"{row[k]:8.2f} {row[k + 1]:7.3f}{'' if row[k + 2] else ' x'}" for k in (0, 3, 6)]
     return " | ".join([*shown, f"{row[9]:6.2f} {row[10]:6.3f} {row[11]:6.3f}", f"{row[12]:5.1f}"])
 

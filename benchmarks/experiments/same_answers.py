@@ -98,8 +98,8 @@ def make(folder: Path, source: Path) -> None:
     for seed in range(3):
         pair = mm.simulate("office-hand-held", 40 + seed, SimulationConfig(n_samples=1200))
         rng = np.random.default_rng(seed)
-        raw = corrupt(pair.target, draw_corruption(rng), rng)
-        save(folder, f"raw-{seed}", pair.base, raw[0] if isinstance(raw, tuple) else raw)
+        raw, _ = corrupt(pair.target, draw_corruption(rng), rng)
+        save(folder, f"raw-{seed}", pair.base, raw)
     recorded: list[tuple[str, Callable[[int, Path | None], Any], int]] = [
         ("cea-1", CeaArea(1), 2), ("cea-2", CeaArea(2), 2), ("elsewhere", CeaElsewhere(), 4),
         ("aalto-same", TwoRecordings("aalto", "invensense-1", "invensense-2"), 1),
@@ -149,7 +149,6 @@ def jobs_of(folder: Path) -> Iterator[str]:
 
 
 def answer(folder: Path, job: str) -> dict[str, Any]:
-    """Register one pair."""
     name, how = job.split("/")
     base, target = (load(folder / f"{name}.{side}.npz") for side in ("base", "target"))
     start = time.perf_counter()
@@ -163,7 +162,6 @@ def answer(folder: Path, job: str) -> dict[str, Any]:
 
 
 def config_of(how: str) -> mm.RegistrationConfig:
-    """Settings by name."""
     from magmatch.registration.config import PRESETS
 
     if how == "paper":

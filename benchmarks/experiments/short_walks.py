@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.geometry import random_transform, transform_points
+from magmatch.geometry import path_walked, random_transform, transform_points
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import MapIndex
@@ -66,8 +66,7 @@ class Outcome:
 
 def stretches(walk: Survey, length: float, n: int, rng: np.random.Generator) -> Iterator[Survey]:
     """Stretches of a given length that start anywhere and have no gap."""
-    steps = np.linalg.norm(np.diff(walk.positions, axis=0), axis=1)
-    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    arc = path_walked(walk.positions)
     found = 0
     while found < n:
         start = arc[rng.integers(len(walk))]

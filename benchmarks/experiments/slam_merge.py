@@ -54,7 +54,6 @@ def surveyed(
 
 
 def work(name: str) -> dict[str, object]:
-    """One session."""
     n, seed = map(int, name.split(" "))
     rng = np.random.default_rng([n, seed])
     begins = np.concatenate([[0.0], np.cumsum(rng.uniform(1.0, 2.2, n - 1))])

@@ -31,7 +31,6 @@ def names(n: int) -> list[str]:
 
 
 def work(name: str, data: Path) -> dict[str, object]:
-    """One session."""
     logs = [mm.read_survey(data / f"{path}.csv", SurveyFormat(field_frame="sensor")) for path in name.split()]
     session = mm.slam(logs)
     log = session.graph.log

@@ -57,7 +57,6 @@ def aligned_rms(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def work(name: str, data: Path) -> dict[str, object]:
-    """One row."""
     logs, truths = zip(*(real_walk(walk, data) for walk in name.split(": ")[1].split()), strict=True)
     session, _, seconds = timed(mm.slam, list(logs))
     before = [error([(log.times, log.positions)], [truth]) for log, truth in zip(logs, truths, strict=True)]

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
+from magmatch.geometry import transform_error
 from magmatch.registration.config import RegistrationConfig
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import SimulatedPair
@@ -23,15 +24,8 @@ from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments
 
 COLUMNS = (
-    "what",
-    "n",
-    "accepted",
-    "rms, mm",
-    "rms rotation, deg",
-    "over the oracle's",
-    "rms tilt, deg",
-    "within two sd",
-)
+    "what", "n", "accepted", "rms, mm", "rms rotation, deg", "over the oracle's", "rms tilt, deg", "within two sd",
+)  # fmt: skip
 
 
 def oracle(seed: int, pair: SimulatedPair, *, is_upright: bool) -> RigidTransform:
@@ -69,11 +63,8 @@ def main() -> None:
             assert result.best_pose is not None
             m, turn, tilt = errors(result.best_pose, pair)
             # About the target's x and y, which the target's axes lie along where both frames are upright.
-            sd = (
-                np.nan
-                if result.covariance is None
-                else float(np.degrees(np.sqrt(np.trace(result.covariance[:2, :2]))))
-            )
+            C = np.full((6, 6), np.nan) if result.covariance is None else result.covariance
+            sd = float(np.degrees(np.sqrt(np.trace(C[:2, :2]))))
             found[name].append((float(result.is_accepted), m, turn, tilt, tilt / sd))
     floors = {is_upright: rms(found[names[is_upright]])[1] for is_upright in (False, True)}
     lines = []
@@ -90,10 +81,9 @@ def main() -> None:
 
 def errors(T: RigidTransform, pair: SimulatedPair) -> tuple[float, float, float]:
     """How far off a pose is: at the target's centre (m), its rotation and its vertical (deg)."""
-    off = T * pair.T_base_target.inv()
-    distance = np.linalg.norm(T.apply(pair.target.centroid) - pair.T_base_target.apply(pair.target.centroid))
-    tilt = np.arccos(np.clip(off.rotation.as_matrix()[2, 2], -1, 1))
-    return float(distance), float(np.degrees(off.rotation.magnitude())), float(np.degrees(tilt))
+    distance, angle = transform_error(T, pair.T_base_target, pair.target.centroid)
+    tilt = np.arccos(np.clip((T * pair.T_base_target.inv()).rotation.as_matrix()[2, 2], -1, 1))
+    return distance, float(np.degrees(angle)), float(np.degrees(tilt))
 
 
 def rms(rows: list[tuple[float, ...]]) -> np.ndarray:
