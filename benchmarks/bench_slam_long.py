@@ -16,7 +16,7 @@ import json
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
-from slam_scenarios import CORRIDOR, DRIFTS, EARTH, aligned_rms, at_nodes, drifted, nees_of, off_truth
+from slam_scenarios import CORRIDOR, EARTH, aligned_rms, at_nodes, drifted, nees_of, off_truth
 
 import magmatch as mm
 from magmatch.geometry import path_walked
@@ -80,7 +80,7 @@ def walk(route: str, kilometres: float, seed: int) -> tuple[mm.Survey, np.ndarra
         middle = path[rows].mean(axis=0)
         reach = FAR + np.linalg.norm(path[rows] - middle, axis=1).max()
         field[rows] += field_of([sources[k] for k in near.query_ball_point(middle, reach)], path[rows])
-    return drifted(path, field, DRIFTS[1.0], rng), path
+    return drifted(path, field, 1.0, rng), path
 
 
 def room() -> float:

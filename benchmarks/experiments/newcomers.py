@@ -165,17 +165,16 @@ class Row:
         self.error, self.sd = np.array(row["error"], dtype=float), np.array(row["sd"], dtype=float)
         self.is_accepted = row["status"] == "accepted"
         m, deg = self.error
-        near = m <= TOLERANCE[walk.split("_")[0]]
-        self.best_is_right = bool(near and deg <= HEADINGS_DEG and self.kind != "other")
-        within = (self.error <= 3 * self.sd).all() if self.kind.startswith("odo") else near
-        self.is_right = bool(
-            self.is_accepted and within and self.kind != "other"
-            and (self.kind.startswith("odo") or deg <= max(RIGHT_DEG, np.nan_to_num(2 * self.sd[1])))
-        )  # fmt: skip
-        far = m > WRONG_M or deg > WRONG_DEG
+        is_near, is_there = m <= TOLERANCE[walk.split("_")[0]], self.kind != "other"
+        self.best_is_right = bool(is_there and is_near and deg <= HEADINGS_DEG)
         if self.kind.startswith("odo"):
-            far = not within
-        self.is_wrong = bool(self.is_accepted and (far or self.kind == "other"))
+            is_within = (self.error <= 3 * self.sd).all()
+            is_far = not is_within
+        else:
+            is_within = is_near and deg <= max(RIGHT_DEG, np.nan_to_num(2 * self.sd[1]))
+            is_far = m > WRONG_M or deg > WRONG_DEG
+        self.is_right = bool(self.is_accepted and is_there and is_within)
+        self.is_wrong = bool(self.is_accepted and (is_far or not is_there))
         self.names_drift = not self.is_accepted and "drift" in self.reason
         self.finds_drift = not self.is_accepted and DRIFTS in self.reason
 

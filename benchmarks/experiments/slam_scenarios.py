@@ -5,7 +5,7 @@
 
 Places: a corridor walked in laps, an office walked to and fro, a hall in lanes and then in lanes across them, a
 robot in circles over a table of magnets; each passed three and six times, 0.4 uT of noise. Odometry of 0.5, 1 and 3
-% (`DRIFTS`): an error of scale, random walks of heading, place and height, and an attitude that swings; slam is
+% (`LEVELS`): an error of scale, random walks of heading, place and height, and an attitude that swings; slam is
 told nothing of it. Errors: rms of places after one rigid alignment in the plane; heading: rms about the mean.
 Ceiling: true relative poses at every revisit. NEES is of nodes in the frame of the first, per degree of freedom. A
 closure is wrong that is off by more than half a field length and three of its standard deviations; it survives
@@ -13,10 +13,10 @@ where the graph keeps it. Rows stay in DIR; a second run goes on where the first
 """
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from localize_walks import LEVELS
 from scipy.spatial.transform import RigidTransform, Rotation
 from slam_walks import aligned_rms
 
@@ -43,7 +43,7 @@ from magmatch.slam.graph.trajectories import corrected
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
 
-PLACES, PASSES = ("corridor", "office", "hall", "table"), (3, 6)
+PLACES, PASSES, DRIFTS = ("corridor", "office", "hall", "table"), (3, 6), (0.5, 1.0, 3.0)
 EARTH = np.array(SimulationConfig().earth_field)
 COLUMNS = (
     "place", "passes", "drift, %", "n", "odometry, m", "corrected, m", "median ratio", "worst ratio", "ceiling ratio",
@@ -83,34 +83,17 @@ def place(name: str, passes: int, rng: np.random.Generator) -> tuple[np.ndarray,
     return path, field_of(sources, path) + EARTH
 
 
-@dataclass(frozen=True)
-class Drift:
-    """Odometry of some per cent: standard deviations of its errors."""
-
-    scale: float  # of the length of all steps, a share
-    heading: float  # after a metre, deg
-    place: float  # after a metre, m: per horizontal axis, and of the height
-    height: float
-    lean: float  # of the attitude about level, deg: swings over some metres
-
-
-DRIFTS = {
-    0.5: Drift(0.003, 0.10, 0.010, 0.003, 0.2),
-    1.0: Drift(0.010, 0.25, 0.020, 0.005, 0.3),
-    3.0: Drift(0.030, 0.60, 0.050, 0.010, 0.5),
-}
-
-
-def drifted(path: np.ndarray, field: np.ndarray, drift: Drift, rng: np.random.Generator) -> mm.Survey:
+def drifted(path: np.ndarray, field: np.ndarray, percent: float, rng: np.random.Generator) -> mm.Survey:
     """The log of a body that looks ahead and knows its path from drifting odometry, in the frame of its start."""
+    scale_sd, heading_walk, place_walk, height_walk, lean_sd = LEVELS[f"{percent:g}%"]
     steps = np.diff(path, axis=0)
     walked, ahead = np.sqrt(np.linalg.norm(steps, axis=1)), heading_along(path)
-    turned = np.concatenate([[0], np.cumsum(np.radians(drift.heading) * walked * rng.standard_normal(len(steps)))])
-    scale = 1 + drift.scale * rng.standard_normal()
-    moved = walked[:, None] * [drift.place, drift.place, drift.height] * rng.standard_normal((len(steps), 3))
+    turned = np.concatenate([[0], np.cumsum(np.radians(heading_walk) * walked * rng.standard_normal(len(steps)))])
+    scale = 1 + scale_sd * rng.standard_normal()
+    moved = walked[:, None] * [place_walk, place_walk, height_walk] * rng.standard_normal((len(steps), 3))
     positions = np.cumsum(upright(turned[:-1]).apply(scale * steps) + moved, axis=0)
     positions = np.concatenate([np.zeros((1, 3)), positions])
-    lean = [smooth_noise(len(path), SWING, np.radians(drift.lean), rng) for _ in range(2)]
+    lean = [smooth_noise(len(path), SWING, np.radians(lean_sd), rng) for _ in range(2)]
     attitude = upright(turned) * Rotation.from_rotvec(np.column_stack([*lean, 0 * ahead]))
     measured = attitude.apply(field + NOISE * rng.standard_normal(field.shape))
     log = mm.Survey(
@@ -176,7 +159,7 @@ def work(name: str) -> dict[str, object]:
     kind, passes, percent, seed = name.split(" ")
     rng = np.random.default_rng([PLACES.index(kind), int(seed)])
     path, field = place(kind, int(passes), rng)
-    log = drifted(path, field, DRIFTS[float(percent)], rng)
+    log = drifted(path, field, float(percent), rng)
     session, seconds, processor = timed(mm.slam, log)
     field_length, ahead = session.paths[0].windows[0].length, upright(heading_along(path))
     p, turned = at_nodes(session, path)

@@ -11,10 +11,10 @@ import os
 from functools import partial
 from pathlib import Path
 
+from localize_walks import real_walk
 from slam_walks import PLACES
 
 import magmatch as mm
-from magmatch.data.formats.format import SurveyFormat
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept
 from magmatch_evaluation.statistics import wilson_interval
@@ -31,8 +31,7 @@ def names(n: int) -> list[str]:
 
 
 def work(name: str, data: Path) -> dict[str, object]:
-    logs = [mm.read_survey(data / f"{path}.csv", SurveyFormat(field_frame="sensor")) for path in name.split()]
-    session = mm.slam(logs)
+    session = mm.slam([real_walk(Path(path).name, data)[0] for path in name.split()])
     log = session.graph.log
     between = [c for c in session.graph.closures if log[c.first] != log[c.second]]
     a, b = (len(path.windows) for path in session.paths)

@@ -80,14 +80,15 @@ def main() -> None:
     wanted = list(names(asked.sets.split(",")))
     rows = kept(asked.out / "walks.jsonl", wanted, partial(work, data=asked.data), jobs=asked.jobs)
     found = [rows[name] for name in wanted if name in rows]
-    table, sums = [], []
+    table, sums, together = [], [], []
     for row in found:
-        before = float(np.sqrt(np.mean(np.square(row["before"]))))
-        table.append([
-            row["name"], "yes" if is_tuned(row["name"]) else "no", f"{row['length']:.0f}", f"{before:.2f}",
-            f"{row['after']:.2f}", f"{row['after'] / before:.2f}", "+".join(map(str, row["components"])),
-            row["closures"], f"{row['seconds'] / row['length']:.3f}",
-        ])  # fmt: skip
+        before, tuned = float(np.sqrt(np.mean(np.square(row["before"])))), "yes" if is_tuned(row["name"]) else "no"
+        errors = f"{before:.2f}", f"{row['after']:.2f}", f"{row['after'] / before:.2f}"
+        frames, walks = "+".join(map(str, row["components"])), row["name"].split(": ")[1].split()
+        per_metre = f"{row['seconds'] / row['length']:.3f}"
+        table.append([row["name"], tuned, f"{row['length']:.0f}", *errors, frames, row["closures"], per_metre])
+        if len(walks) > 1:
+            together.append([f"{walks[0]} to {walks[-1]} together", tuned, len(walks), *errors, "", frames])
     for place in asked.sets.split(","):
         for tuned in (True, False):
             some = [
@@ -101,15 +102,8 @@ def main() -> None:
                 rms = [f"{np.sqrt(np.mean(v**2)):.2f}" for v in (b, a)]
                 ratios = f"{np.median(a / b):.2f}", f"{(a / b).max():.2f}"
                 sums.append([f"{place}, each alone", "yes" if tuned else "no", len(b), *rms, *ratios, ""])
-    for row, line in zip(found, table, strict=True):
-        walks = row["name"].split(": ")[1].split()
-        if len(walks) > 1:
-            _, was_tuned, _, before, after, ratio, frames, *_ = line
-            sums.append(
-                [f"{walks[0]} to {walks[-1]} together", was_tuned, len(walks), before, after, ratio, "", frames]
-            )
-    show(COLUMNS, table, None)
-    show(SUMS, sums, asked.save, found)
+    show(COLUMNS, table)
+    show(SUMS, sums + together, asked.save, found)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,12 @@
 """The verb: experiments and methods in, rows out, whatever interrupts it on the way."""
 
 import math
+import time
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 
-from magmatch_evaluation.parallel import run_all, until
+from magmatch_evaluation.parallel import run_all
 from magmatch_evaluation.plan import Plan
 from magmatch_evaluation.progress import Clock, Progress
 from magmatch_evaluation.rows import AnyRow, MapRow, Row, RowFile, write_csv
@@ -40,7 +42,8 @@ def evaluate(
     todo = plan.remaining({row.key for row in known})
     clock = Clock(known, len(wanted), todo)
     tell(clock.progress())
-    for batch, rows in run_all(run_batch, until(deadline, todo), jobs, scheduler):
+    in_time = takewhile(lambda _: time.monotonic() < deadline, todo)
+    for batch, rows in run_all(run_batch, in_time, jobs, scheduler):
         for file in files:
             if own := [row for row in rows if isinstance(row, file.kind)]:
                 file.append(own)

@@ -2,7 +2,6 @@
 """Who does the work: this process, others on this machine, or the workers of a Dask scheduler."""
 
 import multiprocessing
-import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -45,14 +44,6 @@ def run_all(
                 except BrokenProcessPool as error:
                     msg = "a worker process died (out of memory?); what was finished is kept, run again to go on"
                     raise TaskError(msg) from error
-
-
-def until(deadline: float, parts: Iterable[A]) -> Iterator[A]:
-    """Give parts until a time on the clock of `time.monotonic`."""
-    for part in parts:
-        if time.monotonic() >= deadline:
-            return
-        yield part
 
 
 @contextmanager

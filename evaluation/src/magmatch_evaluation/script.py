@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
@@ -93,7 +94,7 @@ def kept(
 
     Each notes the commit it was made of; None where the code has changed since.
     """
-    from magmatch_evaluation.parallel import run_all, until
+    from magmatch_evaluation.parallel import run_all
     from magmatch_evaluation.saved_table import clean_commit
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,8 +104,9 @@ def kept(
         commit = clean_commit(CODE)
     except (argparse.ArgumentTypeError, OSError, subprocess.CalledProcessError):
         commit = None
+    todo = takewhile(lambda _: time.monotonic() < end, [name for name in wanted if name not in known])
     with path.open("a") as stream:
-        for name, row in run_all(make, until(end, [name for name in wanted if name not in known]), jobs):
+        for name, row in run_all(make, todo, jobs):
             known[name] = row | {"commit": commit}
             stream.write(json.dumps(known[name]) + "\n")
             stream.flush()

@@ -55,10 +55,5 @@ def register_by_kiss_matcher(
         return judged(base_map, target_map, None, n_correspondences=len(matches))
     R = Rotation.from_matrix(np.array(answer.rotation, dtype=np.float64))
     t = np.array(answer.translation, dtype=np.float64) + to_base - R.apply(to_target)
-    return judged(
-        base_map,
-        target_map,
-        RigidTransform.from_components(t, R),
-        n_correspondences=len(matches),
-        n_inliers=int(solver.get_num_final_inliers()),
-    )
+    T, n_inliers = RigidTransform.from_components(t, R), int(solver.get_num_final_inliers())
+    return judged(base_map, target_map, T, n_correspondences=len(matches), n_inliers=n_inliers)

@@ -16,9 +16,7 @@ from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import Candidate, SearchResult
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategy import Weighed
-from magmatch.registration.weigh.cells import (
-    null_models_of,
-)
+from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.evidence import weigh_pose
 from magmatch_evaluation.baselines.judged import judged
 from magmatch_evaluation.baselines.volume import level_points, magnitude_volume, shared_spacing
