@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Large maps: time, memory and accuracy from 10 to 10,000 m^2; OPENBLAS_NUM_THREADS=1 gives the one-thread figures.
 
-Usage: python benchmarks/bench_tiles.py [office|million|doubling|agreement ...] [--jobs N]
+Usage: python benchmarks/bench_tiles.py [office|million|doubling|agreement ...]
 
 Each case runs in a process of its own, so that its peak memory is its own. Surveys are walked in lanes over a floor,
 a sensor at 1 m height, dipoles 0.4 to 1.2 m under the floor and in the walls; noise is 0.3 uT. Menzen et al. 2023
@@ -22,10 +22,9 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.distributed import DaskRunner
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
-from magmatch.geometry import path_walked
+from magmatch.simulation.paths import resample
 from magmatch_evaluation.script import UT, alone, arguments, peak_mib, rmse_ut, timed
 
 CELL = 4.0
@@ -68,9 +67,7 @@ def walk(extent, n, gap):
             lane[:, axis], lane[:, 1 - axis] = (0, extent[axis]) if k % 2 else (extent[axis], 0), at
             lanes.append(lane)
     corners = np.concatenate(lanes)
-    arc = path_walked(corners)
-    s = np.linspace(0, arc[-1], n)
-    x = np.stack([np.interp(s, arc, c) for c in corners.T] + [np.ones(n)], axis=1)
+    x = resample(np.c_[corners, np.ones(len(corners))], n)
     sway = np.cumsum(rng.normal(size=(n, 3)), axis=0)
     sway = sway - np.stack([np.convolve(c, np.ones(201) / 201, "same") for c in sway.T], axis=1)
     x += np.clip(0.02 * sway / sway.std(axis=0), -0.08, 0.08)
@@ -78,16 +75,12 @@ def walk(extent, n, gap):
     return Survey(x, field_at(x, sources) + 0.3 * UT * rng.normal(size=x.shape)), sources
 
 
-def measure(extent, n, gap, config, jobs, label):
+def measure(extent, n, gap, config, label):
     """Build a map in this process, and print what it took and how right it is."""
     survey, sources = walk(extent, n, gap)
     build_map(walk((3, 3), 500, 0.6)[0])  # compiles
     before = peak_mib() / 1024
-    if jobs > 1:
-        with DaskRunner(jobs) as run:
-            field_map, seconds, cpu = timed(build_map, survey, config, run)
-    else:
-        field_map, seconds, cpu = timed(build_map, survey, config)
+    field_map, seconds, cpu = timed(build_map, survey, config)
     rng = np.random.default_rng(1)
     q = np.c_[rng.uniform(0.3, np.subtract(extent, 0.3), (4000, 2)), rng.uniform(0.97, 1.03, 4000)]
     rmse, peak = rmse_ut(field_map.evaluate(q).field, field_at(q, sources)), peak_mib() / 1024
@@ -102,12 +95,12 @@ def measure(extent, n, gap, config, jobs, label):
     return field_map, [cpu, peak]
 
 
-def office(jobs):
-    return measure((40.0, 20.0), 40_000, 1.0, FieldConfig(), jobs, "office floor")[1]
+def office():
+    return measure((40.0, 20.0), 40_000, 1.0, FieldConfig(), "office floor")[1]
 
 
-def million(jobs):
-    field_map, cost = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), jobs, "100 x 100 m")
+def million():
+    field_map, cost = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), "100 x 100 m")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "large.map"
         saving, loading = timed(field_map.save, path).clock, timed(FieldMap.load, path).clock
@@ -115,7 +108,7 @@ def million(jobs):
     return cost
 
 
-def agreement(_):
+def agreement():
     """Tiles of several sizes against one large fit of the same samples."""
     survey, sources = walk((20.0, 16.0), 16_000, 1.0)
     T = survey.principal_frame().inv()
@@ -152,27 +145,27 @@ def rms(rows):
 FIXED = {"lengthscale": 1.2, "signal_sd": 4 * UT, "noise_sd": 0.5 * UT, "spacing": 0.35}
 
 
-def doubling(jobs, area):
+def doubling(area):
     """One area at 100 samples a square metre."""
     side = np.sqrt(area)
-    return measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), jobs, "doubling")[1]
+    return measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), "doubling")[1]
 
 
 def main():
     """Run every case, and every size of one, in a process of its own, and print how much more each size costs."""
     cases = {"office": office, "million": million, "doubling": doubling, "agreement": agreement}
-    asked = arguments(__doc__, tuple(cases), jobs=1, size=float, is_alone=False)
+    asked = arguments(__doc__, tuple(cases), size=float, is_alone=False)
     logging.basicConfig(level=logging.WARNING)
     if asked.is_alone:
         size = [] if asked.size is None else [asked.size]
-        print(json.dumps(cases[asked.words[0]](asked.jobs, *size)))
+        print(json.dumps(cases[asked.words[0]](*size)))
         return
     sizes = {"doubling": [10 * 2.0**k for k in range(11)]}
     for case in asked.words:
         before = None
         for size in sizes.get(case, [None]):
             words = [] if size is None else ["--size", size]
-            cost = alone(__file__, case, "--is-alone", "--jobs", asked.jobs, *words)
+            cost = alone(__file__, case, "--is-alone", *words)
             if before is not None:
                 ratio = np.divide(cost, before)
                 print(f"    times the size before: processor time {ratio[0]:.2f}, peak memory {ratio[1]:.2f}")
