@@ -1,7 +1,7 @@
 """Walks in a known map from an unknown start: first fix, error, wrong fixes, and whether what is stated is true.
 
     python benchmarks/experiments/localize_walks.py --data DIR --out DIR [--sets cea1,infcenter,museum] [--n 20]
-        [--cases outside,stairs] [--smooth] [--save NAME]
+        [--cases outside,stairs] [--smooth] [--quick] [--save NAME]
 
 DIR holds ``cea/corridor_*.csv``: walk one is the map, walk two is walked with its true field and with odometry that
 is made up (drift, scale, a phone that is tilted, a sensor's bias); ``dodolilo/infcenter`` and ``ipin2023/pdr``: walks
@@ -354,10 +354,10 @@ def cost(place, data):
 def main() -> None:
     asked = arguments(
         __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", cases=",".join(CASES), n=20, smooth=False,
-        jobs=os.cpu_count(), save=saver,
+        quick=False, jobs=os.cpu_count(), save=saver,
     )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
-    wanted = list(names(asked.sets.split(","), asked.n, asked.cases.split(",")))
+    wanted = list(names(asked.sets.split(","), 1 if asked.quick else asked.n, asked.cases.split(",")))
     for place in dict.fromkeys(name.split(": ")[0] for name in wanted):
         place_of(place, asked.data, asked.out)
     file = asked.out / ("smooth.jsonl" if asked.smooth else "walks.jsonl")

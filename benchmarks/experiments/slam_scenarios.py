@@ -121,11 +121,13 @@ def nees_of(session: mm.Session, p: np.ndarray, turned: Rotation) -> float:
     return float(np.einsum("ni,ni->n", e, np.linalg.solve(C, e[:, :, None])[:, :, 0]).mean() / 2)
 
 
-def at_nodes(session: mm.Session, path: np.ndarray) -> tuple[np.ndarray, Rotation]:
-    """True places of all nodes of a log whose true path is given, and what takes odometry's axes there to true."""
-    rows = session.paths[0].middles
-    turned = (session.given[0].orientations[rows] * upright(heading_along(path))[rows].inv()).inv()
-    return path[rows], turned
+def at_nodes(session: mm.Session, *paths: np.ndarray) -> tuple[np.ndarray, Rotation]:
+    """True places of all nodes of logs whose true paths are given, and what takes odometry's axes there to true."""
+    places, turned = [], []
+    for log, path, one in zip(session.given, paths, session.paths, strict=True):
+        places.append(path[one.middles])
+        turned.append((log.orientations[one.middles] * upright(heading_along(path))[one.middles].inv()).inv())
+    return np.concatenate(places), Rotation.concatenate(turned)
 
 
 def ceiling(session: mm.Session, p: np.ndarray, turned: Rotation) -> mm.Survey:
