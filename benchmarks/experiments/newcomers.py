@@ -13,8 +13,8 @@ Right: within 0.5 m (museum: 1 m) and 3 degrees or two stated standard deviation
 8 degrees off, or between different places. *Best candidate right*: the first pose, accepted or not, within 0.5 m
 (1 m) and 8 degrees: headings are known so well. With odometry right is within three stated standard deviations,
 or refused with a reason that names drift: found in the halves of the walk, or as a question.
-Maps of bases are made before, once, and are not in the seconds. Rows stay in ``--out``, a second run goes on where the
-first ended. Planar rows come first; a run that ends early has the same share of every kind of pair.
+Maps of bases are made before, once, and are not in the seconds. Rows stay in ``--out``, a second run goes on
+where the first ended. Planar rows come first; a run that ends early has the same share of every kind of pair.
 ``--quick`` takes every eighth pair.
 """
 
