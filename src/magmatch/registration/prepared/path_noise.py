@@ -175,7 +175,7 @@ def _predict(
 ) -> tuple[list[Stretch], list[Stretch]]:
     """Held-out stretches as predicted from the rest of the survey, as `predict_stretches` has them."""
     h = field_map.hyperparameters
-    rest = fit_posterior(samples.subset(~is_left_out), h, field_map.config)
+    rest = fit_posterior(samples.subset(~is_left_out), h, field_map.config, field_map.T_domain_model)
     x, b, number = samples.positions[is_left_out], samples.field[is_left_out], number[is_left_out]
     values = rest.evaluate(x, order=1)
     draws = [rest.evaluate(x, 0, w).field for w in rest.draw_weights(N_DRAWS, rng)]
