@@ -11,7 +11,6 @@ are compared after subtracting their best constants.
 import logging
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import permutations, product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -270,15 +269,10 @@ class _Walked:
         return Rotation.from_euler("z", turn[:, None]), words
 
 
-def _axes() -> dict[str, np.ndarray]:
-    """The 24 permutations and signs of the axes that stay right-handed, by name; the identity first."""
-    found = {}
-    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-        axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
-        if np.linalg.det(axes) > 0:
-            name = ", ".join(f"{'-' * (sign < 0)}{'xyz'[k]}" for k, sign in zip(order, signs, strict=True))
-            found[name] = axes
-    return dict(sorted(found.items(), key=lambda item: -np.trace(item[1])))
+def _named(axes: np.ndarray) -> str:
+    """Which axes the rows are, such as ``-y, x, z``."""
+    return ", ".join(f"{'-' * int(row.min() < 0)}{'xyz'[np.abs(row).argmax()]}" for row in axes)
 
 
-AXES = _axes()
+# The 24 permutations and signs of the axes that stay right-handed.
+AXES = {_named(axes): axes for axes in np.rint(Rotation.create_group("O").as_matrix())}
