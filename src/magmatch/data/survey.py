@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`Survey`: samples of the magnetic field at known positions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -42,8 +43,6 @@ from magmatch.geometry import principal_frame, rotate_vectors, transform_points
 from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Survey:
@@ -78,7 +77,9 @@ class Survey:
     def __post_init__(self) -> None:
         expect_kind(self.name, "name", (str,))
         expect_kind(self.frame, "frame", (str,))
-        for name, values in _as_survey(self.name, self._settled).items():
+        with _faults_of(self.name):
+            settled = self._settled()
+        for name, values in settled.items():
             object.__setattr__(self, name, values)
 
     def _settled(self) -> dict[str, np.ndarray]:
@@ -100,14 +101,12 @@ class Survey:
 
     def check(self) -> None:
         """Raise SurveyError if samples are not finite or times do not increase: arrays may have been changed."""
-        _as_survey(self.name, self._check)
-
-    def _check(self) -> None:
-        require_finite(self.positions, "positions")
-        require_finite(self.field, "field")
-        if self.times is not None:
-            require_finite(self.times, "times")
-            require_increasing(self.times)
+        with _faults_of(self.name):
+            require_finite(self.positions, "positions")
+            require_finite(self.field, "field")
+            if self.times is not None:
+                require_finite(self.times, "times")
+                require_increasing(self.times)
 
     def __repr__(self) -> str:
         if not len(self):
@@ -391,10 +390,11 @@ def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:
     return tuple(part for part in parts if len(part))
 
 
-def _as_survey(name: str, step: Callable[[], T]) -> T:
-    """What a check gives; its error names the survey."""
+@contextmanager
+def _faults_of(name: str) -> Iterator[None]:
+    """Checks whose errors name the survey."""
     try:
-        return step()
+        yield
     except ValueError as error:
         msg = f"{name}: {error}"
         raise SurveyError(msg) from None
