@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.mat5 import FREE, MAX_BYTES, MAX_RATIO, Mat5
+from magmatch.data.formats.mat5 import Mat5
 from magmatch.data.survey_columns import wanted_columns
-from magmatch.data.tables.gzipped import plain_file
+from magmatch.data.tables.gzipped import most_unpacked, plain_file
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.text_rows import listed
@@ -149,7 +149,7 @@ def _names(path: Path, *, is_v5: bool) -> tuple[str, ...]:
 
 def _bound_array(path: Path, name: str, n_numbers: int) -> None:
     """Refuse an array that declares more numbers than its file could hold."""
-    most = min(MAX_BYTES, MAX_RATIO * path.stat().st_size + FREE) // 8
+    most = most_unpacked(path.stat().st_size) // 8
     if n_numbers > most:
         message = f"declares {n_numbers} numbers in {path.stat().st_size} bytes, expected at most {most}"
         raise DataFormatError(path, message, column=name)

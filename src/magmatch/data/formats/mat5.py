@@ -10,10 +10,11 @@ from typing import NoReturn
 
 import numpy as np
 
+from magmatch.data.tables.gzipped import most_unpacked
 from magmatch.errors import DataFormatError
 
-# Bounds, stated in docs/formats.md.
-MAX_BYTES, MAX_RATIO, FREE, DEEPEST = 2 << 30, 200, 16 << 20, 8
+# Structures within structures that are read, stated in docs/formats.md.
+DEEPEST = 8
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _STRUCTURE, _NUMBERS = 2, range(6, 16)
@@ -26,7 +27,7 @@ class Mat5:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._limit = min(MAX_BYTES, MAX_RATIO * path.stat().st_size + FREE)
+        self._limit = most_unpacked(path.stat().st_size)
         self._order = "<"
 
     def variables(self, wanted: Collection[str] | None) -> Iterator[tuple[str, object]]:

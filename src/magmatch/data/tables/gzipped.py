@@ -17,12 +17,17 @@ MAX_UNPACKED, MAX_RATIO, FREE = 2 << 30, 200, 16 << 20
 PIECE = 4 << 20
 
 
+def most_unpacked(n_packed: int) -> int:
+    """Bytes that so many packed ones may become, in any format that compresses."""
+    return min(MAX_UNPACKED, MAX_RATIO * n_packed + FREE)
+
+
 class GzipContent:
     """What a gzip file holds; damage, and more content than its size makes likely, are refused."""
 
     def __init__(self, path: str | Path, stream: BinaryIO, n_packed: int) -> None:
         self.path, self._stream = path, gzip.GzipFile(fileobj=stream)
-        self._limit = min(MAX_UNPACKED, MAX_RATIO * n_packed + FREE)
+        self._limit = most_unpacked(n_packed)
         self._n_read = 0
 
     def read(self, size: int = -1) -> bytes:
