@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """EuRoC CSV: ``#timestamp [ns], ...`` above rows of numbers, whole nanoseconds first, quaternions wxyz."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ def _read(path: str | Path, names: tuple[str, ...]) -> Table:
     if len(wrong):
         message = "time steps are shorter than float64 seconds can tell apart"
         raise DataFormatError(path, message, line=int(table.line_numbers[wrong[0] + 1]), column="t")
-    return Table(table.path, table.names, table.columns | {"t": times}, table.line_numbers, table.comments)
+    return replace(table, columns=table.columns | {"t": times})
 
 
 def _width(path: str | Path) -> int:

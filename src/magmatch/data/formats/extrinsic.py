@@ -29,19 +29,17 @@ def read_extrinsic(text: str) -> RigidTransform:
         numbers = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         return _from_yaml(Path(text))
-    problem = _problem(numbers)
-    if problem:
+    if problem := _problem(numbers):
         msg = f"--extrinsic: expected {EXPECTED} or the name of a YAML file; {problem}"
         raise ConfigurationError(msg)
     return _transform(numbers)
 
 
 def _from_yaml(path: Path) -> RigidTransform:
+    raw = read_bytes(path, MAX_BYTES)
     try:
-        content = load_yaml(read_bytes(path, MAX_BYTES).decode("utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
-        if isinstance(error, DataFormatError):
-            raise
+        content = load_yaml(raw.decode("utf-8"))
+    except (yaml.YAMLError, ValueError):
         raise DataFormatError(path, "is not YAML, expected the extrinsic of the magnetometer") from None
     content = content.get("transform", content) if isinstance(content, dict) else content
     try:
@@ -49,8 +47,7 @@ def _from_yaml(path: Path) -> RigidTransform:
     except (KeyError, TypeError, ValueError):
         message = "expected translation: {x, y, z} and rotation: {x, y, z, w}, or lists of 3 and 4 numbers"
         raise DataFormatError(path, message) from None
-    problem = _problem(numbers)
-    if problem:
+    if problem := _problem(numbers):
         raise DataFormatError(path, f"expected {EXPECTED}; {problem}")
     return _transform(numbers)
 

@@ -21,6 +21,8 @@ from magmatch.data.formats.phones.getsensordata import is_getsensordata
 from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.tables.gzipped import is_gzip
 from magmatch.data.tables.text import is_folder, read_bytes, text_lines
+from magmatch.data.tables.text_rows import is_number
+from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.errors import DataFormatError
 
 FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone"]
@@ -73,7 +75,6 @@ BROKEN_ZIP = (
     lzma.LZMAError,
 )
 _REGISTRATION_SCHEMA = "magmatch.registration/"
-_TUM_WIDTH = 8
 MAX_JSON = 64 << 20
 _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
 
@@ -112,11 +113,12 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     first = next((line for line in lines if line and not line.startswith("#")), "")
     if is_phone_header(first):
         return "phone"
-    if _is_tum_row(first):
+    cells = first.split()
+    if len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells)):
         return "tum"
     above = itertools.takewhile(lambda line: not line or line.startswith("#"), lines)
-    is_euroc = any(line.startswith("#") and is_euroc_header(line) for line in above)
-    return "euroc" if is_euroc and _are_numbers(first.rstrip(", \t").split(",")) else "csv"
+    is_euroc = any(_is_euroc_header(line) for line in above)
+    return "euroc" if is_euroc and all(map(is_number, first.rstrip(", \t").split(","))) else "csv"
 
 
 def _sniff_folder(path: str | Path) -> FileKind:
@@ -161,14 +163,12 @@ def _sniff_archive(path: str | Path) -> FileKind:
 
 def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
+    raw = read_bytes(path, MAX_JSON + 1)
+    if len(raw) > MAX_JSON:
+        raise DataFormatError(path, f"is JSON of more than {MAX_JSON} bytes, expected a survey (CSV)")
     try:
-        raw = read_bytes(path, MAX_JSON + 1)
-        if len(raw) > MAX_JSON:
-            raise DataFormatError(path, f"is JSON of more than {MAX_JSON} bytes, expected a survey (CSV)")
         content = json.loads(raw.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        if isinstance(error, DataFormatError):
-            raise
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
     schema = content.get("schema") if isinstance(content, dict) else None
     if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):
@@ -179,20 +179,6 @@ def _sniff_json(path: str | Path) -> FileKind:
     raise DataFormatError(path, message)
 
 
-def is_euroc_header(line: str) -> bool:
+def _is_euroc_header(line: str) -> bool:
     """Whether a comment may be the header of an EuRoC file."""
     return line.lstrip("# \t").lower().startswith("timestamp") and "," in line
-
-
-def _is_tum_row(text: str) -> bool:
-    """Whether a row is eight numbers separated by white space."""
-    cells = text.split()
-    return len(cells) == _TUM_WIDTH and _are_numbers(cells)
-
-
-def _are_numbers(cells: list[str]) -> bool:
-    """Whether all cells read as numbers."""
-    try:
-        return bool([float(cell) for cell in cells])
-    except ValueError:
-        return False

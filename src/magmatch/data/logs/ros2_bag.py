@@ -102,8 +102,6 @@ def _metadata(folder: Path) -> dict[str, Any]:
         raise DataFormatError(path, f"is larger than {MAX_METADATA} bytes; {advice}")
     try:
         content = load_yaml(raw.decode("utf-8"))
-    except DataFormatError:
-        raise
     except (yaml.YAMLError, ValueError) as error:
         raise DataFormatError(path, f"is not YAML ({' '.join(str(error).split())[:120]}); {advice}") from None
     about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None

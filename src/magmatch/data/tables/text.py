@@ -77,9 +77,7 @@ def _opened(path: str | Path) -> Iterator[Readable]:
 
 def text_lines(path: str | Path, raw: bytes) -> list[str]:
     """Lines of a text file without their ends, whichever these are; UTF-8, or UTF-16 with a byte order mark."""
-    if not raw.strip():
-        raise DataFormatError(path, "the file is empty" if not raw else "the file holds only white space")
-    return _lines(path, raw, 0)
+    return next(text_blocks(path, raw)).lines
 
 
 def text_blocks(path: str | Path, raw: bytes | None = None) -> Iterator[Block]:

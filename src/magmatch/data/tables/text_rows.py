@@ -32,10 +32,10 @@ def names_of(
     names = [cell.strip().strip("'\"").lower() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    if all(_is_number(name) for name in names):
+    if all(is_number(name) for name in names):
         message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
         above = comments[-1].replace(",", " ").replace(";", " ").split() if comments else []
-        if len(above) == len(names) and not any(map(_is_number, above)):
+        if len(above) == len(names) and not any(map(is_number, above)):
             message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
         raise DataFormatError(path, message, line=line)
     for name in names:
@@ -92,8 +92,8 @@ def _first_fault(
             text = row[k].strip()
             if not text:
                 return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
-            if not _is_number(text):
-                hint = " (write decimals with a point)" if _is_number(text.replace(",", ".")) else ""
+            if not is_number(text):
+                hint = " (write decimals with a point)" if is_number(text.replace(",", ".")) else ""
                 hint = " (times are numbers, such as seconds since 1970)" if text.count(":") > 1 else hint
                 return DataFormatError(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
             if not np.isfinite(float(text)):
@@ -117,7 +117,7 @@ def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, 
             raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
     """Whether a cell reads as a number (which may be nan or inf)."""
     try:
         float(text)
