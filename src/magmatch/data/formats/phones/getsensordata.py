@@ -35,7 +35,7 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
         tag, _, rest = line.partition(";")
         if tag in _TAGS:
             rows.take(tag, i, rest.split(";")[: len(_NAMES)])
-    blocks = {tag: rows.block(tag) for tag in rows.tags}
+    blocks = rows.blocks()
     ahead = {tag: float(np.median(block[:, 0] - block[:, 1])) for tag, (block, _) in blocks.items()}
     if ahead and max(ahead.values()) - min(ahead.values()) < ONE_CLOCK:
         ahead = dict.fromkeys(

@@ -20,8 +20,6 @@ from magmatch.errors import DataFormatError
 logger = logging.getLogger(__name__)
 
 EVERY: tuple[Sensor, ...] = get_args(Sensor)
-# What the apps write, whatever the phone: microtesla, in the phone's own axes.
-MICROTESLA = 1e-6
 
 
 def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, recover: bool = False) -> PhoneLog:
@@ -80,6 +78,6 @@ def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor 
             )
         log = raw
     stream = log.require(sensor or "field", "a survey")
-    field = stream.values / MICROTESLA * TESLA_PER_UNIT[layout.field_unit]
+    field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
     hint = " ('magmatch odometry' makes one from accelerometer and gyroscope)"
     return with_poses(path, stream.times, field, layout, hint)

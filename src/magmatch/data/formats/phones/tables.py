@@ -168,7 +168,8 @@ def _tagged(
         sensor = sensor_named(cells[k]) if k < len(cells) else None
         if sensor in wanted:
             rows.take(str(sensor), line, [cells[i] if i < len(cells) else "" for i in used])
-    blocks = {sensor: rows.block(sensor) for sensor in wanted if sensor in rows.tags}
+    found = rows.blocks()
+    blocks = {sensor: found[sensor] for sensor in wanted if sensor in found}
     longest = max((block[:, 0] for block, _ in blocks.values()), key=len, default=np.zeros(0))
     ticks = ticks_per_second(columns.app, longest)
     return {

@@ -22,11 +22,6 @@ class TaggedRows:
         self._lines: dict[str, list[int]] = {}
         self._n_faults = 0
 
-    @property
-    def tags(self) -> list[str]:
-        """Sensors of which there are rows."""
-        return list(self._rows)
-
     def take(self, tag: str, line: int, cells: Sequence[str]) -> None:
         """Add a row: one cell for each of the names."""
         try:
@@ -41,12 +36,11 @@ class TaggedRows:
         self._rows.setdefault(tag, []).append(numbers)
         self._lines.setdefault(tag, []).append(line)
 
-    def block(self, tag: str) -> tuple[Matrix, Indices]:
-        """Numbers of a sensor, (n, k), and the lines they stand on."""
-        if self._n_faults:
+    def blocks(self) -> dict[str, tuple[Matrix, Indices]]:
+        """Numbers of each sensor of which there are rows, (n, k), and the lines they stand on."""
+        if self._rows and self._n_faults:
             logger.warning("%s: left out %d rows that cannot be read", self.path, self._n_faults)
-            self._n_faults = 0
-        return np.array(self._rows[tag]), np.array(self._lines[tag], dtype=np.int64)
+        return {tag: (np.array(rows), np.array(self._lines[tag], dtype=np.int64)) for tag, rows in self._rows.items()}
 
     def _fault(self, line: int, cells: Sequence[str]) -> DataFormatError:
         """What is wrong with a row."""
