@@ -9,6 +9,7 @@ from pathlib import Path
 
 from magmatch.data.logs.decode import ENCODINGS
 from magmatch.data.logs.log import Topic
+from magmatch.data.logs.messages import TREES
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
@@ -16,7 +17,6 @@ logger = logging.getLogger(__name__)
 FIELD_TYPES = ("sensor_msgs/MagneticField",)
 # Old drivers send the field as a plain vector; so do many other sensors, so it must be named.
 FIELD_TYPES_IF_NAMED = (*FIELD_TYPES, "geometry_msgs/Vector3Stamped")
-TREE_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 POSE_TYPES = (
     "nav_msgs/Odometry",
     "geometry_msgs/PoseStamped",
@@ -50,8 +50,9 @@ def choose_topics(
     else:
         poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
         pairs = sorted(itertools.product(fields, poses), key=lambda pair: (pair[0].name, pair[1].name))
-        choice = max((Choice(*pair) for pair in pairs), key=_shared)  # the first of equal ones
-        _tell_choice(path, choice.pose, poses, "of poses", "--pose-topic")
+        field, pose = max(pairs, key=_shared)  # the first of equal ones
+        choice = Choice(field, pose)
+        _tell_choice(path, pose, poses, "of poses", "--pose-topic")
     _tell_choice(path, choice.field, fields, "of the field", "--mag-topic")
     return choice
 
@@ -59,13 +60,13 @@ def choose_topics(
 def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
     """Whether poses come from a topic of their own; else only the tree of frames may hold them."""
     if pose_topic is not None:
-        return not any(topic.name == pose_topic and topic.type in TREE_TYPES for topic in topics)
+        return not any(topic.name == pose_topic and topic.type in TREES for topic in topics)
     return any(topic.count and topic.type in POSE_TYPES for topic in topics)
 
 
-def _tell_choice(path: Path, chosen: Topic | None, among: Sequence[Topic], what: str, flag: str) -> None:
+def _tell_choice(path: Path, chosen: Topic, among: Sequence[Topic], what: str, flag: str) -> None:
     """Say that there was a choice."""
-    if chosen is not None and len(among) > 1:
+    if len(among) > 1:
         others = ", ".join(topic.name for topic in among if topic is not chosen)
         logger.warning("%s: topic %s: %s is read, not %s (%s)", path, what, chosen.name, others, flag)
 
@@ -99,11 +100,10 @@ def _candidates(
     return filled
 
 
-def _shared(pair: Choice) -> float:
+def _shared(pair: tuple[Topic, Topic]) -> float:
     """Messages of both topics in the time that both cover."""
-    topics = [topic for topic in (pair.field, pair.pose) if topic is not None]
-    low, high = max(topic.first_ns for topic in topics), min(topic.last_ns for topic in topics)
-    return sum(_share(topic, low, high) for topic in topics) if high >= low else 0.0
+    low, high = max(topic.first_ns for topic in pair), min(topic.last_ns for topic in pair)
+    return sum(_share(topic, low, high) for topic in pair) if high >= low else 0.0
 
 
 def _share(topic: Topic, low: int, high: int) -> float:

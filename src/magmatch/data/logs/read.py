@@ -14,11 +14,11 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import STATIC_TOPICS, TREE_TYPES, Choice, choose_topics, has_poses
+from magmatch.data.logs.choose import STATIC_TOPICS, Choice, choose_topics, has_poses
 from magmatch.data.logs.decode import ENCODINGS
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import Entries, Frames
+from magmatch.data.logs.messages import TREES, Entries, Frames
 from magmatch.data.logs.numbers import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
@@ -69,6 +69,7 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
     extrinsic = _extrinsic(log.path, layout, tree, poses, "" if frame == "survey" else sensor)
     times, is_new = distinct_seconds(field)
+    delay_ns = float(np.median(field.log_ns - field.stamp_ns))  # of logging, behind the times used
     return Recording(
         path=log.path,
         times=times[is_new],
@@ -78,7 +79,7 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
         has_orientations=poses.has_orientations,
         frame=poses.fixed or "survey",
         poses_from=poses.source,
-        channels=read_numbers(log, topics, _delay_ns(field)) if with_channels else NO_CHANNELS,
+        channels=read_numbers(log, topics, delay_ns) if with_channels else NO_CHANNELS,
     ).carried(extrinsic)
 
 
@@ -122,11 +123,6 @@ def _extrinsic(path: Path, layout: SurveyFormat, tree: FrameTree, poses: Poses, 
             path, sensor, repr(poses.body) if poses.body else "the body whose poses these are",
         )  # fmt: skip
     return T_body_sensor
-
-
-def _delay_ns(field: Entries) -> float:
-    """How much later messages are logged than their times say."""
-    return float(np.median(field.log_ns - field.stamp_ns)) if len(field.number) else 0.0
 
 
 def _of_one_frame(path: Path, stream: Stream) -> Entries:
@@ -188,4 +184,4 @@ def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Choi
 
 def _trees(topics: list[Topic]) -> list[Topic]:
     """Topics of tf messages that can be read."""
-    return [topic for topic in topics if topic.type in TREE_TYPES and topic.count and topic.encoding in ENCODINGS]
+    return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
