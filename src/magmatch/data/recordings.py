@@ -9,7 +9,7 @@ import numpy as np
 import scipy.io
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.datasets import fetch, find_dataset, verified_files
+from magmatch.data.datasets import fetch, verified_files
 from magmatch.data.survey import Survey
 from magmatch.errors import import_extra
 from magmatch.typing import Matrix, Scalars
@@ -32,7 +32,6 @@ def load_recordings(
 
     All recordings of one dataset share a frame, except those of ``kok``, which lie in four places.
     """
-    find_dataset(name)
     files = fetch(name, cache_dir=cache_dir) if source_dir is None else verified_files(name, source_dir)
     return _LOADERS[name](files)
 

@@ -9,7 +9,7 @@ import numpy as np
 from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
 from magmatch.data.tables.nanoseconds import SECOND, nanoseconds_of
-from magmatch.errors import MissingExtraError, SurveyError
+from magmatch.errors import SurveyError, import_extra
 
 FIELD_TOPIC, POSE_TOPIC = "/magmatch/field", "/magmatch/pose"
 FIELD, POSE, POINT = (
@@ -26,18 +26,13 @@ def write_mcap(survey: Survey, path: str | Path) -> None:
     ``geometry_msgs/PointStamped``. Times are rounded to whole nanoseconds; `SurveyError` where there are none, or
     none that ROS can state. An existing file is replaced only once the new one is complete.
     """
-    try:
-        from mcap.writer import CompressionType, Writer
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        feature = "writing MCAP"
-        raise MissingExtraError(feature, "ros") from None
-    stamps, store = _stamps(survey), get_typestore(Stores.ROS2_HUMBLE)
+    mcap, typesys = (import_extra(name, "writing MCAP", "ros") for name in ("mcap.writer", "rosbags.typesys"))
+    stamps, store = _stamps(survey), typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     new: dict[str, Any] = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
     quaternions = None if survey.orientations is None else survey.orientations.as_quat().tolist()
     kinds = {FIELD_TOPIC: FIELD, POSE_TOPIC: POINT if quaternions is None else POSE}
     with atomic_write(path) as stream:
-        writer: Any = Writer(stream, compression=CompressionType.ZSTD)
+        writer = mcap.Writer(stream, compression=mcap.CompressionType.ZSTD)
         writer.start("ros2")
         channels = {}
         for topic, kind in kinds.items():
@@ -67,4 +62,5 @@ def _stamps(survey: Survey) -> list[int]:
     if survey.times[0] < 0 or survey.times[-1] >= 2**31:
         msg = f"{survey.name}: times run from {survey.times[0]:.9g} to {survey.times[-1]:.9g} s, ROS knows 0 to 2^31"
         raise SurveyError(msg)
-    return [int(stamp) for stamp in nanoseconds_of(survey.times)]
+    stamps: list[int] = nanoseconds_of(survey.times).tolist()
+    return stamps
