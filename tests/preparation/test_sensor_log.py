@@ -77,8 +77,6 @@ def test_a_trajectory_of_its_own_is_used_and_one_pose_is_none(log):
     one = SensorLog.of(survey.subset(np.arange(1)))
     assert one.times is None
     assert len(one) == 1
-    with pytest.raises(ValueError, match="orientations"):
-        SensorLog.of(replace(survey, orientations=None))
 
 
 def test_a_margin_is_taken_about_the_moved_stamps(log):

@@ -6,7 +6,7 @@ import numpy as np
 from magmatch.errors import SurveyError
 from magmatch.preparation.blocks import model_of
 from magmatch.preparation.config import CalibrationConfig
-from magmatch.preparation.least_squares import Block, Solution, System
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, Block, Solution, System
 from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
 from magmatch.typing import Scalars, Vector3, Vectors
 
@@ -67,7 +67,7 @@ def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:
         center = np.linalg.lstsq(A[rows], square[rows], rcond=1e-3)[0][:3]
         distance = np.linalg.norm(readings - center, axis=1)
         misfit = np.abs(distance - np.median(distance))
-    return np.asarray(center), _weights((misfit / (1.4826 * np.median(misfit))) ** 2)
+    return np.asarray(center), _weights((misfit / (MEDIAN_TO_SD * np.median(misfit))) ** 2)
 
 
 def _weights(square: Scalars) -> Scalars:
@@ -77,7 +77,7 @@ def _weights(square: Scalars) -> Scalars:
 
 def _require_one_field(corrected: Vectors) -> None:
     magnitude = np.linalg.norm(corrected, axis=1)
-    misfit = 1.4826 * float(np.median(np.abs(magnitude - np.median(magnitude)))) / float(np.median(magnitude))
+    misfit = MEDIAN_TO_SD * float(np.median(np.abs(magnitude - np.median(magnitude)))) / float(np.median(magnitude))
     if misfit > WORST_FIT:
         msg = (
             f"no ellipsoid fits: the magnitude still varies by {misfit:.0%} after the correction; "

@@ -113,7 +113,7 @@ def _channel_report(name: str, calibration: Calibration, values: Scalars, config
     words = _estimate_text(name, estimate, sd, is_open) + ("" if is_shown else "; not shown")
     outcome: Outcome = ("applied" if is_removed else "flagged") if is_shown else "unchanged"
     after = calibration.inconsistency[1]
-    before, after = (calibration.without.get(name, after), after) if is_removed else (after, after)
+    before = calibration.without.get(name, after) if is_removed else after
     if is_shown and not is_removed:
         words += "; kept (currents.mode: remove takes it off)"
     figures = {"estimate": estimate.tolist(), "sd": sd.tolist(), "p_value": solution.p_value[name]}

@@ -8,11 +8,11 @@ from scipy.stats import chi2
 from magmatch.field.folds import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, SMALLEST_NOISE, robust_sd
 from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 
 # Readings to either side that a spike is held against; up to two in a row still stand out.
 NEIGHBOURS = 3
-MEDIAN_TO_SD = 1.4826
 # Rounds of weighing down what disagrees with the map, and the tail weight.
 ROUNDS, STUDENT = 3, 4.0
 # Readings at one and the same largest value before it is the sensor's range.
@@ -42,7 +42,7 @@ def find_spikes(
     weights = np.ones(len(points))
     for _ in range(ROUNDS):
         residual = MapConsistency(points, hyperparameters, weights).project(field[None])[1][0]
-        sd = _robust_sd(residual)
+        sd = robust_sd(residual)
         weights = (STUDENT + 3) / (STUDENT + (residual**2).sum(axis=1) / sd**2)
     is_odd: Mask = np.abs(residual).max(axis=1) > threshold * sd
     return is_odd & find_jumps(field, threshold) if in_order else is_odd
@@ -97,17 +97,13 @@ def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:
 def _ordinary_sd(residual: Vectors, gradient: Tensors) -> Scalars:
     """Spread of a component where nothing moved: (n,), T. Errors of poses and map grow with the field's steepness."""
     if len(residual) < FEWEST_IN_GROUP * N_GROUPS:
-        return np.full(len(residual), _robust_sd(residual))
+        return np.full(len(residual), robust_sd(residual))
     steepness = np.linalg.norm(gradient, axis=(1, 2))
     size = np.linalg.norm(residual, axis=1) / np.sqrt(chi2.median(3))
     # Medians of groups and over groups, so that no one place where something moved decides.
     groups = np.array_split(np.argsort(steepness, kind="stable"), N_GROUPS)
     sd, steep = (np.array([np.median(values[group]) for group in groups]) for values in (size, steepness))
     half = N_GROUPS // 2
-    flat = max(float(np.median(sd[:half])), 1e-15)
+    flat = max(float(np.median(sd[:half])), SMALLEST_NOISE)
     slope = float(np.median(np.sqrt(np.maximum(sd[half:] ** 2 - flat**2, 0)) / np.maximum(steep[half:], 1e-300)))
     return np.asarray(np.hypot(flat, slope * steepness))
-
-
-def _robust_sd(residual: Vectors) -> float:
-    return max(MEDIAN_TO_SD * float(np.median(np.abs(residual))), 1e-15)

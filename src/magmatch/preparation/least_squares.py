@@ -17,6 +17,7 @@ LEAST_INFORMATION = 25.0
 # Numbers of stretches that errors are summed over, and the degrees of freedom that this leaves their spread.
 STRETCHES, N_STRETCHES = (40, 20, 10), 20
 ROUNDS_OF_NOISE = 3
+MEDIAN_TO_SD = 1.4826
 SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
 
@@ -71,16 +72,16 @@ class System:
         rows = [i for i, name in enumerate(self.names) if name in active]
         left, right, y = self.left[rows], self.right[rows], self.right[-1]
         if not rows:
-            return Solution({}, {}, {}, {}, y, y, max(_robust_sd(y), SMALLEST_NOISE))
+            return Solution({}, {}, {}, {}, y, y, robust_sd(y))
         products, against = np.einsum("inc,jnc->ij", left, right), np.einsum("inc,nc->i", left, y)
         values, vectors = np.linalg.eigh((products + products.T) / 2)
-        noise = max(_robust_sd(y), SMALLEST_NOISE)
+        noise = robust_sd(y)
         # Noise and its correlation are judged by what remains when everything is free: otherwise what is held at zero
         # by mistake would look like noise, and stay there.
         for _ in range(ROUNDS_OF_NOISE):
             z = -vectors @ ((vectors.T @ against) / (np.maximum(values, 0) + noise**2))
             free = y + np.einsum("i,inc->nc", z, right)
-            noise = max(_robust_sd(free), SMALLEST_NOISE)
+            noise = robust_sd(free)
         information = np.maximum(values, 0) / noise**2
         inflation = _inflation(left, free, vectors, information, noise)
         is_fixed = information > LEAST_INFORMATION * inflation
@@ -119,9 +120,9 @@ def _by_block(
         is_open[name] = np.diag(own) > 1 / (1 + LEAST_INFORMATION)
         square = float(z[rows] @ np.linalg.solve(own, z[rows])) / len(rows)
         p_value[name] = float(scipy.stats.f.sf(square, len(rows), N_STRETCHES - len(rows)))
-    return Solution(estimate, sd, p_value, is_open, residual, free, max(_robust_sd(free), SMALLEST_NOISE))
+    return Solution(estimate, sd, p_value, is_open, residual, free, robust_sd(free))
 
 
-def _robust_sd(residual: np.ndarray) -> float:
+def robust_sd(residual: np.ndarray) -> float:
     """Standard deviation of a normal variable with the same median size."""
-    return float(1.4826 * np.median(np.abs(residual)))
+    return max(MEDIAN_TO_SD * float(np.median(np.abs(residual))), SMALLEST_NOISE)

@@ -92,12 +92,10 @@ def _with_pieces(channels: Mapping[str, Scalars], cuts: Recalibrations, n: int) 
 def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
     """Readings used for estimates: without jumps, repeats or saturation, whatever is done about these later."""
     readings = sensor_log.readings
-    is_bad = (
-        find_jumps(readings, config.disturbances.spike_threshold)
-        if sensor_log.times is not None
-        else np.zeros(len(readings), dtype=bool)
-    )
-    return np.asarray(~(is_bad | find_repeats(readings) | find_saturation(readings)))
+    is_bad = find_repeats(readings) | find_saturation(readings)
+    if sensor_log.times is not None:
+        is_bad |= find_jumps(readings, config.disturbances.spike_threshold)
+    return np.asarray(~is_bad)
 
 
 def apply_model(

@@ -37,20 +37,14 @@ class SensorLog:
     @classmethod
     def of(cls, survey: Survey, trajectory: Trajectory | None = None) -> "SensorLog":
         """A survey's field turned back into the sensor's frame; poses of the trajectory, else of the samples."""
-        if survey.orientations is None:
-            msg = "without orientations, a survey does not determine what its sensor read"
-            raise ValueError(msg)
-        if survey.times is not None and trajectory is None and len(survey) > 1:
-            trajectory = Trajectory(survey.times, survey.positions, survey.orientations)
+        assert survey.orientations is not None  # without them it is not known what the sensor read
         readings = survey.orientations.apply(survey.field, inverse=True)
-        has_clock = survey.times is not None and trajectory is not None
-        return cls(
-            readings,
-            survey.positions,
-            survey.orientations,
-            survey.times if has_clock else None,
-            trajectory if has_clock else None,
-        )
+        if survey.times is None:
+            trajectory = None
+        elif trajectory is None and len(survey) > 1:
+            trajectory = Trajectory(survey.times, survey.positions, survey.orientations)
+        times = None if trajectory is None else survey.times
+        return cls(readings, survey.positions, survey.orientations, times, trajectory)
 
     def subset(self, rows: Mask | Indices) -> "SensorLog":
         """Readings chosen by a mask or by indices; the trajectory stays whole."""
