@@ -13,6 +13,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.units import (
     TESLA_PER_UNIT,
     UNITS_PER_SECOND,
+    LengthUnit,
     TimeUnit,
     field_text,
     likely_field_unit,
@@ -53,9 +54,14 @@ def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str
     """Raise an error for an impossible survey; otherwise list what is suspicious about it."""
     require_survey(survey, layout)
     layout = layout or SurveyFormat()
-    doubts = (_doubt_field, _doubt_extent, _doubt_shape, _doubt_repeats, _doubt_times)
-    found = [str(diagnosis) for diagnosis in diagnose(survey, layout.field_unit)]
-    return [*found, *(warning for doubt in doubts for warning in doubt(survey, layout))]
+    return [
+        *map(str, diagnose(survey, layout.field_unit)),
+        *_doubt_field(survey),
+        *_doubt_extent(survey, layout.length_unit),
+        *_doubt_shape(survey),
+        *_doubt_repeats(survey),
+        *_doubt_times(survey, layout.time_unit),
+    ]
 
 
 def require_survey(survey: Any, layout: SurveyFormat | None = None, name: str = "survey") -> None:
@@ -145,7 +151,7 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
         raise _refuse(survey, "all samples lie at one point, expected a surveyed region")
 
 
-def _doubt_field(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+def _doubt_field(survey: Survey) -> Iterator[str]:
     if words := constant_field(survey):
         yield words
     magnitude, (low, high) = np.linalg.norm(survey.field, axis=1), MEDIAN_FIELD
@@ -155,7 +161,7 @@ def _doubt_field(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
             yield f"{text}: rows in two units, or a sensor that fails?"
 
 
-def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
+def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
     size = float(extent(survey).max())
     if size < ODD_EXTENT[0]:
         yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
@@ -163,7 +169,7 @@ def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
         place = ", ".join(f"{v:.4g}" for v in survey.centroid[:2])
         yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
     elif size > ODD_EXTENT[1]:
-        yield f"the positions span {size / 1e3:.3g} km, read as {layout.length_unit}: millimetres (--length-unit mm)?"
+        yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"
     if survey.times is not None:
         steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
         with np.errstate(over="ignore"):  # absurd times make it infinite, and odd
@@ -172,7 +178,7 @@ def _doubt_extent(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
             yield f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
 
 
-def _doubt_shape(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+def _doubt_shape(survey: Survey) -> Iterator[str]:
     offset = survey.positions - survey.centroid
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(offset.T @ offset / len(survey))[::-1], 0))
     flat = FLAT * min(1.0, spread[0])
@@ -182,7 +188,7 @@ def _doubt_shape(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
         yield "all samples lie on one plane: the field above and below it is inferred, not measured"
 
 
-def _doubt_repeats(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
+def _doubt_repeats(survey: Survey) -> Iterator[str]:
     n = len(survey) - 1
     n_still = int((np.diff(survey.positions, axis=0) == 0).all(axis=1).sum())
     if n_still > 0.05 * n:
@@ -193,8 +199,8 @@ def _doubt_repeats(survey: Survey, _layout: SurveyFormat) -> Iterator[str]:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
 
 
-def _doubt_times(survey: Survey, layout: SurveyFormat) -> Iterator[str]:
-    unit = _likely_time_unit(survey) if layout.time_unit == "s" else None
+def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
+    unit = _likely_time_unit(survey) if read_as == "s" else None
     if unit is not None and survey.times is not None:
         step = float(np.median(np.diff(survey.times)))
         span = f"times begin at {survey.times[0]:.9g} s, with a sample every {step:.4g} s"

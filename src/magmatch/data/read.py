@@ -72,7 +72,7 @@ def read_survey(path: str | Path, format: SurveyFormat | None = None) -> Survey:
     expect_path(path)
     if format is not None:
         expect_kind(format, "format", (SurveyFormat,), "SurveyFormat(field_unit='uT') makes one")
-    return _checked(path, *read_unchecked(path, format))
+    return _checked(path, *read_unchecked(path, format or SurveyFormat()))
 
 
 def read_survey_and_channels(
@@ -89,9 +89,8 @@ def read_survey_and_channels(
     return survey, recording.channels.at(survey.times, len(survey))
 
 
-def read_raw_magnetometer(path: str | Path, format: SurveyFormat | None = None) -> Survey | None:
+def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | None:
     """Read what a phone's magnetometer says without the phone's own calibration; None unless a log holds both."""
-    layout = format or SurveyFormat()
     if sniff(path) != "phone" or layout.columns:
         return None
     if len(read_phone_log(path, ("field", "raw_field"), recover=layout.recover).streams) < 2:
@@ -105,9 +104,8 @@ def read_raw_magnetometer(path: str | Path, format: SurveyFormat | None = None) 
     return replace(survey, name=Path(path).name)
 
 
-def read_poses(path: str | Path, format: SurveyFormat | None = None) -> Trajectory | None:
+def read_poses(path: str | Path, layout: SurveyFormat) -> Trajectory | None:
     """Read a log's poses at their own times; None where each sample has its own, or they are positions only."""
-    layout = format or SurveyFormat()
     if sniff(path) == "log":
         recording = read_log(path, layout)
         return recording.trajectory if recording.has_orientations else None
@@ -123,15 +121,15 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
     return survey
 
 
-def read_unchecked(path: str | Path, format: SurveyFormat | None = None) -> tuple[Survey, SurveyFormat]:
+def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
     kind = sniff(path)
-    if kind == "phone" and (format or SurveyFormat()).columns and Path(path).is_file():
+    if kind == "phone" and layout.columns and Path(path).is_file():
         kind = "csv"  # the user knows the columns better
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
-    survey, layout = READERS[kind](path, format or SurveyFormat())
-    return replace(survey, name=Path(path).name), layout
+    survey, used = READERS[kind](path, layout)
+    return replace(survey, name=Path(path).name), used
 
 
 def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:

@@ -55,11 +55,11 @@ def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
     return with_poses(table.path, table.columns["t"], field, layout)
 
 
-def read_points(path: str | Path, layout: SurveyFormat | None = None) -> Points:
+def read_points(path: str | Path, layout: SurveyFormat) -> Points:
     """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order."""
     table = read_table(path, POSITION_COLUMNS)
     table.require(POSITION_COLUMNS)
-    return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[(layout or SurveyFormat()).length_unit]
+    return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[layout.length_unit]
 
 
 def _require_own_poses(table: Table) -> None:
