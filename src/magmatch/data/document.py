@@ -117,10 +117,7 @@ class TypedDocument:
     def save(self, path: str | Path) -> None:
         """Write the result as JSON (layout in ``docs/conventions.md``), whole or not at all.
 
-        Raises
-        ------
-        DataFormatError
-            The folder does not exist.
+        `DataFormatError` where the folder does not exist.
         """
         write_document(path, self.to_dict())
 

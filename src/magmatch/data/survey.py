@@ -140,17 +140,7 @@ class Survey:
     def transformed(self, T_new_survey: RigidTransform, frame: str | None = None) -> "Survey":
         """Return the same samples in another frame: positions are transformed, vectors rotated.
 
-        Parameters
-        ----------
-        T_new_survey : RigidTransform
-            Takes survey coordinates to the new frame.
-        frame : str, optional
-            Name of the new frame; unchanged by default.
-
-        Returns
-        -------
-        Survey
-            New survey; times, name and accuracy are kept.
+        ``T_new_survey`` takes survey coordinates to the new frame; its name is unchanged by default.
         """
         expect_transform(T_new_survey, "T_new_survey")
         turned = None if self.orientations is None else T_new_survey.rotation * self.orientations
@@ -162,18 +152,7 @@ class Survey:
         )
 
     def subset(self, rows: np.ndarray) -> "Survey":
-        """Return the samples chosen by a mask or by indices, in that order.
-
-        Parameters
-        ----------
-        rows : (n,) bool or (k,) int array
-            Which samples to keep.
-
-        Returns
-        -------
-        Survey
-            New survey of the chosen samples; it may be empty.
-        """
+        """Return the samples chosen by a mask (n,) or by indices (k,), in that order; there may be none."""
         rows = rows_chosen(rows, len(self))
         return self._with(
             positions=self.positions[rows],
@@ -183,17 +162,9 @@ class Survey:
         )
 
     def merged(self, *others: "Survey") -> "Survey":
-        """Join surveys that share this one's frame; orientations are kept only if all have them.
+        """Join surveys that share this one's frame, in the order given; orientations are kept only if all have them.
 
-        Parameters
-        ----------
-        *others : Survey
-            Surveys in the same frame.
-
-        Returns
-        -------
-        Survey
-            All samples, in the order given; times are dropped, since separate surveys' clocks need not agree.
+        Times are dropped, since separate surveys' clocks need not agree.
         """
         if not others:
             return self
@@ -222,25 +193,13 @@ class Survey:
     def save(self, path: str | Path) -> None:
         """Write the survey CSV (tesla, metre, survey frame); reading it back gives the same float64 values.
 
-        Parameters
-        ----------
-        path : path
-            Where; an existing file is replaced only once the new one is complete.
+        An existing file is replaced only once the new one is complete.
         """
         write_table(path, *stated_columns(self.columns(), len(self), self.frame, self.pose_sd))
 
     @classmethod
     def load(cls, path: str | Path) -> "Survey":
         """Read a survey CSV in tesla, metre and survey frame; `magmatch.read_survey` also converts and checks.
-
-        Parameters
-        ----------
-        path : path
-            The file.
-
-        Returns
-        -------
-        Survey
 
         Raises
         ------
@@ -279,10 +238,6 @@ class Survey:
             Frame of the field vectors; the sensor's needs orientations.
         frame, name, pose_sd
             See `Survey`; by default frame and accuracy are what columns ``survey_frame`` and ``pose_sd`` say.
-
-        Returns
-        -------
-        Survey
 
         Raises
         ------
@@ -328,10 +283,6 @@ class Survey:
         columns, field_frame, frame, name, pose_sd
             See `from_dataframe`.
 
-        Returns
-        -------
-        Survey
-
         Raises
         ------
         DataFormatError
@@ -373,12 +324,7 @@ class Survey:
     def principal_frame(self) -> RigidTransform:
         """Frame laid along the samples' principal axes, moving with the survey: ``T_survey_principal``.
 
-        Signed by skewness, or the mean field: the frame follows every rigid motion of the survey.
-
-        Returns
-        -------
-        RigidTransform
-            Takes principal coordinates to survey coordinates; its origin is the centroid.
+        Its origin is the centroid; signed by skewness, or the mean field, it follows every rigid motion of them.
         """
         return principal_frame(self.positions, self.field.mean(axis=0))
 

@@ -54,24 +54,12 @@ class Trajectory:
         return is_covered
 
     def interpolate(self, times: Scalars) -> tuple[Points, Rotation]:
-        """Poses at other times: positions interpolated linearly, orientations by slerp.
-
-        Parameters
-        ----------
-        times : (k,) array, s
-            Within the trajectory; see `covers`.
-
-        Returns
-        -------
-        positions : (k, 3) array, m
-            Survey frame.
-        orientations : Rotation of length k
-            Sensor to survey frame.
+        """Poses at other times (k,), s: positions (k, 3), m, interpolated linearly, and orientations, by slerp.
 
         Raises
         ------
         ValueError
-            A time lies outside the trajectory: poses are never extrapolated.
+            A time lies outside the trajectory (see `covers`): poses are never extrapolated.
 
         Notes
         -----
@@ -102,16 +90,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | Path) -> "Trajectory":
-        """Read a TUM file.
-
-        Parameters
-        ----------
-        path : path
-            Rows ``t x y z qx qy qz qw``; seconds and metres.
-
-        Returns
-        -------
-        Trajectory
+        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres.
 
         Raises
         ------

@@ -22,21 +22,14 @@ def prepare_either(
         With the phone's own calibration, which may jump and may be wrong.
     raw : Survey, optional
         Without it, so with a constant bias to be estimated, often of tens of uT. None: there is no choice.
-    config : PreparationConfig, optional
-        What to do with either.
-    **known
-        As in `magmatch.preparation.prepare.prepare`.
-
-    Returns
-    -------
-    survey : Survey
-    report : PreparationReport
-        Its first step, ``magnetometer``, holds the misfit of the phone's own and of the raw readings.
+    config, **known
+        As in `magmatch.preparation.prepare.prepare`, for either.
 
     Notes
     -----
     The one that a map predicts better on held-out stretches after calibration is used; the phone's own if the motion
     does not determine the raw readings' bias in all three directions, since they could not be used elsewhere.
+    The report's first step, ``magnetometer``, holds the misfit of both.
     """
     if raw is None:
         return prepare(own, config, **known)

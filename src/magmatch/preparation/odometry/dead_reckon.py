@@ -49,17 +49,6 @@ class Odometry:
 def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odometry:
     """Path of a walk whose phone was held in front, from its accelerometer and gyroscope alone.
 
-    Parameters
-    ----------
-    phone : PhoneLog
-        With both sensors.
-    config : OdometryConfig, optional
-        Settings.
-
-    Returns
-    -------
-    Odometry
-
     Raises
     ------
     DataFormatError

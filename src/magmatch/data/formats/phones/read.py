@@ -23,7 +23,7 @@ EVERY: tuple[Sensor, ...] = get_args(Sensor)
 
 
 def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, recover: bool = False) -> PhoneLog:
-    """Read the sensors of a phone's log.
+    """Read the sensors of a phone's log, in tesla, m/s^2, rad/s and seconds.
 
     Parameters
     ----------
@@ -32,17 +32,7 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
     wanted : collection of Sensor
         Those to read; others cost no time.
     recover : bool
-        Leave out rows without valid numbers, and log how many, instead of refusing.
-
-    Returns
-    -------
-    PhoneLog
-        In tesla, m/s^2, rad/s and seconds.
-
-    Raises
-    ------
-    DataFormatError
-        With the place at fault.
+        Leave out rows without valid numbers, and log how many, instead of refusing (`DataFormatError`).
     """
     try:
         with opened_tables(path) as tables:
