@@ -30,7 +30,7 @@ FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet
 _NO_WORKBOOKS = "export the sheet as CSV (phyphox: choose CSV, not Excel, under 'Export Data')"
 _NO_PICKLES = "pickles are never read, since they can run code; export it as CSV"
 # How files begin that people hand over by mistake, what they are, and what to do about it.
-_FOREIGN: tuple[tuple[bytes, str, str], ...] = (
+_FOREIGN: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"\x1f\x8b", "twice compressed gzip", "decompress it first (gunzip)"),
     (b"BZh", "bzip2", "decompress it first (bunzip2)"),
     (b"\xfd7zXZ\0", "xz", "decompress it first (unxz)"),
@@ -42,12 +42,9 @@ _FOREIGN: tuple[tuple[bytes, str, str], ...] = (
     (b"\xff\xd8\xff", "JPEG picture", "expected samples, not a picture"),
     (b"%PDF", "PDF document", "expected samples, not a document"),
     (b"\xd0\xcf\x11\xe0", "old Excel workbook", _NO_WORKBOOKS),
-    (b"\x80\x04\x95", "Python pickle", _NO_PICKLES),
-    (b"\x80\x05\x95", "Python pickle", _NO_PICKLES),
+    ((b"\x80\x04\x95", b"\x80\x05\x95"), "Python pickle", _NO_PICKLES),
     (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
-    (b"<!DOCTYPE", "web page", "download the raw file instead"),
-    (b"<!doctype", "web page", "download the raw file instead"),
-    (b"<html", "web page", "download the raw file instead"),
+    ((b"<!DOCTYPE", b"<!doctype", b"<html"), "web page", "download the raw file instead"),
     (b"<table", "web page", "export it as CSV"),
     (b"<?xml", "XML document", "export it as CSV"),
 )
@@ -64,7 +61,6 @@ _SIGNATURES: dict[bytes, FileKind] = {
 # All that zipfile raises over a damaged archive.
 BROKEN_ZIP = (
     zipfile.BadZipFile,
-    NotImplementedError,
     RuntimeError,
     EOFError,
     ValueError,

@@ -101,38 +101,34 @@ def read_table(
     refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
     file that has none of the columns, from the names it has.
     """
-    reader = _TableReader(path, known, names, recover=recover, advise=advise, texts=texts)
+    reader = _TableReader(path, known, names, recover, advise, texts)
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
 
 
+@dataclass(slots=True)
 class _TableReader:
-    """Turns a table into numbers block by block."""
+    """Turns a table into numbers block by block; asked for as in `read_table`."""
 
-    def __init__(
-        self,
-        path: str | Path,
-        known: Collection[str],
-        names: Sequence[str] | None,
-        *,
-        recover: bool | None,
-        advise: Callable[[Sequence[str]], str],
-        texts: Collection[str],
-    ) -> None:
-        self.path, self.known, self.names = path, known, names
-        self.texts, self.said = texts, dict[str, str]()
-        self.recover, self.advise = recover, advise
-        self.first_fault: DataFormatError | None = None
-        self.n_faults = 0
-        # What marks decimals, as far as it has been seen; commas only where something else separates the cells.
-        self.has_points = self.has_commas = False
-        self.comments: list[str] = []
-        self.has_begun = False
-        self.delimiter: str | None = None
-        self.wanted: dict[str, int] = {}
-        self.columns: list[list[Scalars]] = []
-        self.line_numbers: list[Indices] = []
+    path: str | Path
+    known: Collection[str]
+    names: Sequence[str] | None
+    recover: bool | None
+    advise: Callable[[Sequence[str]], str]
+    texts: Collection[str]
+    said: dict[str, str] = field(default_factory=dict)
+    first_fault: DataFormatError | None = None
+    n_faults: int = 0
+    # What marks decimals, as far as it has been seen; commas only where something else separates the cells.
+    has_points: bool = False
+    has_commas: bool = False
+    comments: list[str] = field(default_factory=list)
+    has_begun: bool = False
+    delimiter: str | None = None
+    wanted: dict[str, int] = field(default_factory=dict)
+    columns: list[list[Scalars]] = field(default_factory=list)
+    line_numbers: list[Indices] = field(default_factory=list)
 
     def take(self, block: Block) -> None:
         """Read the rows of a block; its first row may be the header."""
