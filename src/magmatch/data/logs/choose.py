@@ -4,7 +4,6 @@
 import itertools
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from magmatch.data.logs.decode import ENCODINGS
@@ -27,17 +26,9 @@ POSE_TYPES = (
 STATIC_TOPICS = ("/tf_static", "tf_static")
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """Topics to read; no pose topic where poses come from another file or the tree of frames."""
-
-    field: Topic
-    pose: Topic | None
-
-
 def choose_topics(
     path: Path, topics: Sequence[Topic], mag_topic: str | None, pose_topic: str | None, *, needs_pose: bool
-) -> Choice:
+) -> tuple[Topic, Topic | None]:
     """Choose the topic of the field and, where `needs_pose`, that of the poses; the names asked for overrule.
 
     Of all pairs of a field and a pose topic, the one with the most messages logged in the time that both cover (taken
@@ -45,16 +36,14 @@ def choose_topics(
     the most messages. DataFormatError lists what there is.
     """
     fields = _candidates(path, topics, mag_topic, FIELD_TYPES_IF_NAMED if mag_topic else FIELD_TYPES, "field")
-    if not needs_pose:
-        choice = Choice(min(fields, key=lambda topic: (-topic.count, topic.name)), None)
-    else:
+    field, pose = min(fields, key=lambda topic: (-topic.count, topic.name)), None
+    if needs_pose:
         poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
         pairs = sorted(itertools.product(fields, poses), key=lambda pair: (pair[0].name, pair[1].name))
         field, pose = max(pairs, key=_shared)  # the first of equal ones
-        choice = Choice(field, pose)
         _tell_choice(path, pose, poses, "of poses", "--pose-topic")
-    _tell_choice(path, choice.field, fields, "of the field", "--mag-topic")
-    return choice
+    _tell_choice(path, field, fields, "of the field", "--mag-topic")
+    return field, pose
 
 
 def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:

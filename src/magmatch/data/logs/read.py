@@ -14,7 +14,7 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import STATIC_TOPICS, Choice, choose_topics, has_poses
+from magmatch.data.logs.choose import STATIC_TOPICS, choose_topics, has_poses
 from magmatch.data.logs.decode import ENCODINGS
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
@@ -55,16 +55,16 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
 
 def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     topics = log.topics()
-    choice, moving = _choose(log.path, topics, layout)
-    wanted = [choice.field, *([choice.pose] if choice.pose else []), *moving]
+    field_topic, pose_topic, moving = _choose(log.path, topics, layout)
+    wanted = [field_topic, *([pose_topic] if pose_topic else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
     fixed = [topic for topic in _trees(topics) if topic.name in STATIC_TOPICS]
     read = read_streams(log, [*wanted, *fixed], recover=layout.recover)
     streams, static = settle_clock(log.path, read[: len(wanted)]), read[len(wanted) :]
     tree = frame_tree(log.path, _merged(streams[len(wanted) - len(moving) :]), _merged(static))
-    field = in_order(log.path, choice.field.name, _of_one_frame(log.path, streams[0]))
+    field = in_order(log.path, field_topic.name, _of_one_frame(log.path, streams[0]))
     sensor = field.frames[0]
-    poses = _poses(log.path, layout, streams[1] if choice.pose else None, tree, sensor)
+    poses = _poses(log.path, layout, streams[1] if pose_topic else None, tree, sensor)
     is_turned = bool(sensor) and sensor == poses.fixed
     frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
     extrinsic = _extrinsic(log.path, layout, tree, poses, "" if frame == "survey" else sensor)
@@ -160,26 +160,26 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
         topics = log.topics()
         _tell_losses(log)
         try:
-            choice, moving = _choose(log.path, topics, layout)
+            field, pose, moving = _choose(log.path, topics, layout)
         except DataFormatError as error:
             logger.info("%s", error)
             return topics, {"field": None, "poses": None}
-    poses = choice.pose or (moving[0] if moving else None)
-    return topics, {"field": choice.field.name, "poses": poses.name if poses else None}
+    poses = pose or (moving[0] if moving else None)
+    return topics, {"field": field.name, "poses": poses.name if poses else None}
 
 
-def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Choice, list[Topic]]:
+def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
     """Topics of the field and the poses, and those of moving frames where the poses come from them."""
     is_elsewhere = layout.trajectory is not None
     has_own = not is_elsewhere and layout.pose_frames is None and has_poses(topics, layout.pose_topic)
-    choice = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=has_own)
+    chosen = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=has_own)
     trees = [] if is_elsewhere or has_own else _trees(topics)
     moving = [topic for topic in trees if topic.name not in STATIC_TOPICS]
     if not (is_elsewhere or has_own or moving):
         choose_topics(
             path, topics, layout.mag_topic, layout.pose_topic, needs_pose=True
         )  # which says what is missing
-    return choice, moving
+    return *chosen, moving
 
 
 def _trees(topics: list[Topic]) -> list[Topic]:
