@@ -6,13 +6,12 @@ import numpy as np
 from magmatch.errors import SurveyError
 from magmatch.preparation.blocks import model_of
 from magmatch.preparation.config import CalibrationConfig
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, Block, Solution, System
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, Block, Solution, System, student_weights
 from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
 from magmatch.typing import Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50
 MOST_STEPS, CONVERGED = 50, 1e-10  # T
-STUDENT = 4.0
 # Rounds of the first centre, and the misfit left out there, in the median one: one huge spike would carry it away.
 TRIMMED, WIDEST = 5, 4.0
 # Spread of |b| after the fit, relative to its mean: more than this is no one field seen from many sides.
@@ -51,7 +50,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
 
         solution = System.of(y[:, None], blocks, project).solve(blocks)
         before, values, model = model, dict(solution.estimate), model_of(solution.estimate, {})
-        weights = _weights((solution.free[:, 0] / solution.noise_sd) ** 2)
+        weights = student_weights((solution.free[:, 0] / solution.noise_sd) ** 2, 1)
         if np.abs(model.shift - before.shift).max() < CONVERGED:
             break
     _require_one_field(model.corrected(readings))
@@ -67,12 +66,7 @@ def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:
         center = np.linalg.lstsq(A[rows], square[rows], rcond=1e-3)[0][:3]
         distance = np.linalg.norm(readings - center, axis=1)
         misfit = np.abs(distance - np.median(distance))
-    return np.asarray(center), _weights((misfit / (MEDIAN_TO_SD * np.median(misfit))) ** 2)
-
-
-def _weights(square: Scalars) -> Scalars:
-    """Weights of readings by their squared misfits, in variances."""
-    return np.asarray((STUDENT + 1) / (STUDENT + square))
+    return np.asarray(center), student_weights((misfit / (MEDIAN_TO_SD * np.median(misfit))) ** 2, 1)
 
 
 def _require_one_field(corrected: Vectors) -> None:

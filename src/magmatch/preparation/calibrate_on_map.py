@@ -11,7 +11,7 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, held_out_error
-from magmatch.preparation.least_squares import Block, Solution, System
+from magmatch.preparation.least_squares import Block, Solution, System, student_weights
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.time_offset import LENGTHSCALE_IN_SPACINGS, coarse_settings, search_time_offset
@@ -27,8 +27,6 @@ MOST_STEPS = 8
 # Steps of the clock, in its standard deviations, that no data could tell from none.
 CONVERGED = 0.1
 FEWEST_READINGS = 100
-# Degrees of freedom of the errors' distribution: heavier tails than normal ones, for what moves and for spikes.
-STUDENT = 4.0
 # How much larger the error of left-out stretches may seem after a correction; it is itself an estimate.
 TOLERATED = 1.05
 
@@ -160,7 +158,7 @@ class _Estimator:
             system = self._linearised(model, active)
             solution = system.solve(active)
             model = model_of(solution.estimate, self.channels)
-            self._weigh(solution)
+            self.weights = student_weights((solution.free**2).sum(axis=1) / solution.noise_sd**2, 3)
             sd = solution.sd["time_offset"][0] if "time_offset" in active else np.inf
             if step > 0 and abs(model.time_offset - before) < CONVERGED * sd:
                 break
@@ -206,8 +204,3 @@ class _Estimator:
             blocks["time_offset"] = Block(drift[None], TIME_OFFSET_SD)
             y = y - model.time_offset * drift
         return System.of(y, blocks, consistency.project)
-
-    def _weigh(self, solution: Solution) -> None:
-        """Give samples that disagree less weight."""
-        square = (solution.free**2).sum(axis=1) / solution.noise_sd**2
-        self.weights = (STUDENT + 3) / (STUDENT + square)

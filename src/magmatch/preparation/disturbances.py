@@ -8,13 +8,13 @@ from scipy.stats import chi2
 from magmatch.field.folds import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, SMALLEST_NOISE, robust_sd
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, SMALLEST_NOISE, robust_sd, student_weights
 from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 
 # Readings to either side that a spike is held against; up to two in a row still stand out.
 NEIGHBOURS = 3
-# Rounds of weighing down what disagrees with the map, and the tail weight.
-ROUNDS, STUDENT = 3, 4.0
+# Rounds of weighing down what disagrees with the map.
+ROUNDS = 3
 # Readings at one and the same largest value before it is the sensor's range.
 FEWEST_AT_LIMIT = 5
 # Metal that moved: median residual of a run, in standard deviations, and the run's length.
@@ -43,7 +43,7 @@ def find_spikes(
     for _ in range(ROUNDS):
         residual = MapConsistency(points, hyperparameters, weights).project(field[None])[1][0]
         sd = robust_sd(residual)
-        weights = (STUDENT + 3) / (STUDENT + (residual**2).sum(axis=1) / sd**2)
+        weights = student_weights((residual**2).sum(axis=1) / sd**2, 3)
     is_odd: Mask = np.abs(residual).max(axis=1) > threshold * sd
     return is_odd & find_jumps(field, threshold) if in_order else is_odd
 
