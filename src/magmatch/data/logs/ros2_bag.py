@@ -5,6 +5,7 @@ Ours, because rosbags needs the metadata whole and every file present, unpacks t
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,18 +75,15 @@ def open_ros2_folder(folder: str | Path, open_file: Callable[[Path], Log], *, re
         message = f"messages are compressed with {str(about.get('compression_format'))[:40]!r}, expected zstd"
         raise DataFormatError(folder / METADATA, message)
     parts: list[Log] = []
-    try:
+    with ExitStack() as opened:
         for file in files:
             try:
-                parts.append(open_file(file))
+                parts.append(opened.enter_context(closing(open_file(file))))
             except DataFormatError as error:
                 if not recover:
                     raise
                 losses.append(Loss(0, 0, f"a whole file: {error}"))
-    except BaseException:
-        for part in parts:
-            part.close()
-        raise
+        opened.pop_all()  # all are open: the log closes them
     if not parts:
         raise DataFormatError(folder, f"holds no {' or '.join(SUFFIXES)} file that can be read")
     return JoinedLog(folder, parts, losses, is_packed=is_packed)

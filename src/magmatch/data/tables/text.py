@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import BinaryIO
 
 from magmatch.data.tables.gzipped import MAGIC, GzipContent
 from magmatch.errors import DataFormatError
@@ -28,13 +28,6 @@ class Block:
     is_last: bool
 
 
-class Readable(Protocol):
-    """What can be read from its beginning on."""
-
-    def read(self, size: int = -1, /) -> bytes:
-        """The next bytes; fewer than asked for only at the end."""
-
-
 def is_folder(path: str | Path) -> bool:
     """Whether this is a folder; impossible names are none, and are refused where they are read."""
     try:
@@ -50,7 +43,7 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
 
 
 @contextmanager
-def _opened(path: str | Path) -> Iterator[Readable]:
+def _opened(path: str | Path) -> Iterator[BinaryIO | GzipContent]:
     """A regular file, open for reading; faults of its name in words."""
     place = Path(path)
     if "\0" in str(path):

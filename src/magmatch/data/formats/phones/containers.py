@@ -4,6 +4,7 @@
 import zipfile
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from magmatch.data.formats.phones.tables import MEMBERS, says_its_sensor, stem_of
@@ -25,9 +26,9 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
     if is_folder(path):
         names = sorted(entry.name for entry in place.iterdir())
         found = phone_tables(names, lambda name: head_of_file(place / name))
-        yield {place / name: _reader_of_file(place / name) for name in found}
+        yield {place / name: partial(_read_file, place / name) for name in found}
     elif not zipfile.is_zipfile(path):
-        yield {place: _reader_of_file(place)}
+        yield {place: partial(_read_file, place)}
     else:
         with zipfile.ZipFile(path) as archive:
             refuse_strays(place, archive.namelist())
@@ -35,7 +36,7 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
             total = sum(archive.getinfo(name).file_size for name in found)
             if total > MAX_TOTAL:
                 raise DataFormatError(path, f"holds tables of {total} bytes, expected at most {MAX_TOTAL}")
-            yield {place / name: _reader_of_member(place, archive, name) for name in found}
+            yield {place / name: partial(_read_member, place, archive, name) for name in found}
 
 
 def plain_names(archive: zipfile.ZipFile) -> list[str]:
@@ -92,25 +93,19 @@ def refuse_strays(path: Path, names: Collection[str]) -> None:
             raise DataFormatError(path, f"holds a name that leaves the archive: {name[:60]!r}")
 
 
-def _reader_of_file(place: Path) -> Callable[[], bytes]:
-    def read() -> bytes:
-        raw = read_bytes(place, MAX_MEMBER + 1)
-        if len(raw) > MAX_MEMBER:
-            raise DataFormatError(place, f"is larger than {MAX_MEMBER} bytes, more than a phone logs")
-        return raw
-
-    return read
+def _read_file(place: Path) -> bytes:
+    raw = read_bytes(place, MAX_MEMBER + 1)
+    if len(raw) > MAX_MEMBER:
+        raise DataFormatError(place, f"is larger than {MAX_MEMBER} bytes, more than a phone logs")
+    return raw
 
 
-def _reader_of_member(path: Path, archive: zipfile.ZipFile, name: str) -> Callable[[], bytes]:
-    def read() -> bytes:
-        info = archive.getinfo(name)
-        if info.flag_bits & 1:
-            raise DataFormatError(path, f"{name} is encrypted; unpack it first")
-        if info.file_size > min(MAX_MEMBER, MAX_RATIO * info.compress_size + FREE):
-            sizes = f"{info.file_size} bytes out of {info.compress_size}"
-            raise DataFormatError(path, f"{name} declares {sizes}: refused as a zip bomb")
-        with _damage_told(path), archive.open(info) as stream:
-            return stream.read(info.file_size + 1)
-
-    return read
+def _read_member(path: Path, archive: zipfile.ZipFile, name: str) -> bytes:
+    info = archive.getinfo(name)
+    if info.flag_bits & 1:
+        raise DataFormatError(path, f"{name} is encrypted; unpack it first")
+    if info.file_size > min(MAX_MEMBER, MAX_RATIO * info.compress_size + FREE):
+        sizes = f"{info.file_size} bytes out of {info.compress_size}"
+        raise DataFormatError(path, f"{name} declares {sizes}: refused as a zip bomb")
+    with _damage_told(path), archive.open(info) as stream:
+        return stream.read(info.file_size + 1)
