@@ -23,11 +23,12 @@ CONTENT = {"a.csv": b"1,2,3\n", "run/b.csv": b"4,5,6\n"}
 
 
 @pytest.fixture
-def toy(monkeypatch):
-    """A data set of two tiny files in the table."""
+def toy(monkeypatch, tmp_path):
+    """A data set of two tiny files in the table, and an empty cache."""
     digests = {file: hashlib.sha256(content).hexdigest() for file, content in CONTENT.items()}
     entry = Dataset("toy", "Two files", "Nobody, 2024", "MIT", "owner/repo", "c" * 40, "data", digests)
     monkeypatch.setitem(DATASETS, "toy", entry)
+    monkeypatch.setattr(datasets, "cache_folder", lambda: tmp_path / "cache")
     return entry
 
 
@@ -66,12 +67,12 @@ def web(monkeypatch):
     return install
 
 
-def test_download_fills_the_cache_once(toy, web, tmp_path):
+def test_download_fills_the_cache_once(toy, web):
     network = web(CONTENT)
-    files = fetch("toy", cache_dir=tmp_path)
+    files = fetch("toy")
     assert {file: path.read_bytes() for file, path in files.items()} == CONTENT
     assert network.urls == [toy.url(file) for file in CONTENT]
-    assert fetch("toy", cache_dir=tmp_path) == files
+    assert fetch("toy") == files
     assert len(network.urls) == len(CONTENT)
 
 
@@ -79,43 +80,43 @@ def test_url_names_repository_commit_and_path(toy):
     assert toy.url("run/b.csv") == f"https://raw.githubusercontent.com/owner/repo/{'c' * 40}/data/run/b.csv"
 
 
-def test_licence_and_citation_are_logged_before_the_download(toy, web, tmp_path, caplog):
+def test_licence_and_citation_are_logged_before_the_download(toy, web, caplog):
     web(requests.exceptions.ConnectionError("down"))
     with caplog.at_level(logging.INFO, logger="magmatch"), pytest.raises(DatasetError):
-        fetch("toy", cache_dir=tmp_path)
+        fetch("toy")
     assert "Licence: MIT Cite: Nobody, 2024" in caplog.text
 
 
 @pytest.mark.parametrize(
     "error", [requests.exceptions.ConnectionError("long\ntext"), requests.exceptions.ReadTimeout(), OSError("reset")]
 )
-def test_no_connection_is_one_line_with_a_way_out(toy, web, tmp_path, error):
+def test_no_connection_is_one_line_with_a_way_out(toy, web, error):
     web(error)
     with pytest.raises(DatasetError, match=r"cannot download https.*--from FOLDER") as caught:
-        fetch("toy", cache_dir=tmp_path)
+        fetch("toy")
     assert "\n" not in str(caught.value)
 
 
-def test_missing_page_names_the_status(toy, web, tmp_path):
+def test_missing_page_names_the_status(toy, web):
     response = requests.Response()
     response.status_code = 404
     web(requests.exceptions.HTTPError("gone", response=response))
     with pytest.raises(DatasetError, match="HTTP status 404"):
-        fetch("toy", cache_dir=tmp_path)
+        fetch("toy")
 
 
 def test_download_that_differs_from_what_was_published_is_refused(toy, web, tmp_path):
     web(dict.fromkeys(CONTENT, b"another"))
     with pytest.raises(DatasetError, match="not what was published"):
-        fetch("toy", cache_dir=tmp_path)
+        fetch("toy")
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def test_damaged_file_in_the_cache_is_brought_again(toy, web, tmp_path):
+def test_damaged_file_in_the_cache_is_brought_again(toy, web):
     network = web(CONTENT)
-    files = fetch("toy", cache_dir=tmp_path)
+    files = fetch("toy")
     files["a.csv"].write_bytes(b"damaged")
-    fetch("toy", cache_dir=tmp_path)
+    fetch("toy")
     assert files["a.csv"].read_bytes() == CONTENT["a.csv"]
     assert network.urls[-1] == toy.url("a.csv")
 
@@ -124,22 +125,22 @@ def test_damaged_file_in_the_cache_is_brought_again(toy, web, tmp_path):
 def test_local_folder_fills_the_cache_without_a_connection(toy, web, source, tmp_path, is_parent):
     network = web(requests.exceptions.ConnectionError())
     folder = source.rename(tmp_path / "toy").parent if is_parent else source
-    files = fetch("toy", folder, tmp_path / "cache")
+    files = fetch("toy", folder)
     assert {file: path.read_bytes() for file, path in files.items()} == CONTENT
-    assert fetch("toy", cache_dir=tmp_path / "cache") == files
+    assert fetch("toy") == files
     assert network.urls == []
 
 
-def test_local_folder_that_lacks_a_file_is_named(toy, source, tmp_path):
+def test_local_folder_that_lacks_a_file_is_named(toy, source):
     (source / "run/b.csv").unlink()
     with pytest.raises(DataFormatError, match=r"run/b\.csv: no such file.*https://raw"):
-        fetch("toy", source, tmp_path / "cache")
+        fetch("toy", source)
 
 
-def test_local_file_of_another_version_is_named(toy, source, tmp_path):
+def test_local_file_of_another_version_is_named(toy, source):
     (source / "a.csv").write_bytes(b"edited")
     with pytest.raises(DataFormatError, match=r"a\.csv: is not the published file: expected SHA-256 .*, found"):
-        fetch("toy", source, tmp_path / "cache")
+        fetch("toy", source)
 
 
 def test_missing_local_folder_is_named(toy, tmp_path):

@@ -132,13 +132,13 @@ def find_dataset(name: str) -> Dataset:
     return DATASETS[name]
 
 
-def fetch(name: str, source_dir: str | Path | None = None, cache_dir: str | Path | None = None) -> dict[str, Path]:
+def fetch(name: str, source_dir: str | Path | None = None) -> dict[str, Path]:
     """Bring a dataset's files into the cache, by download or from a local folder; gives the verified files by name.
 
     Files that are already there and whole are kept. The licence and the citation are logged before any download.
     """
     dataset = find_dataset(name)
-    cache = cache_folder(cache_dir) / name
+    cache = cache_folder() / name
     missing = [file for file, digest in dataset.files.items() if not _is_whole(cache / file, digest)]
     logger.info("%s: %s. Licence: %s Cite: %s", name, dataset.title, dataset.licence, dataset.citation)
     if source_dir is not None:
@@ -173,10 +173,8 @@ def verified_files(name: str, source_dir: str | Path) -> dict[str, Path]:
     return files
 
 
-def cache_folder(cache_dir: str | Path | None = None) -> Path:
+def cache_folder() -> Path:
     """Folder that downloaded datasets are kept in."""
-    if cache_dir is not None:
-        return Path(cache_dir)
     import pooch
 
     return Path(pooch.os_cache("magmatch"))

@@ -25,14 +25,12 @@ CEA_FLOORS = {"floor1": (2.3, 3.8), "floor2": (5.8, 6.8)}  # m
 KOK_SKIPPED = {"library": 150}
 
 
-def load_recordings(
-    name: str, source_dir: str | Path | None = None, cache_dir: str | Path | None = None
-) -> dict[str, Survey]:
+def load_recordings(name: str, source_dir: str | Path | None = None) -> dict[str, Survey]:
     """Read a public dataset as surveys by recording, from `source_dir` in place, else from the cache or by download.
 
     All recordings of one dataset share a frame, except those of ``kok``, which lie in four places.
     """
-    files = fetch(name, cache_dir=cache_dir) if source_dir is None else verified_files(name, source_dir)
+    files = fetch(name) if source_dir is None else verified_files(name, source_dir)
     return _LOADERS[name](files)
 
 
