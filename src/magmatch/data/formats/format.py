@@ -59,10 +59,8 @@ class SurveyFormat(Settings):
     def column_names(self) -> dict[str, str]:
         """Our names of columns by the file's (lower case), as far as `columns` states them."""
         names = {}
-        for pair in (self.columns or "").split(","):
+        for pair in () if self.columns is None else self.columns.split(","):
             ours, mark, theirs = (part.strip() for part in pair.partition("="))
-            if self.columns is None:
-                continue
             if not mark or ours not in COLUMN_NAMES or not theirs or theirs.lower() in names:
                 msg = (
                     f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
