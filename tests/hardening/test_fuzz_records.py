@@ -19,6 +19,7 @@ import pytest
 from magmatch.cli.settings import read_settings, registration_config
 from magmatch.data.formats.csv import read_points
 from magmatch.data.formats.extrinsic import read_extrinsic
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.errors import MagmatchError
 from magmatch.field.build import build_map
@@ -137,7 +138,7 @@ READERS = {
     "preparation report": (PreparationReport.load, changed_document),
     "settings": (use_settings, None),
     "extrinsic": (lambda path: read_extrinsic(str(path)), None),
-    "points": (read_points, None),
+    "points": (lambda path: read_points(path, SurveyFormat()), None),
 }
 
 
