@@ -173,9 +173,10 @@ def test_header_stamps_count_and_a_distant_log_clock_is_said(made, flight, saved
     assert "different clocks" in caplog.text
 
 
-def test_without_stamps_both_topics_take_log_times(made, flight, saved, caplog):
+@pytest.mark.parametrize("stamp", [0, -1])
+def test_without_stamps_both_topics_take_log_times(made, flight, saved, caplog, stamp):
     mag, odom = flight.series
-    zero = made.replace(mag, stamp_ns=np.zeros_like(mag.stamp_ns))
+    zero = made.replace(mag, stamp_ns=np.full_like(mag.stamp_ns, stamp))
     survey = read_survey(saved(zero, made.replace(odom, stamp_ns=odom.log_ns + 50 * SECOND)))
     assert survey.times[0] == mag.log_ns[0] / SECOND
     assert "no stamps; log times are used" in caplog.text

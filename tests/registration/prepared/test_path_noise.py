@@ -217,7 +217,7 @@ def test_left_out_stretches_hold_the_field_where_they_lie_and_what_the_rest_miss
 def test_a_domain_far_from_the_models_origin_leaves_stretches_as_they_are():
     angle = np.linspace(0, 6 * np.pi, 700)
     x = (1.0 + 0.01 * angle)[:, None] * np.c_[np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)]
-    survey = Survey(x + [50.0, 20.0, 0.0], some_field(1).evaluate(x).field)
+    survey = Survey(x + np.array([50.0, 20.0, 0.0]), some_field(1).evaluate(x).field)
     numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
     box = (*(survey.positions.min(axis=0) - 2.0), *(survey.positions.max(axis=0) + 2.0))
     free, within = (

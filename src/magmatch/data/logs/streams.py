@@ -93,7 +93,7 @@ def settle_clock(path: Path, streams: Sequence[Stream]) -> list[Stream]:
 
     Log times are used where the headers of one stream have no stamps.
     """
-    unstamped = [s.topic.name for s in streams if not any(part.stamp_ns.any() for part in s.entries.values())]
+    unstamped = [s.topic.name for s in streams if not any((part.stamp_ns > 0).any() for part in s.entries.values())]
     if unstamped:
         logger.warning("%s: the headers of %s have no stamps; log times are used", path, ", ".join(unstamped))
         return [stream.changed(lambda part: replace(part, stamp_ns=part.log_ns)) for stream in streams]
