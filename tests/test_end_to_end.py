@@ -89,7 +89,7 @@ def one_sided(index, target):
     assert not walks.noise.is_learned  # one pass only
     strategy = WalkStrategy(target, target, config, 0, lambda: MapStrategy.of(target, config, 0, Clock()))
     walk = strategy.pair(index)
-    starts = [c.T_base_target for c in strategy.search(walk).candidates]
+    starts = strategy.search(walk).poses
     best = weigh_walk(walks.base, walk.target, starts, walks.noise, walks.length, walk.prior, evidence)[0]
     return walk.estimate(best).T_base_target
 

@@ -17,7 +17,7 @@ from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 RNG = np.random.default_rng(0)
 T_BASE, T_WALK, T_POSE = (random_transform(RNG) for _ in range(3))
 POSITIONS = RNG.normal(size=(20, 3))
-WALK = Walk(T_WALK, POSITIONS, np.ones((20, 3)), np.ones(20), pose_sd=0.02)
+WALK = Walk(T_WALK, POSITIONS, np.ones((20, 3)), pose_sd=0.02)
 LEARNED = PathNoise(0.4e-6, 0.8, 0.2e-6, 0.2e-6, 1.0, 0.8, 0.005, 0.01, 3.0, spread=0.4, n_stretches=9)
 SD = np.array([0.01, 0.012, 0.008, 0.05, 0.04, 0.06])
 BEST = LineEvidence(

@@ -14,7 +14,6 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.features.pairs import pair_invariants
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, pose_inaccuracy
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.prepared.walk import Walk, walk_of
@@ -29,6 +28,7 @@ from magmatch.registration.search.pair_search import (
     PairTable,
     choose_pairs,
     hypotheses,
+    invariants_of,
 )
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
@@ -86,8 +86,7 @@ class Question(NamedTuple):
     def of(cls, walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator) -> "Question":
         """Draw pairs that suit a table."""
         i, j = choose_pairs(walk, table, config, rng)
-        x, b = walk.positions, walk.field
-        return cls(walk, i, j, pair_invariants(x[i], x[j], b[i], b[j]))
+        return cls(walk, i, j, invariants_of(walk, i, j))
 
     def likeness(self, table: PairTable) -> float:
         """How much pairs near the walk's in a table's tree weigh: what costs a hundredth of a vote, and bounds it."""

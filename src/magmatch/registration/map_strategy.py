@@ -56,7 +56,8 @@ class MapStrategy:
 
     def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> Weighed[PreparedMap, PreparedMap, PoseEvidence]:
         """Refine poses against both maps, and weigh them; each cell of the target is evidence for or against."""
-        ranked = rank_poses(pair.base, pair.target, found.poses, pair.prior, self.config, self.seed)
+        settings = self.config.refinement, self.config.changes
+        ranked = rank_poses(pair.base, pair.target, found.poses, pair.prior, *settings, self.seed)
         return Weighed(self, pair, found, ranked)
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:

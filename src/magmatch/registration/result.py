@@ -128,6 +128,9 @@ class Links:
         return Links(self.base[rows], self.target[rows])
 
 
+NO_LINKS = Links(np.zeros((0, 3)), np.zeros((0, 3)))
+
+
 def _pairs(links: Links) -> Links:
     numbers = [len(links.base), len(links.target)]
     _expect(numbers[0] == numbers[1] <= MAX_LINKS, f"equal numbers of points, at most {MAX_LINKS}", numbers)
@@ -218,9 +221,7 @@ class RegistrationResult(TypedDocument):
     n_inliers: Count = 0
     n_keypoints: Count = 0
     n_correspondences: Count = 0
-    links: Annotated[Links, AfterValidator(_pairs)] = field(
-        default_factory=lambda: Links(np.zeros((0, 3)), np.zeros((0, 3)))
-    )
+    links: Annotated[Links, AfterValidator(_pairs)] = NO_LINKS
     seconds: dict[str, NumberOrNull] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     version: str = ""

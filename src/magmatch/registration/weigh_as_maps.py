@@ -8,7 +8,7 @@ from magmatch.progress import tell
 from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.strategy import Pair, Weighed, pair_maps
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
@@ -20,5 +20,5 @@ def weigh_as_maps(
     tell("weighing the walk's poses from both sides")
     as_maps = pair_maps(pair.base.base, mapped.prepared, mapped.config.prior, pair.prior.volume)
     to_model = pair.T_target_model.inv() * as_maps.T_target_model
-    poses = tuple(Candidate(e.T_base_target * to_model, e.log_evidence) for e in ranked)
-    return mapped.refine_and_weigh(as_maps, replace(found, candidates=poses))
+    poses = tuple(e.T_base_target * to_model for e in ranked)
+    return mapped.refine_and_weigh(as_maps, replace(found, poses=poses))

@@ -83,7 +83,7 @@ def matches(
     T_walk_node = T_walk.inv() * window.T_log_node
     if known is None:
         proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
-        starts = [c.T_base_target for c in proposed.candidates]
+        starts = list(proposed.poses)
     else:
         starts = [T for T in (T_base.inv() * T * T_walk for T in known) if _is_expected(T, window, prior)]
     starts += [] if prior.T_base_target is None else [prior.T_base_target]

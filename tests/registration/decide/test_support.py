@@ -89,7 +89,7 @@ def test_counts_and_shares_are_those_of_the_cells():
 
 def test_a_walk_is_linked_where_the_map_covers_it():
     positions = RNG.normal(size=(20, 3))
-    walk = Walk(T_WALK, positions, np.ones((20, 3)), np.ones(20), pose_sd=0.02)
+    walk = Walk(T_WALK, positions, np.ones((20, 3)), pose_sd=0.02)
     best = LineEvidence(T_POSE, CENTER, np.eye(6), 0.75, 60.0, 80.0, 1.3, np.arange(20) < 15)
     found = support_of_walk(walk, best, T_BASE * T_POSE * T_WALK.inv())
     np.testing.assert_allclose(found.links.target, T_WALK.apply(positions[:15]), atol=1e-12)

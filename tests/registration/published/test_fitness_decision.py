@@ -8,7 +8,7 @@ from magmatch.geometry import random_transform
 from magmatch.registration.decide.fitness import Fitness
 from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness, decide_by_fitness
 from magmatch.registration.result import Links, Status
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.candidate import SearchResult
 
 CONFIG = FitnessConfig()
 
@@ -28,15 +28,15 @@ def test_published_rule_looks_at_fitness_and_overlap_alone(fitness, overlap, sta
 
 def test_the_answer_is_the_best_consensus_or_a_refusal_that_shows_all():
     rng = np.random.default_rng(0)
-    candidates = tuple(Candidate(random_transform(rng), s) for s in (0.9, 0.5))
+    poses = random_transform(rng), random_transform(rng)
     links = Links(np.zeros((2, 3)), np.ones((2, 3)))
-    found = SearchResult(candidates, 30, 20, 10, links)
+    found = SearchResult(poses, 30, 20, 10, links)
     accepted = by_fitness(found, Fitness(0.05, 0.7), CONFIG)
-    assert accepted.T_base_target is candidates[0].T_base_target
+    assert accepted.T_base_target is poses[0]
     assert (accepted.fitness, accepted.overlap, accepted.n_inliers, accepted.links) == (0.05, 0.7, 10, links)
     assert (accepted.n_keypoints, accepted.n_correspondences, accepted.alternatives) == (30, 20, ())
     refused = by_fitness(found, Fitness(0.5, 0.7), CONFIG)
     assert refused.T_base_target is None
-    assert [a.T_base_target for a in refused.alternatives] == [c.T_base_target for c in candidates]
+    assert [a.T_base_target for a in refused.alternatives] == list(poses)
     nothing = by_fitness(SearchResult(), None, CONFIG)
     assert (nothing.status, nothing.overlap) == (Status.UNINFORMATIVE, 0.0)

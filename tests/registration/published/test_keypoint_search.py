@@ -56,26 +56,26 @@ def target_map():
 def test_published_search_finds_a_random_transform(base_map, target_map):
     T = T_BASE_TARGET
     found = keypoint_search(base_map, target_map, CONFIG, np.random.default_rng(0))
-    best = found.candidates[0]
-    distance, angle = transform_error(best.T_base_target, T, target_map.survey.centroid)
+    best = found.poses[0]
+    distance, angle = transform_error(best, T, target_map.survey.centroid)
     assert distance < 0.06
     assert np.degrees(angle) < 2
-    assert alignment_fitness(base_map, target_map.survey, best.T_base_target).value < 0.05
+    assert alignment_fitness(base_map, target_map.survey, best).value < 0.05
     assert 50 < found.n_inliers == len(found.links.base) <= found.n_correspondences < found.n_keypoints
-    assert np.all(np.linalg.norm(best.T_base_target.apply(found.links.target) - found.links.base, axis=1) < 0.3)
+    assert np.all(np.linalg.norm(best.apply(found.links.target) - found.links.base, axis=1) < 0.3)
 
 
 def test_different_rooms_share_little(base_map):
     other = build_map(survey_of(room(77), 3, RigidTransform.identity()), FIELD)
     found = keypoint_search(base_map, other, CONFIG, np.random.default_rng(0))
-    worst = [alignment_fitness(base_map, other.survey, c.T_base_target) for c in found.candidates]
+    worst = [alignment_fitness(base_map, other.survey, T) for T in found.poses]
     assert all(f.value > 0.1 or f.overlap < 0.3 for f in worst)
 
 
 def test_nothing_in_common_is_a_result(base_map):
     nothing = CONFIG.model_copy(update={"features": FeatureConfig(min_frame_strength=0.999)})
     found = keypoint_search(base_map, base_map, nothing, np.random.default_rng(0))
-    assert found.candidates == ()
+    assert found.poses == ()
     assert found.n_inliers == found.n_correspondences == len(found.links.base) == 0
 
 
@@ -88,4 +88,4 @@ def test_both_maps_are_asked_at_one_spacing(base_map):
 
 def test_the_same_seed_gives_the_same_bits(base_map, target_map):
     one, other = (keypoint_search(base_map, target_map, CONFIG, np.random.default_rng(5)) for _ in range(2))
-    assert np.array_equal(one.candidates[0].T_base_target.as_matrix(), other.candidates[0].T_base_target.as_matrix())
+    assert np.array_equal(one.poses[0].as_matrix(), other.poses[0].as_matrix())

@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist
 
 from hand_made import box, prepared_map, some_field
 from magmatch.geometry import random_transform, rotation_matrix
+from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.candidate import N_CANDIDATES
@@ -16,10 +17,12 @@ from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     choose_pairs,
     hypotheses,
+    invariants_of,
     pair_search,
-    similar_pairs,
     tabulate_pairs,
+    weigh_bins,
 )
+from magmatch.registration.search.scoring import score_poses
 
 LENGTH = 0.5
 CONFIG = PairSearchConfig()
@@ -41,9 +44,7 @@ def walk(base):
     """Through points of the base itself, seen from elsewhere."""
     rows = np.argsort(base.samples[:, 0])[5:145:7]
     there = T_TRUE.inv()
-    return Walk(
-        T_TRUE, there.apply(base.samples[rows]), there.rotation.apply(base.point_field[rows]), np.ones(len(rows))
-    )
+    return Walk(T_TRUE, there.apply(base.samples[rows]), there.rotation.apply(base.point_field[rows]))
 
 
 def test_the_table_holds_each_pair_of_a_length_within_bounds_in_both_orders(table):
@@ -81,13 +82,13 @@ def test_long_pairs_whose_fields_differ_are_drawn_more_often_and_each_once(walk,
         return (np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1) * (table.sd_field + change)).mean()
 
     assert share(i, j) > 1.1 * share(*every)
-    near = Walk(walk.T_survey_walk, 0.1 * walk.positions, walk.field, walk.counts)
+    near = Walk(walk.T_survey_walk, 0.1 * walk.positions, walk.field)
     assert len(choose_pairs(near, table, CONFIG, np.random.default_rng(0))[0]) == 0
 
 
 def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_between(walk, table):
     i, j = choose_pairs(walk, table, CONFIG, np.random.default_rng(0))
-    similar, distance2 = similar_pairs(table, walk, i, j, 3)
+    similar, distance2 = table.nearest(invariants_of(walk, i, j), 3)
     assert (np.diff(distance2, axis=1) >= 0).all()
     is_there = distance2[:, 0] < 1e-6
     assert is_there.mean() > 0.2
@@ -101,25 +102,24 @@ def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_betwe
 
 
 def test_a_walk_that_is_explained_exactly_says_more_the_less_noise_the_base_has(base, walk, table):
+    center = walk.positions.mean(axis=0)
+    true = Hypotheses(rotation_matrix(T_TRUE)[None], T_TRUE.apply(center)[None], np.zeros(1, int), center[None])
     scores = []
     for noise_sd in (0.1e-6, 1e-6, 10e-6):
-        noisy = replace(base, noise_sd=noise_sd)
-        found = pair_search(noisy, table, walk, PosePrior(10.0), CONFIG, np.random.default_rng(0))
-        scores.append(found.candidates[0].score / len(walk))
+        evidence = weigh_bins(replace(base, noise_sd=noise_sd), table, walk)
+        score = score_poses(true, np.arange(len(walk))[None], evidence, base, 0.025, 0.025, 0.3)
+        scores.append(float(score[0]) / len(walk))
     assert scores[0] > scores[1] + 0.1 > scores[2] + 0.2
 
 
 def test_the_search_finds_the_pose_between_and_keeps_distinct_poses_best_first(base, walk, table):
     found = pair_search(base, table, walk, PosePrior(10.0), CONFIG, np.random.default_rng(0))
-    np.testing.assert_allclose(found.candidates[0].T_base_target.as_matrix(), T_TRUE.as_matrix(), atol=0.03)
-    scores = [c.score for c in found.candidates]
-    assert scores == sorted(scores, reverse=True)
-    assert len(scores) <= N_CANDIDATES
+    np.testing.assert_allclose(found.poses[0].as_matrix(), T_TRUE.as_matrix(), atol=0.03)
+    assert len(found.poses) <= N_CANDIDATES
     assert found.n_keypoints == len(table.positions) + len(walk)
     assert found.n_correspondences == 60 * 8
     center = walk.positions.mean(axis=0)
-    for k, one in enumerate(found.candidates):
-        for other in found.candidates[:k]:
-            T, S = one.T_base_target, other.T_base_target
+    for k, T in enumerate(found.poses):
+        for S in found.poses[:k]:
             angle = (T.rotation.inv() * S.rotation).magnitude()
             assert angle > 0.099 or np.linalg.norm(T.apply(center) - S.apply(center)) > 0.299 * LENGTH

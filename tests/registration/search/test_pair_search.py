@@ -78,7 +78,7 @@ def test_the_truth_is_among_the_first_poses_of_the_search(rooms, index):
     walk = walk_of(walk_in(rooms[0], rng).transformed(T.inv()), index.length)
     found = pair_search(index.base, index.table, walk, PosePrior(1.0), WalkConfig().search, rng)
     T_true = index.base.T_map_model.inv() * T * walk.T_survey_walk
-    errors = [transform_error(c.T_base_target, T_true, walk.positions.mean(axis=0)) for c in found.candidates[:3]]
+    errors = [transform_error(T, T_true, walk.positions.mean(axis=0)) for T in found.poses[:3]]
     assert min(d for d, _ in errors) < 0.15
 
 

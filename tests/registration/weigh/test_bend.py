@@ -34,7 +34,7 @@ def some_map(seed, positions):
 def walk_through(base, T_base_walk, positions=PATH):
     """Bins as the base's field has them."""
     field = base.posterior.evaluate(T_base_walk.apply(positions)).field @ T_base_walk.rotation.as_matrix()
-    return Walk(RigidTransform.identity(), positions, field, np.ones(len(positions)))
+    return Walk(RigidTransform.identity(), positions, field)
 
 
 def bent(walk, xi, center):
@@ -42,7 +42,7 @@ def bent(walk, xi, center):
     half, T = len(walk) // 2, perturbation(xi, center).inv()
     positions, field = walk.positions.copy(), walk.field.copy()
     positions[half:], field[half:] = T.apply(positions[half:]), T.rotation.apply(field[half:])
-    return Walk(walk.T_survey_walk, positions, field, walk.counts)
+    return Walk(walk.T_survey_walk, positions, field)
 
 
 def found(base, walk, T):

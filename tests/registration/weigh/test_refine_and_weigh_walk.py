@@ -45,7 +45,7 @@ def walk():
     values = FIELD.evaluate(x, 1)
     C = NOISE.full(cdist(x, x), np.full(len(x), SD), values.gradient, values.field)
     error = np.linalg.cholesky(C) @ np.random.default_rng(0).standard_normal(3 * len(x))
-    return Walk(HERE, x, values.field + error.reshape(-1, 3), np.ones(len(x)))
+    return Walk(HERE, x, values.field + error.reshape(-1, 3))
 
 
 def weighed(base, walk, T=HERE, noise=NOISE, prior=PRIOR, config=CONFIG):
@@ -240,7 +240,7 @@ def test_best_comes_first_and_poses_with_too_little_inside_are_left_out(base, wa
     assert len(found) <= 2
     assert found[0].T_base_target.rotation.magnitude() < 0.05
     assert weigh_walk(base, walk, [], NOISE, LENGTH, PRIOR, CONFIG) == []
-    short = replace(walk, positions=walk.positions[:7], field=walk.field[:7], counts=walk.counts[:7])
+    short = walk.part(np.arange(7))
     assert weigh_walk(base, short, [HERE], NOISE, LENGTH, PRIOR, CONFIG) == []
     assert weigh_walk(base, outside(walk, 17), [HERE], NOISE, LENGTH, PRIOR, CONFIG) == []
 
@@ -286,7 +286,7 @@ def test_a_rough_walk_is_no_evidence_for_a_place_where_nothing_varies(times):
     L = np.linalg.cholesky(C)
     for seed in range(5):
         z = times * np.random.default_rng(seed).standard_normal((len(x), 3))
-        walk = Walk(HERE, x, earth + L @ z, np.ones(len(x)))
+        walk = Walk(HERE, x, earth + L @ z)
         posed = NOISE.factor((z**2).sum(), 3 * len(x))[1] - 3 * np.log(np.diag(L)).sum()
         null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
         # That both fields agree in the mean is evidence, of some nats a component.

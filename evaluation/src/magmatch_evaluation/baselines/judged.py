@@ -8,7 +8,7 @@ from magmatch.field.map import FieldMap
 from magmatch.registration.decide.fitness import alignment_fitness
 from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.candidate import SearchResult
 
 
 def judged(
@@ -22,6 +22,6 @@ def judged(
     """State the answer of a baseline (None where it gave up), judged by the mean misalignment of vectors."""
     if found is None or not np.isfinite(found.as_matrix()).all():
         return by_fitness(SearchResult(n_correspondences=n_correspondences), None, FitnessConfig())
-    search = SearchResult((Candidate(found, 0.0),), n_correspondences=n_correspondences, n_inliers=n_inliers)
+    search = SearchResult((found,), n_correspondences=n_correspondences, n_inliers=n_inliers)
     fitness = alignment_fitness(base_map, target_map.survey, found)
     return by_fitness(search, fitness, FitnessConfig())

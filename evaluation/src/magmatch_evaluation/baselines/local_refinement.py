@@ -13,7 +13,7 @@ from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import refine
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategy import Weighed
 from magmatch.registration.weigh.cells import null_models_of
@@ -44,11 +44,10 @@ def register_by_refinement(
     clock = Clock()
     strategy = MapStrategy.of(target_map, config, seed, clock)
     pair = strategy.pair(prepare_index(base_map, config))
-    found = SearchResult((Candidate(pair.T_base_model.inv() * start * pair.T_target_model, 0.0),))
-    T_model, rng = found.candidates[0].T_base_target, np.random.default_rng(seed)
+    T_model, rng = pair.T_base_model.inv() * start * pair.T_target_model, np.random.default_rng(seed)
     pose = refine(pair.base, pair.target, T_model, pair.prior, config.refinement, rng)
     evidence = weigh_pose(pair.base, pair.target, pose, null_models_of(pair.base, pair.target), pair.prior)
-    return settle_and_decide(Weighed(strategy, pair, found, [evidence]), config.decision, clock)
+    return settle_and_decide(Weighed(strategy, pair, SearchResult((T_model,)), [evidence]), config.decision, clock)
 
 
 def register_by_gicp(

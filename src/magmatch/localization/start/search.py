@@ -54,7 +54,7 @@ def _by_pairs(known: KnownMap, steps: np.ndarray) -> tuple[np.ndarray, Points, S
     base, table = known.index.base, known.index.walks.table
     prior = pose_prior(PosePriorConfig(), base.T_map_model, walk.T_survey_walk, known.volume)
     found = pair_search(base, table, walk, prior, PairSearchConfig(), np.random.default_rng(0))
-    poses = [c.T_base_target * walk.T_survey_walk.inv() for c in found.candidates]
+    poses = [T * walk.T_survey_walk.inv() for T in found.poses]
     turns = np.array([rotation_matrix(T) for T in poses]).reshape(-1, 3, 3)
     return turns, np.array([T.apply(steps["p"][-1]) for T in poses]).reshape(-1, 3), np.zeros(len(poses))
 

@@ -12,7 +12,7 @@ from magmatch.registration.prepared.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.sensors import TIED_SD
-from magmatch.registration.result import Links, Sensor
+from magmatch.registration.result import NO_LINKS, Links, Sensor
 from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
@@ -80,7 +80,7 @@ def _sensor(best: PoseEvidence, target: PreparedMap) -> Sensor | None:
 def _links_of_map(target: PreparedMap, T_base_target: RigidTransform, best: PoseEvidence) -> Links:
     """Distinct target samples that the base explains, and where the answer puts them."""
     if not best.pose.blocks:
-        return Links(np.zeros((0, 3)), np.zeros((0, 3)))
+        return NO_LINKS
     forward = best.pose.blocks[0]
     rows = np.flatnonzero(forward.residual2 < FAR2)
     p_target = transform_points(forward.positions[rows], target.T_map_model)

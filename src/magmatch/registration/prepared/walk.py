@@ -12,7 +12,7 @@ from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, even_choice
 from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
-from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.typing import Indices, Points, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
@@ -31,7 +31,6 @@ class Walk:
     T_survey_walk: RigidTransform  # takes the walk's coordinates to the survey's
     positions: Points  # (n, 3), m: mean position of each bin along the path
     field: Vectors  # (n, 3), T: mean field of each bin
-    counts: Scalars  # (n,): samples per bin
     pose_sd: float = 0.0  # m: accuracy of the survey's own positions
 
     def __len__(self) -> int:
@@ -50,7 +49,7 @@ class Walk:
 
     def part(self, rows: Indices) -> "Walk":
         """A subset of the bins."""
-        return replace(self, positions=self.positions[rows], field=self.field[rows], counts=self.counts[rows])
+        return replace(self, positions=self.positions[rows], field=self.field[rows])
 
 
 def walk_of(survey: Survey, length: float) -> Walk:
@@ -63,9 +62,8 @@ def walk_of(survey: Survey, length: float) -> Walk:
         if rows[-1] < MAX_WEIGHED:
             break
         side *= COARSER
-    counts = np.bincount(rows).astype(np.float64)
     positions, field = (bin_means(values, rows) for values in (local.positions, local.field))
-    return Walk(T_survey_walk, positions, field, counts, survey.pose_sd)
+    return Walk(T_survey_walk, positions, field, survey.pose_sd)
 
 
 @compiled

@@ -17,7 +17,7 @@ from magmatch.registration.published.consensus import Consensus, vector_msac
 from magmatch.registration.published.fitness_decision import by_fitness
 from magmatch.registration.published.matching import Correspondences, match_features
 from magmatch.registration.result import Links, RegistrationResult
-from magmatch.registration.search.candidate import Candidate, SearchResult
+from magmatch.registration.search.candidate import SearchResult
 
 log = logging.getLogger(__name__)
 
@@ -29,8 +29,7 @@ def register_published(
     with clock("search"):
         found = keypoint_search(base_map, target_map, config, np.random.default_rng(seed))
     with clock("decide"):
-        best = found.candidates[0].T_base_target if found.candidates else None
-        fitness = None if best is None else alignment_fitness(base_map, target_map.survey, best)
+        fitness = alignment_fitness(base_map, target_map.survey, found.poses[0]) if found.poses else None
         return by_fitness(found, fitness, config.decision)
 
 
@@ -60,13 +59,13 @@ def comparable(base_map: FieldMap, target_map: FieldMap, config: FeatureConfig) 
 def state_consensus(
     base: Features, target: Features, matches: Correspondences, found: list[Consensus]
 ) -> SearchResult:
-    """Candidates, counts and links of a search."""
+    """Poses, counts and links of a search."""
     n_keypoints = len(base) + len(target)
     if not found:
         return SearchResult(n_keypoints=n_keypoints, n_correspondences=len(matches))
     inlier = found[0].is_inlier
     return SearchResult(
-        candidates=tuple(Candidate(c.T_base_target, 1 - c.cost) for c in found),
+        poses=tuple(c.T_base_target for c in found),
         n_keypoints=n_keypoints,
         n_correspondences=len(matches),
         n_inliers=int(inlier.sum()),

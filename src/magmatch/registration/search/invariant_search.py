@@ -4,6 +4,7 @@
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
 from scipy.special import ndtri
 
 from magmatch.compiled import compiled_ahead
@@ -15,10 +16,10 @@ from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses,
 from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import N_DRAWS, PreparedMap, common_length
 from magmatch.registration.search.annealing import anneal_poses, schedule
-from magmatch.registration.search.candidate import N_CANDIDATES, Candidate, SearchResult
+from magmatch.registration.search.candidate import N_CANDIDATES, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.settings import Settings
-from magmatch.typing import Indices, Points, Scalars, Tensors
+from magmatch.typing import Indices, Points, Scalars, Tensors, Vector3
 
 
 class InvariantSearchConfig(Settings):
@@ -68,15 +69,8 @@ def invariant_search(
     common = rng.permutation(len(target.samples))[:RANKING_POINTS]
     rows = np.tile(common, (len(anchors), 1))
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, sd), OUTLIER_SHARE)
-    moved = poses.carry(center)
-    scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, *same, N_CANDIDATES)
-    keep = keep[np.isfinite(scores[keep])]
-    candidates = tuple(
-        Candidate(poses.pose(k, moved[k], center), float(scores[k] / max(len(common), 1))) for k in keep.tolist()
-    )
     return SearchResult(
-        candidates,
+        best_admitted(poses, scores, prior, center, length),
         n_keypoints=len(base.points) + len(target.points),
         n_correspondences=int(neighbours.size),
     )
@@ -172,6 +166,17 @@ def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[n
             if n == len(kept):
                 break
     return n
+
+
+def best_admitted(
+    poses: Hypotheses, scores: Scalars, prior: PosePrior, center: Vector3, length: float
+) -> tuple[RigidTransform, ...]:
+    """The best distinct poses, as many as are handed on, of those that a prior admits; ``center`` is the target's."""
+    moved = poses.carry(center)
+    is_admitted = prior.admits(poses.rotations, moved, center, pose_inaccuracy(length))
+    scores = np.where(is_admitted, scores, -np.inf)
+    keep = distinct_poses(poses.rotations, moved, scores, *same_pose(length), N_CANDIDATES)
+    return tuple(poses.pose(k, moved[k], center) for k in keep[np.isfinite(scores[keep])].tolist())
 
 
 def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:

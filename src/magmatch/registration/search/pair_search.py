@@ -15,8 +15,8 @@ from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.annealing import anneal_poses, schedule
-from magmatch.registration.search.candidate import N_CANDIDATES, Candidate, SearchResult
-from magmatch.registration.search.invariant_search import distinct_poses
+from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.search.invariant_search import best_admitted, distinct_poses
 from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings
@@ -56,7 +56,7 @@ class PairTable:
     gradient_rms: float
 
     def nearest(self, invariants: Matrix, k: int, n_leaves: int = EVERY_LEAF) -> tuple[Indices, Matrix]:
-        """Rows of the pairs with the most similar invariants, and squared distances; see `NeighbourTree.query`."""
+        """Rows (n, k) of the pairs with the most similar invariants, and their squared distances, in sd^2."""
         whitened = whiten_pairs(invariants, self.sd_position, self.sd_field, self.field_norm)
         return self.tree.query(whitened, min(k, len(self.first)), n_leaves)
 
@@ -93,24 +93,20 @@ def pair_search(
         return SearchResult()
     center, sd, same = walk.positions.mean(axis=0), pose_inaccuracy(table.length), same_pose(table.length)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
-    similar, _ = similar_pairs(table, walk, i, j, n_neighbours)
+    similar, _ = table.nearest(invariants_of(walk, i, j), n_neighbours)
     found = hypotheses(table, walk, i, j, similar)
     poses = prior.narrow(found, center, sd, rng)
     if not len(poses.rotations):
         return SearchResult()
-    evidence = _evidence(base, table, walk)
+    evidence = weigh_bins(base, table, walk)
     rows = np.tile(even_choice(len(walk), FEW_POINTS), (len(i), 1))
     tell(f"scoring {len(poses.rotations)} hypotheses")
     scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
     # So that one corridor does not fill the list.
     poses = poses.subset(distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse))
     poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
-    moved = poses.carry(center)
-    scores[~prior.admits(poses.rotations, moved, center, sd)] = -np.inf
-    keep = distinct_poses(poses.rotations, moved, scores, *same, N_CANDIDATES)
-    keep = keep[np.isfinite(scores[keep])]
     return SearchResult(
-        tuple(Candidate(poses.pose(k, moved[k], center), float(scores[k])) for k in keep.tolist()),
+        best_admitted(poses, scores, prior, center, table.length),
         n_keypoints=len(table.positions) + len(walk),
         n_correspondences=len(found.rotations),
     )
@@ -132,13 +128,9 @@ def choose_pairs(
     return i[chosen].astype(np.int64), j[chosen].astype(np.int64)
 
 
-def similar_pairs(table: PairTable, walk: Walk, i: Indices, j: Indices, n_neighbours: int) -> tuple[Indices, Matrix]:
-    """Base pairs (n, k), rows of the table, with the invariants nearest to those of each of the walk's pairs.
-
-    Also their squared distances in standard deviations.
-    """
-    invariants = pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
-    return table.nearest(invariants, n_neighbours)
+def invariants_of(walk: Walk, i: Indices, j: Indices) -> Matrix:
+    """Invariants of some pairs of bins: (n, 7)."""
+    return pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
 
 
 def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:
@@ -176,7 +168,7 @@ def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices,
     return rows, np.concatenate([pairs, pairs[:, ::-1]])
 
 
-def _evidence(base: PreparedMap, table: PairTable, walk: Walk) -> Evidence:
+def weigh_bins(base: PreparedMap, table: PairTable, walk: Walk) -> Evidence:
     """Bins of the walk for scoring; under 'unrelated', each bin is expected to differ by the field's own spread.
 
     All bins have the same deviation, so that agreement with the walk's mean field counts as evidence too: on a short

@@ -38,7 +38,7 @@ class ChangeSearch:
     config: ChangeConfig
     seed: int
 
-    def poses(self, starts: list[RigidTransform], best: PoseEvidence, model: RefinedPose) -> list[PoseEvidence]:
+    def poses(self, starts: Sequence[RigidTransform], best: PoseEvidence, model: RefinedPose) -> list[PoseEvidence]:
         """Poses with a change beside them, if the best pose without one leaves residuals that are too large."""
         if not self.config.is_enabled or not self.config.max_misfit < best.misfit < np.inf:
             return []

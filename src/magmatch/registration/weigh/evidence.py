@@ -2,6 +2,7 @@
 """Evidence for a pose: cells of the target that agree or disagree with the base's field."""
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,7 +18,9 @@ from magmatch.typing import Indices, Matrix, Scalars, Vector3, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseEvidence:
-    """Statistics of one refined pose."""
+    """Statistics of one refined pose, weighed by cells."""
+
+    kind: ClassVar[Kind] = "map"
 
     pose: RefinedPose
     # (6, 6) or None: about the pose's centre, target's model axes, from the comparison of the fields alone
@@ -36,11 +39,6 @@ class PoseEvidence:
     misfit: float
     # What was estimated to have changed; all figures but `overlap` then refer to the cells that it leaves
     change: "Change | None" = None
-
-    @property
-    def kind(self) -> Kind:
-        """Evidence by cells."""
-        return "map"
 
     @property
     def T_base_target(self) -> RigidTransform:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From candidates to weighed poses: refine the best few, let the sensors differ, look for changes, finish."""
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -20,24 +19,13 @@ from magmatch.registration.weigh.evidence import PoseEvidence, weigh_pose
 Weigh = Callable[[RigidTransform | RefinedPose, RefinementConfig, int], PoseEvidence]
 
 
-class RankingConfig(Protocol):
-    """The settings of a registration that ranking uses."""
-
-    @property
-    def refinement(self) -> RefinementConfig:
-        """Of every pose."""
-
-    @property
-    def changes(self) -> ChangeConfig:
-        """Where something moved."""
-
-
 def rank_poses(
     base: PreparedMap,
     target: PreparedMap,
-    starts: list[RigidTransform],
+    starts: Sequence[RigidTransform],
     prior: PosePrior,
-    config: RankingConfig,
+    refinement: RefinementConfig,
+    changes: ChangeConfig,
     seed: int,
 ) -> list[PoseEvidence]:
     """Refine candidates and order them by their evidence, best first."""
@@ -48,18 +36,18 @@ def rank_poses(
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
         return weigh_pose(base, target, pose, nulls, prior)
 
-    ranked = _rank_candidates(starts, weigh, config.refinement)
+    ranked = _rank_candidates(starts, weigh, refinement)
     if not ranked:
         return ranked
     with_like_sensors = ranked[0].pose
-    ranked[0] = _let_sensors_differ(ranked[0], weigh, config.refinement)
-    beside = ChangeSearch(base, target, nulls, prior, config.changes, seed).poses(
-        starts, ranked[0], with_like_sensors
-    )
-    return beside or _finish(ranked, weigh, config.refinement)
+    ranked[0] = _let_sensors_differ(ranked[0], weigh, refinement)
+    beside = ChangeSearch(base, target, nulls, prior, changes, seed).poses(starts, ranked[0], with_like_sensors)
+    return beside or _finish(ranked, weigh, refinement)
 
 
-def _rank_candidates(starts: list[RigidTransform], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
+def _rank_candidates(
+    starts: Sequence[RigidTransform], weigh: Weigh, settings: RefinementConfig
+) -> list[PoseEvidence]:
     """Refine the first candidates, and the others if none of them is clear."""
     ranking, level = settings.for_ranking(), levels_to_try(settings.sensor)[0]
     ranked = [weigh(start, ranking, level) for start in starts[: settings.n_candidates]]

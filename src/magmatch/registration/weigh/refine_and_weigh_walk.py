@@ -5,9 +5,9 @@ Residuals are taken in the walk's axes, ``r = b - R^T B_base(T y)``, and the pos
 centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gradient in the walk's axes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -53,6 +53,8 @@ class LineConfig(Settings):
 class LineEvidence:
     """One pose of a walk at the optimum."""
 
+    kind: ClassVar[Kind] = "walk"
+
     T_base_target: RigidTransform  # base model frame from the walk's frame
     center: Vector3  # (3,), m: point of the walk about which the covariance is stated, walk's frame
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the centre; rotation first (rad, m), walk's axes
@@ -64,16 +66,11 @@ class LineEvidence:
     misfit: float  # normalised rms residual (1 when the covariance explains everything)
     is_covered: Mask  # (n,) bool: bins inside the base map
 
-    @property
-    def kind(self) -> Kind:
-        """Evidence along a walk."""
-        return "walk"
-
 
 def weigh_walk(
     base: PreparedMap,
     walk: Walk,
-    starts: list[RigidTransform],
+    starts: Sequence[RigidTransform],
     noise: PathNoise,
     length: float,
     prior: PosePrior,
