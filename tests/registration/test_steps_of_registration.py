@@ -52,7 +52,7 @@ def test_a_walk_along_a_base_that_passes_each_place_once_is_weighed_from_both_si
 
 HERE = RigidTransform.identity()
 PAIR = Pair(None, None, PosePrior(1.0), 0.6, RigidTransform.from_translation([1.0, 0.0, 0.0]), HERE)
-FOUND = SearchResult(n_keypoints=7)
+FOUND = SearchResult(n_keypoints=7, n_correspondences=5)
 NO_LINKS = Links(np.zeros((0, 3)), np.zeros((0, 3)))
 # What settling moves the pose by, and how wide it leaves it.
 STEP = RigidTransform.from_translation([0.0, 0.0, 0.01])
@@ -95,7 +95,8 @@ def test_a_probable_pose_is_settled_and_stated_so():
     assert result.status is Status.ACCEPTED
     np.testing.assert_allclose(result.T_base_target.translation, [1.2, 0.0, 0.01], atol=1e-12)
     np.testing.assert_allclose(result.covariance, 1e-4 * np.eye(6), atol=1e-12)
-    assert (result.residual, result.n_inliers, result.n_keypoints) == (0.9, 4, 7)
+    assert (result.residual, result.n_inliers) == (0.9, 4)
+    assert (result.n_keypoints, result.n_correspondences) == (7, 5)
 
 
 def test_what_settling_finds_out_decides_whether_the_pose_is_known_well_enough():

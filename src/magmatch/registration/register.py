@@ -38,10 +38,8 @@ def register_keeping_maps(
             with clock("calibrate"):
                 calibrated = calibrate_sensors(base, outcome, samples)
             if calibrated:
-                again = attempted(
-                    register_once, calibrated.base, calibrated.target, calibrated.samples, config, seed, clock
-                )
-                outcome = better_supported(outcome, again, calibrated.sides)
+                inputs, sides = calibrated
+                outcome = better_supported(outcome, attempted(register_once, *inputs, config, seed, clock), sides)
     base_used, used, answer = outcome
     answer = with_advice(answer, {"base": survey_of(base), "target": samples}, config.prior)
     return base_used, used, stamped(answer, (survey_of(base), samples), config, seed, clock)

@@ -85,20 +85,13 @@ def _words(model: SensorModel) -> str:
     return ", ".join(words for words, is_told in parts.items() if is_told) or "nothing"
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CalibratedPair:
-    """The input of the second registration: base, target and its samples, each side calibrated if necessary."""
-
-    base: Base
-    target: Target
-    samples: Survey
-    sides: Mapping[str, Calibrated]
-
-
-def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> CalibratedPair | None:
+def calibrate_sensors(
+    base: Base, found: Outcome, samples: Survey
+) -> tuple[tuple[Base, Target, Survey], Mapping[str, Calibrated]] | None:
     """Calibrate base and target if their readings turn with their sensor; None if neither's do.
 
-    ``found`` is the outcome of the registration as given, ``samples`` are all of the target's.
+    ``found`` is the outcome of the registration as given, ``samples`` are all of the target's. Gives what the second
+    registration takes, base, target and all its samples, and the sides that were calibrated.
     """
     prepared, target, _ = found
     base_map = map_of(prepared)
@@ -116,7 +109,7 @@ def calibrate_sensors(base: Base, found: Outcome, samples: Survey) -> Calibrated
     if "target" in sides:
         samples = target = sides["target"].survey
     tell("registering once more, calibrated")
-    return CalibratedPair(again, target, samples, sides)
+    return (again, target, samples), sides
 
 
 def better_supported(as_given: Answered, calibrated: Answered | None, sides: Mapping[str, Calibrated]) -> Answered:

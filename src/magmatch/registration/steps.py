@@ -8,8 +8,8 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.decide.answer import no_pose, state_answer
-from magmatch.registration.decide.decision import DecisionConfig, decide
+from magmatch.registration.decide.answer import state_answer
+from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide
 from magmatch.registration.decide.posterior import posterior_over
 from magmatch.registration.find_drift import naming_drift
 from magmatch.registration.index.map_index import MapIndex, prepare_index
@@ -58,13 +58,13 @@ def register_once(
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:
     """Compare the poses' probabilities, settle the best pose's covariance, decide and state the answer."""
-    pair = weighed.pair
+    pair, found = weighed.pair, weighed.found
     with clock("decide"):
         posterior = posterior_over(
             weighed.ranked, config.tolerance(pair.length), config.prior_odds, weighed.elsewhere
         )
     if not posterior.poses:
-        return no_pose(weighed.found)
+        return RegistrationResult(NO_POSE.status, NO_POSE.reason, None, n_keypoints=found.n_keypoints)
     with clock("settle"):
         by, is_probable = weighed.strategy, posterior.best >= config.min_probability
         estimate, support = (by.settle if is_probable else by.state)(pair, posterior.poses[0])
@@ -81,4 +81,5 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
             is_accepted = verdict.status is Status.ACCEPTED
             verdict = replace(verdict, reason="; ".join(parts if is_accepted else parts[::-1]))
         poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
-        return state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length), weighed.found)
+        answer = state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length))
+        return replace(answer, n_keypoints=found.n_keypoints, n_correspondences=found.n_correspondences)

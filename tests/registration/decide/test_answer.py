@@ -7,19 +7,17 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose
 from magmatch.geometry import random_transform
-from magmatch.registration.decide.answer import no_pose, state_answer
+from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.posterior import effective_evidence, log_odds, posterior_over
 from magmatch.registration.decide.support import Support
 from magmatch.registration.result import Links, RegistrationResult, Status
-from magmatch.registration.search.candidate import SearchResult
 
 RNG = np.random.default_rng(0)
 T_STATED = random_transform(RNG)
 CENTER = np.array([3.0, -2.0, 1.0])
 C = np.diag(np.square([0.01, 0.012, 0.008, 0.05, 0.04, 0.06]))
-COUNTS = SearchResult(n_keypoints=7, n_correspondences=5)
 SUPPORT = Support(
     residual=1.1,
     n_inliers=38,
@@ -40,7 +38,7 @@ def answer(status, poses=POSES, estimate=None, elsewhere=-np.inf, support=SUPPOR
     estimate = estimate or Estimate(T_STATED, CENTER, C)
     between = [h.T_base_target for h in posterior.poses]
     verdict = Verdict(status, "so it is")
-    return state_answer(verdict, posterior, between, estimate, support, MAX_SD, COUNTS), posterior
+    return state_answer(verdict, posterior, between, estimate, support, MAX_SD), posterior
 
 
 def test_an_accepted_pose_is_stated_as_it_was_estimated_and_alone():
@@ -51,7 +49,6 @@ def test_an_accepted_pose_is_stated_as_it_was_estimated_and_alone():
     assert result.probability == posterior.best
     assert result.alternatives == ()
     assert (result.overlap, result.residual, result.fitness, result.n_inliers) == (0.9, 1.1, 0.02, 38)
-    assert (result.n_keypoints, result.n_correspondences) == (7, 5)
     assert (result.sensor, result.links) == (SUPPORT.sensor, SUPPORT.links)
 
 
@@ -112,12 +109,6 @@ def test_an_answer_is_read_back_as_it_was_written(status, tmp_path):
     again.save(tmp_path / "again.json")
     assert (tmp_path / "r.json").read_bytes() == (tmp_path / "again.json").read_bytes()
     assert (again.status, again.probability, again.evidence) == (status, result.probability, result.evidence)
-
-
-def test_no_pose_at_all_is_a_result():
-    result = no_pose(COUNTS)
-    assert (result.status, result.T_base_target, result.n_keypoints) == (Status.UNINFORMATIVE, None, 7)
-    assert result.alternatives == ()
 
 
 def test_the_lead_is_over_the_best_pose_anywhere():

@@ -2,29 +2,16 @@
 """From a decision to the result in the surveys' own frames."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.decide.decision import NO_POSE, Verdict
+from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.posterior import Posterior, effective_evidence
 from magmatch.registration.decide.support import Support
 from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.weigh.hypothesis import Hypothesis
-
-
-class Counts(Protocol):
-    """Counts of a search."""
-
-    @property
-    def n_keypoints(self) -> int:
-        """Number of points with a descriptor, in both surveys together."""
-
-    @property
-    def n_correspondences(self) -> int:
-        """Number of pairs of them that were tried."""
 
 
 def state_answer(
@@ -34,9 +21,8 @@ def state_answer(
     estimate: Estimate,
     support: Support,
     max_sd: tuple[float, float],
-    counts: Counts,
 ) -> RegistrationResult:
-    """State the decision as a result, of at least one pose.
+    """State the decision as a result, of at least one pose; what the search counted is left to be filled in.
 
     ``poses`` are the posterior's between the surveys' frames; estimate and support are of the first of them, as it is
     stated; ``max_sd`` (m, rad) are the largest standard deviations asked for.
@@ -71,12 +57,5 @@ def state_answer(
         residual=support.residual,
         fitness=support.fitness,
         n_inliers=support.n_inliers,
-        n_keypoints=counts.n_keypoints,
-        n_correspondences=counts.n_correspondences,
         links=support.links,
     )
-
-
-def no_pose(counts: Counts) -> RegistrationResult:
-    """The result if a search found no pose."""
-    return RegistrationResult(NO_POSE.status, NO_POSE.reason, None, n_keypoints=counts.n_keypoints)

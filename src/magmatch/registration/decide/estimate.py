@@ -26,11 +26,9 @@ class Estimate:
     def of(cls, pose: Hypothesis, T_base_model: RigidTransform, T_target_model: RigidTransform) -> "Estimate":
         """Convert a pose between model frames to one between survey frames."""
         T = T_base_model * pose.T_base_target * T_target_model.inv()
-        estimate = cls(T, T_target_model.apply(pose.center), None)
-        if pose.covariance is None:
-            return estimate
         M = np.kron(np.eye(2), rotation_matrix(T_target_model))
-        return replace(estimate, covariance=M @ pose.covariance @ M.T)
+        covariance = None if pose.covariance is None else M @ pose.covariance @ M.T
+        return cls(T, T_target_model.apply(pose.center), covariance)
 
     def with_spread(self, covariance: Covariance6) -> "Estimate":
         """The same pose with a further covariance added; without any covariance it is unchanged."""
