@@ -77,6 +77,6 @@ def test_values_are_those_at_the_points_whichever_way_they_are_asked(make_map):
     for x in (None, circle()):
         field_map = make_map(0, x=x)
         points = inference_grid(field_map, FeatureConfig(spacing=0.15))
-        asked, direct = evaluate_at(field_map, points, 2), field_map.evaluate(points.positions, 2)
+        asked, direct = evaluate_at(field_map, points), field_map.evaluate(points.positions, 2)
         np.testing.assert_allclose(asked.field, direct.field, atol=1e-15)
         np.testing.assert_allclose(asked.second, direct.second, atol=1e-12)

@@ -68,7 +68,7 @@ def test_hessian_asks_for_second_derivatives():
 
 def detect(field_map, config):
     points = inference_grid(field_map, config)
-    response = curvature_response(evaluate_at(field_map, points, 2))
+    response = curvature_response(evaluate_at(field_map, points))
     return points, response, find_keypoints(field_map, points, response, config)
 
 

@@ -54,7 +54,7 @@ def test_a_whole_support_in_air_says_little_about_the_x_axis(make_map):
     # nothing: only supports that the region's edge cuts have a strong sum.
     field_map = make_map(3)
     points = inference_grid(field_map, FINE)
-    field = evaluate_at(field_map, points, 0).field
+    field = evaluate_at(field_map, points).field
     rows = np.arange(len(points))
     neighbours, distance = points.support(rows, 3.0)
     _, strength = local_frames(field, rows, neighbours, distance, 1.5)

@@ -3,12 +3,11 @@
 
 import numpy as np
 
+from magmatch.features.local_frames import CHUNK
 from magmatch.typing import Matrix, Tensors, Vectors
 
 N_AZIMUTH, N_ELEVATION, N_COMPONENT = 20, 10, 20
 N_DIMENSIONS = N_AZIMUTH + N_ELEVATION + 3 * N_COMPONENT
-# Support vectors held in memory at once.
-CHUNK = 1_000_000
 # The component range covers this share of the data, so that one strong magnet does not empty the other bins.
 RANGE_QUANTILE = 0.98
 

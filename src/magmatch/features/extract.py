@@ -41,7 +41,7 @@ def extract_features(
     expect_kind(field_map, "field_map", (FieldMap,), "build_map(survey) makes one")
     config = config or FeatureConfig()
     points = inference_grid(field_map, config)
-    values = evaluate_at(field_map, points, order=2)
+    values = evaluate_at(field_map, points)
     response = curvature_response(values)
     rows = find_keypoints(field_map, points, response, config)
     if not len(rows):

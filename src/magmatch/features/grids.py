@@ -67,17 +67,14 @@ def inference_grid(field_map: FieldMap, config: FeatureConfig) -> InferencePoint
     return InferencePoints(grid, cells[is_known], positions[is_known])
 
 
-def evaluate_at(field_map: FieldMap, points: InferencePoints, order: int) -> FieldValues:
-    """Field and derivatives at X*, through the grid's separability where most of the grid is in use."""
+def evaluate_at(field_map: FieldMap, points: InferencePoints) -> FieldValues:
+    """Field and its first two derivatives at X*, through the grid's separability where most of it is in use."""
     if len(points) < points.grid.n_points / 2:
-        return field_map.evaluate(points.positions, order)
-    values = field_map.on_grid(points.grid, order, with_variance=False).values
-    rows = points.cells
-    return FieldValues(
-        values.field[rows],
-        None if values.gradient is None else values.gradient[rows],
-        None if values.second is None else values.second[rows],
-    )
+        return field_map.evaluate(points.positions, 2)
+    values, rows = field_map.on_grid(points.grid, 2, with_variance=False).values, points.cells
+    assert values.gradient is not None
+    assert values.second is not None
+    return FieldValues(values.field[rows], values.gradient[rows], values.second[rows])
 
 
 def _cells_in_use(field_map: FieldMap, spacing: float, config: FeatureConfig) -> tuple[RegularGrid, Indices | None]:

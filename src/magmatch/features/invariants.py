@@ -9,6 +9,7 @@ at the edge of an overlap.
 import numpy as np
 
 from magmatch.field.values import gradient_norm
+from magmatch.geometry import unit_vectors
 from magmatch.typing import Matrix, Tensors, Vectors
 
 # Keeps quotients finite where the gradient vanishes; far below any measurable gradient, T/m.
@@ -52,7 +53,6 @@ def point_frames(field: Vectors, gradient: Tensors) -> Tensors:
     They are ill defined where B and GB are parallel.
     """
     GB = np.einsum("nij,nj->ni", gradient, field)
-    first = field / np.maximum(np.linalg.norm(field, axis=1), np.finfo(float).tiny)[:, None]
-    second = GB - np.einsum("ni,ni->n", GB, first)[:, None] * first
-    second = second / np.maximum(np.linalg.norm(second, axis=1), np.finfo(float).tiny)[:, None]
+    first = unit_vectors(field)
+    second = unit_vectors(GB - np.einsum("ni,ni->n", GB, first)[:, None] * first)
     return np.stack([first, second, np.cross(first, second)], axis=2)
