@@ -15,9 +15,7 @@ _KINDS = {
     "c": "complex numbers",
     "M": "dates",
     "m": "time differences",
-    "S": "text",
-    "T": "text",
-    "U": "text",
+    **dict.fromkeys("STU", "text"),
 }
 _TO_NUMBERS = "turn it into numbers first (pandas: to_numeric, of times to_datetime)"
 _ADVICE = {

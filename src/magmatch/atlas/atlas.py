@@ -62,14 +62,6 @@ class Atlas:
     def load(self, entry: AtlasEntry) -> MapIndex:
         """Give a map with its index, from memory if it is there.
 
-        Parameters
-        ----------
-        entry : AtlasEntry
-
-        Returns
-        -------
-        MapIndex
-
         Raises
         ------
         DataFormatError
@@ -111,10 +103,6 @@ def open_atlas(
         Of the files to use; nothing else is looked at.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
-
-    Returns
-    -------
-    Atlas
 
     Raises
     ------

@@ -36,8 +36,9 @@ log = logging.getLogger(__name__)
 
 SCHEMA = "magmatch.index/5"
 SUFFIX = ".index"
-# Arrays of `PreparedMap` and of `PairTable` that are stored as they are.
+# What is stored of `PreparedMap`, of `PairTable` and its tree, and the table's numbers.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
+TABLE, TREE = ("positions", "field", "first", "second"), ("points", "rows", "axes", "values")
 TABLE_SCALARS = ("length", "sd_position", "sd_field", "field_norm", "gradient_rms")
 
 
@@ -84,15 +85,7 @@ class MapIndex:
         return self.base.field_map
 
     def save(self, path: str | Path, key: str) -> None:
-        """Write what was prepared so far; see `open_index`.
-
-        Parameters
-        ----------
-        path : path
-            Where; an existing file is replaced.
-        key : str
-            Of `index_key`.
-        """
+        """Write what was prepared so far, with the key of `index_key`; an existing file is replaced."""
         base, raster = self.base, self.base.raster
         known = np.flatnonzero(raster.sd >= 0)
         arrays = {f"prepared.{name}": getattr(base, name) for name in PREPARED} | {
@@ -117,16 +110,9 @@ class MapIndex:
         }
         if self.is_whole:
             table = self.walks.table
-            arrays |= {
-                "table.positions": table.positions,
-                "table.field": table.field,
-                "table.first": table.first.astype(np.int32),
-                "table.second": table.second.astype(np.int32),
-                "tree.points": table.tree.points,
-                "tree.rows": table.tree.rows,
-                "tree.axes": table.tree.axes,
-                "tree.values": table.tree.values,
-            }
+            arrays |= {f"table.{name}": getattr(table, name) for name in TABLE}
+            arrays |= {f"table.{name}": arrays[f"table.{name}"].astype(np.int32) for name in ("first", "second")}
+            arrays |= {f"tree.{name}": getattr(table.tree, name) for name in TREE}
             attributes["noise"] = asdict(self.walks.noise)
             attributes["live_noise"] = asdict(self.walks.live_noise)
             attributes["table"] = {name: float(getattr(table, name)) for name in TABLE_SCALARS}
@@ -152,16 +138,10 @@ class IndexFile:
 
     def table(self) -> PairTable:
         """Pairs of points, read on demand; of a complete index."""
-        arrays, scalars = self.content.arrays, self.content.attributes["table"]
-        tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in ("points", "rows", "axes", "values")))
-        return PairTable(
-            positions=arrays["table.positions"],
-            field=arrays["table.field"],
-            first=arrays["table.first"],
-            second=arrays["table.second"],
-            tree=tree,
-            **scalars,
-        )
+        arrays = self.content.arrays
+        columns = {name: arrays[f"table.{name}"] for name in TABLE} | self.content.attributes["table"]
+        tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in TREE))
+        return PairTable(tree=tree, **columns)
 
     def load(self, field_map: FieldMap) -> MapIndex:
         """Read all of it, given the map that it was made of; raises DataFormatError if it is damaged."""
@@ -263,16 +243,10 @@ def make_index(
 
     Parameters
     ----------
-    map_path : path
-    config : RegistrationConfig
     field_map : FieldMap, optional
         The map, if it was read already.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
-
-    Returns
-    -------
-    MapIndex
     """
     key = index_key(map_path, config)
     with one_blas_thread(), followed(progress):

@@ -86,7 +86,7 @@ def vector_msac(
     if len(pairs.base) < max(config.sample_size, config.min_inliers):
         return []
     samples = consistent_samples(pairs, config, rng)
-    R, t = fit_rigid(pairs, samples, np.ones(samples.shape))
+    R, t = fit_rigid(pairs, samples)
     center = target_points.mean(axis=0) / inlier_distance
     best = _distinct(R, t, _mean_costs(pairs, R, t), center, config.n_refits)
     settled = [_settle(pairs, R[h], t[h], inlier_distance) for h in best]
@@ -118,19 +118,17 @@ def consistent_samples(pairs: _Pairs, config: ConsensusConfig, rng: np.random.Ge
     return drawn[is_good][: config.n_hypotheses]
 
 
-def fit_rigid(pairs: _Pairs, samples: np.ndarray, weights: np.ndarray) -> tuple[Tensors, Vectors]:
+def fit_rigid(pairs: _Pairs, samples: np.ndarray) -> tuple[Tensors, Vectors]:
     """Least-squares rotations (h, 3, 3) and translations (h, 3) of points and directions together.
 
-    Minimises ``sum_i w_i (|R y_i + t - x_i|^2 + w^2 |R v_i - u_i|^2)`` by the singular value decomposition of ``sum_i
-    w_i ((x_i - x)(y_i - y)^T + w^2 u_i v_i^T)`` (Kabsch; Wahba for the directions), x and y the weighted means.
+    Minimises ``sum_i |R y_i + t - x_i|^2 + w^2 |R v_i - u_i|^2`` by the singular value decomposition of ``sum_i
+    (x_i - x)(y_i - y)^T + w^2 u_i v_i^T`` (Kabsch; Wahba for the directions), x and y the means.
     """
     x, y = pairs.base[samples], pairs.target[samples]
-    total = weights.sum(axis=1, keepdims=True)
-    x_mean = np.einsum("hm,hmi->hi", weights, x) / total
-    y_mean = np.einsum("hm,hmi->hi", weights, y) / total
-    M = np.einsum("hm,hmi,hmj->hij", weights, x - x_mean[:, None], y - y_mean[:, None])
+    x_mean, y_mean = x.mean(axis=1), y.mean(axis=1)
+    M = np.einsum("hmi,hmj->hij", x - x_mean[:, None], y - y_mean[:, None])
     u, v = pairs.base_direction[samples], pairs.target_direction[samples]
-    M += pairs.vector_weight**2 * np.einsum("hm,hmi,hmj->hij", weights, u, v)
+    M += pairs.vector_weight**2 * np.einsum("hmi,hmj->hij", u, v)
     U, _, Vt = np.linalg.svd(M)
     U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
     R = U @ Vt
@@ -164,7 +162,7 @@ def _settle(pairs: _Pairs, R: np.ndarray, t: np.ndarray, inlier_distance: float)
         rows = np.flatnonzero(is_inlier)[None]
         if rows.shape[1] < 3:
             break
-        fitted, shift = fit_rigid(pairs, rows, np.ones(rows.shape))
+        fitted, shift = fit_rigid(pairs, rows)
         R, t = fitted[0], shift[0]
         costs = squared_costs(pairs, fitted, shift)[0]
         was, is_inlier = is_inlier, costs < 1

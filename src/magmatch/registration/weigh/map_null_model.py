@@ -6,7 +6,7 @@ maximum-likelihood lengthscale and strength for this survey. This gives the null
 for the dependence between cells of a smooth field.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -115,7 +115,7 @@ def average_cells(positions: Points, side: float) -> CellMeans:
     renamed = np.full(len(counts), -1)
     renamed[chosen] = np.arange(len(chosen))
     means = CellMeans(renamed[cell], counts[chosen].astype(np.float64), np.zeros((0, 3)))
-    return CellMeans(means.cell, means.counts, means.mean(positions))
+    return replace(means, centers=means.mean(positions))
 
 
 @dataclass(frozen=True, slots=True)
