@@ -41,7 +41,7 @@ def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_wha
     assert 0.5 < window.bends_by / window.length < 0.6
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.3, 0.3, 0.05]) ** 2)
-    found = matches(bent(window, seed), places.stretch(closure.first), window.config, rough)[0]
+    found = matches(bent(window, seed), places.stretch(closure.first), rough)[0]
     off = found.T_base_log.apply(window.center) - T.apply(window.center)
     assert np.linalg.norm(off[:2]) < 0.25 * window.length
     assert found.log_odds > 5

@@ -23,10 +23,10 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
-    (found, *_) = matches(window, places.stretch(closure.first), window.config, rough)
+    (found, *_) = matches(window, places.stretch(closure.first), rough)
     assert np.linalg.norm(found.T_base_log.apply(window.center) - T.apply(window.center)) < 0.1
     assert found.log_odds > 0
-    assert not matches(window, places.stretch(closure.first), window.config, 100.0)
+    assert not matches(window, places.stretch(closure.first), 100.0)
 
 
 def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):
@@ -36,9 +36,7 @@ def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):
     densest = multivariate_normal.logpdf(np.zeros(len(drifts)), cov=C[np.ix_(drifts, drifts)])
     for lean in (0.0, 0.1):
         off = near.window.T_log_node * pose([lean, 0, 0], [0, 0, 0.3 * lean]) * near.window.T_log_node.inv()
-        (match, *_) = matches(
-            near.window, near.base, near.window.config, Rough(near.rough.T_base_log * off, near.rough.covariance)
-        )
+        (match, *_) = matches(near.window, near.base, Rough(near.rough.T_base_log * off, near.rough.covariance))
         assert densest - 0.3 < match.log_prior <= densest
 
 
@@ -49,7 +47,7 @@ def test_what_the_field_says_of_a_pose_does_not_grow_as_the_graph_expects_it_els
     pose certain that field and graph both exclude.
     """
     node = near.window.T_log_node
-    (match, *_) = matches(near.window, near.base, near.window.config, near.rough)
+    (match, *_) = matches(near.window, near.base, near.rough)
     pose_of = match.T_base_log * node
 
     def of_field(sds):
@@ -57,7 +55,7 @@ def test_what_the_field_says_of_a_pose_does_not_grow_as_the_graph_expects_it_els
         sd = np.sqrt(np.diag(near.rough.covariance))
         off = pose([0, 0, sds * sd[2]], [sds * sd[3], 0, 0])
         rough = Rough(pose_of * off * node.inv(), near.rough.covariance)
-        found = matches(near.window, near.base, near.window.config, rough, [match.T_base_log])
+        found = matches(near.window, near.base, rough, [match.T_base_log])
         m = min(found, key=lambda m: np.linalg.norm((pose_of.inv() * m.T_base_log * node).translation))
         assert np.linalg.norm((pose_of.inv() * m.T_base_log * node).translation) < 0.1
         return m.log_odds - m.log_prior
@@ -89,7 +87,7 @@ def near(lone):
 
 
 def test_poses_that_are_no_longer_expected_are_not_weighed(near):
-    known = [m.T_base_log for m in matches(near.window, near.base, near.window.config, near.rough)]
+    known = [m.T_base_log for m in matches(near.window, near.base, near.rough)]
     node = near.window.T_log_node
     far = node * RigidTransform.from_translation([4.0, 0, 0]) * node.inv()
     elsewhere = Rough(near.rough.T_base_log * far, near.rough.covariance)
@@ -98,7 +96,7 @@ def test_poses_that_are_no_longer_expected_are_not_weighed(near):
 
 
 def of_known(near, rough, known, node):
-    return matches(near.window, near.base, near.window.config, rough, known, node)
+    return matches(near.window, near.base, rough, known, node)
 
 
 def test_what_the_graph_predicts_is_not_in_what_the_field_alone_says(near):
@@ -110,7 +108,7 @@ def test_what_the_graph_predicts_is_not_in_what_the_field_alone_says(near):
         C = near.rough.covariance.copy()
         C[drifts, drifts] = sd**2
         T = near.rough.T_base_log * node * RigidTransform.from_translation([off, -off, 0]) * node.inv()
-        (m, *_) = matches(near.window, near.base, near.window.config, Rough(T, C))
+        (m, *_) = matches(near.window, near.base, Rough(T, C))
         return m.T_base_log, m.T_base_log * node * m.T_node_alone, m.covariance_alone[np.ix_(drifts, drifts)]
 
     T, wide, C = alone(0.3, 0.0)
@@ -126,9 +124,9 @@ def test_what_the_graph_predicts_is_not_in_what_the_field_alone_says(near):
 
 
 def test_poses_that_are_known_need_no_search(near):
-    searched = matches(near.window, near.base, near.window.config, near.rough)
+    searched = matches(near.window, near.base, near.rough)
     known = [m.T_base_log for m in searched]
-    again = matches(near.window, near.base, near.window.config, near.rough, known)
+    again = matches(near.window, near.base, near.rough, known)
     off = again[0].T_base_log.inv() * searched[0].T_base_log
     assert np.linalg.norm(off.apply(near.window.center) - near.window.center) < 0.02
     assert again[0].log_odds == pytest.approx(searched[0].log_odds, abs=0.5)
@@ -136,13 +134,13 @@ def test_poses_that_are_known_need_no_search(near):
 
 def test_each_stretch_refines_only_poses_that_lie_in_its_middle(near):
     found = [m for node in np.unique(near.base.node) for m in of_node(near, int(node))]
-    (best, *_) = matches(near.window, near.base, near.window.config, near.rough)
+    (best, *_) = matches(near.window, near.base, near.rough)
     assert max(m.log_odds for m in found) == pytest.approx(best.log_odds, abs=0.5)
     assert not of_node(near, 10_000)
 
 
 def of_node(near, node):
-    return matches(near.window, near.base, near.window.config, near.rough, None, node)
+    return matches(near.window, near.base, near.rough, None, node)
 
 
 def test_what_was_searched_holds_what_is_expected_there_more_closely_but_not_elsewhere_or_anywhere(near):

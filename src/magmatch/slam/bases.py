@@ -44,10 +44,6 @@ class Base:
         """Nodes whose windows lie nearest to some points (k, 3) of the base's frame: (k,)."""
         return np.asarray(self.node[cdist(points, self.survey.positions).argmin(axis=1)])
 
-    def with_noise(self, noise: PathNoise) -> "Base":
-        """The same base, beside other noise of walks."""
-        return replace(self, index=replace(self.index, noise=noise))
-
 
 @dataclass(eq=False, slots=True)
 class BaseMaker:
@@ -93,7 +89,8 @@ class BaseMaker:
     def learn(self, noise: PathNoise) -> None:
         """Take other noise of walks, for bases that were made too."""
         self.noise = noise
-        self._made = {node: base.with_noise(noise) for node, base in self._made.items()}
+        for node, base in self._made.items():
+            self._made[node] = replace(base, index=replace(base.index, noise=noise))
         self._whole.clear()
 
     def make(self, survey: Survey, node: Indices) -> Base:

@@ -16,7 +16,6 @@ from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
 from magmatch.slam.bases import Base
-from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.windows import Window
@@ -67,7 +66,6 @@ class Match:
 def matches(
     window: Window,
     base: Base,
-    config: SlamConfig,
     expected: Expected,
     known: Sequence[RigidTransform] | None = None,
     node: int | None = None,
@@ -77,8 +75,8 @@ def matches(
     They are refined from poses that are known, where the base was searched before, else from those of a search; and
     from the predicted pose. With a node, only from those that lie in its window.
     """
-    index, walk = base.index, window.walk
-    prior = _prior(window, base, config, expected)
+    index, walk, config = base.index, window.walk, window.config
+    prior = _prior(window, base, expected)
     T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
     T_walk_node = T_walk.inv() * window.T_log_node
     if known is None:
@@ -171,9 +169,9 @@ def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch
     return Stretch(walk.positions[rows], (walk.field - values.field)[rows], sd[rows], G, walk.field[rows])
 
 
-def _prior(window: Window, base: Base, config: SlamConfig, expected: Expected) -> PosePrior:
+def _prior(window: Window, base: Base, expected: Expected) -> PosePrior:
     """What is known beforehand, between model frames."""
-    T_base, T_walk = base.index.base.T_map_model, window.walk.T_survey_walk
+    T_base, T_walk, config = base.index.base.T_map_model, window.walk.T_survey_walk, window.config
     known = PosePriorConfig(
         is_gravity_aligned=config.is_gravity_aligned,
         gravity_sd=UPRIGHT_SD,

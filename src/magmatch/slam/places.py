@@ -2,7 +2,7 @@
 """The method on one page: hyperparameters that logs share, windows, and rounds of search for loop closures."""
 
 import logging
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import forget_closures, solve
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.loop_closure import SAME_SHIFT, residuals
+from magmatch.slam.loop_closure import residuals
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame_odds import log_odds_shared
 from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
@@ -37,6 +37,7 @@ from magmatch.slam.tie import (
     earlier_passes,
     expected_beside,
     far_candidates,
+    is_known,
     near_candidates,
     nearby,
     numbers_of,
@@ -177,8 +178,7 @@ class Places:
 
     def near(self, window: Window) -> list[Candidate]:
         """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
-        component = self.graph.component()
-        nodes = np.flatnonzero(component == component[window.node])
+        nodes = self.known_to(window)
         found = self.looked[window.node] = self.at(window, nodes[~self.graph.is_tied(nodes, window.node)])
         return found
 
@@ -191,11 +191,7 @@ class Places:
         known = self.searched.setdefault(window.node, {})
         before = {a: known[a] for a, rough in expected.items() if a in known and known[a].holds(rough, window)}
         standing = {a for a, searched in before.items() if searched.stands(expected[a], window)}
-
-        def look() -> list[Candidate]:
-            return near_candidates(window, expected, before, standing, self.graph, self.stretch)
-
-        found = of_numbers(self.steps(lambda: numbers_of(look())))
+        found = self._step(lambda: near_candidates(window, expected, before, standing, self.graph, self.stretch))
         for a, rough in expected.items():
             here = [c for c in found if c.node == a]
             if a not in before:
@@ -226,12 +222,12 @@ class Places:
 
     def anywhere(self, window: Window, path: Path) -> list[Candidate]:
         """Where a window may lie on other logs, without a prior."""
+        assert self.maker is not None
+        whole, others = self.maker.whole, self.others(path)
+        return self._step(lambda: far_candidates(window, [whole(p, self.graph) for p in others], self.graph))
 
-        def look() -> list[Candidate]:
-            assert self.maker is not None
-            bases = [self.maker.whole(other, self.graph) for other in self.others(path)]
-            return far_candidates(window, bases, self.graph)
-
+    def _step(self, look: Callable[[], list[Candidate]]) -> list[Candidate]:
+        """What a search finds, or found before an interruption."""
         return of_numbers(self.steps(lambda: numbers_of(look())))
 
     def tie(
@@ -264,8 +260,7 @@ class Places:
 
     def is_lost(self, closure: Closure) -> bool:
         """Whether the graph does not know which stretch a closure's window lies on."""
-        assert self.maker is not None
-        half = self.graph.config.window_length * self.maker.length / 2
+        half = self.window(closure.second).path_length / 2
         return bool(self.graph.sds_of_place(np.array([closure.first]), closure.second)[0] > half)
 
     def stretch(self, node: int) -> Base:
@@ -276,6 +271,11 @@ class Places:
     def path(self, node: int) -> Path:
         """The log that a node lies on."""
         return self.paths[int(self.graph.log[node])]
+
+    def window(self, node: int) -> Window:
+        """The window of a node."""
+        path = self.path(node)
+        return path.windows[node - path.first_node]
 
     def learn_noise(self) -> None:
         """Learn the noise that does not repeat from closures, and where the graph alone says what is passed again."""
@@ -310,16 +310,15 @@ class Places:
         }
 
     def _repeats(self) -> Iterator[Stretch]:
-        windows = {w.node: w for path in self.paths for w in path.windows}
         pairs = {(c.first, c.second): c.T_first_second for c in self.graph.closures}
         closed = {second for _, second in pairs}
         for node, candidates in self.looked.items():
             if candidates and node not in closed:
                 best = max(candidates, key=lambda c: c.match.log_odds)
-                if self.graph.sds_of_place(np.array([best.node]), node)[0] < SAME_SHIFT * windows[node].length:
+                if is_known(self.window(node), np.array([best.node]), self.graph):
                     pairs[best.node, node] = best.T_node_window
         for (first, second), T in pairs.items():
-            window = windows[second]
+            window = self.window(second)
             T_base_log = self.graph.center(first) * T * window.T_log_node.inv()
             yield residuals(window, self.stretch(first), T_base_log)
 
@@ -355,18 +354,13 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
 
 
 def find(
-    given: Sequence[Survey],
-    config: SlamConfig,
-    anchors: Sequence[tuple[Anchor, int]] = (),
-    steps: Steps | None = None,
-    clock: Clock | None = None,
+    given: Sequence[Survey], config: SlamConfig, anchors: list[tuple[Anchor, int]], steps: Steps, clock: Clock
 ) -> Places:
     """All logs at once: the noise is learned from the most certain closures; then all are searched again with it."""
-    clock = clock or Clock()
     with one_blas_thread():
         with clock("numbers"):
             places = begin(given, config)
-        places.steps, places.anchors = steps or Steps(), list(anchors)
+        places.steps, places.anchors = steps, anchors
         places.solve()
         if places.maker is not None:
             with clock("noise"):

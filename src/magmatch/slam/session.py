@@ -222,8 +222,8 @@ class Session:
     @cached_property
     def components(self) -> list[list[int]]:
         """Logs that share a frame, the component with the longest path first."""
-        root = self.graph.component()[[path.first_node for path in self.paths]]
-        groups = [np.flatnonzero(root == r).tolist() for r in np.unique(root)]
+        frames = self.graph.frames()
+        groups = [np.flatnonzero(frames == frame).tolist() for frame in np.unique(frames)]
         return sorted(groups, key=lambda logs: -sum(self.paths[k].walked[-1] for k in logs))
 
     @property
@@ -281,7 +281,7 @@ class Session:
         nodes = set(path.nodes.tolist())
         is_fixed = self.graph.is_fixed(path.first_node)
         is_tied = len(self.paths) == 1 or len(self.components[component]) > 1 or is_fixed
-        C = self._covariances(path.nodes[-1:])[0]
+        C = self.graph.covariances(path.nodes[-1:])[0]
         if not self.is_rigid:
             C = covariance_of_end(path, C, self.graph.config, from_start=not is_fixed)
         return LogResult(
@@ -302,18 +302,12 @@ class Session:
 
     def standard_deviations(self, nodes: Indices) -> list[tuple[float, float]]:
         """Of nodes against the first node of their component, or in the frame of the fixed points: m and rad."""
-        return [_place_and_turn(C) for C in self._covariances(nodes)]
+        return [_place_and_turn(C) for C in self.graph.covariances(nodes)]
 
     def covariances_of_place(self, nodes: Indices) -> np.ndarray:
         """Covariance of nodes' places in the axes of their component's frame, as `standard_deviations`: (n, 3, 3)."""
         R = self.graph.R[nodes]
-        return np.asarray(R @ np.array(self._covariances(nodes))[:, 3:, 3:] @ np.swapaxes(R, 1, 2))
-
-    def _covariances(self, nodes: Indices) -> list[Covariance6]:
-        component, graph = self.graph.component(), self.graph
-        if len(nodes) and graph.is_fixed(int(nodes[0])):
-            return list(graph.marginals()[nodes])
-        return [graph.covariance_from(int(np.argmax(component == component[node])), int(node)) for node in nodes]
+        return np.asarray(R @ self.graph.covariances(nodes)[:, 3:, 3:] @ np.swapaxes(R, 1, 2))
 
 
 def _place_and_turn(C: Covariance6) -> tuple[float, float]:

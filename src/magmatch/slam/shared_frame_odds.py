@@ -27,24 +27,11 @@ def log_odds_shared(
     log_prior: dict[int, float],
     graph: PoseGraph,
 ) -> float:
-    """Log odds that windows share the frame of known path over that they are unconnected.
+    """Log odds (nats) that windows share the frame of known path over that they are unconnected.
 
-    Parameters
-    ----------
-    windows : sequence of Window
-        Tied to the known path in the graph.
-    known : (n, 3) array, m
-        Points of the known path, in the frame of the component.
-    found : sequence of sequences of Candidate
-        For each window: where it lies on the known path, given the tie.
-    log_prior : dict
-        For the nodes that proposed the tie, the density of the prior that they were found with, from nowhere.
-    graph : PoseGraph
-
-    Returns
-    -------
-    float
-        Nats. One window pays for the transform, whose prior is that of nowhere; the others are predicted by it.
+    The windows are tied to known path, points (n, 3) in the component's frame (m), in the graph; ``found`` says for
+    each where it then lies on that. ``log_prior``: for the nodes that proposed the tie, the density of the prior that
+    they were found with, from nowhere. One window pays for the transform with that; it predicts the others.
     """
     matches = (max((c.match for c in some), key=lambda m: m.log_odds, default=None) for some in found)
     best = {w.node: m for w, m in zip(windows, matches, strict=True) if m is not None}

@@ -78,7 +78,7 @@ def explain(
     ties += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""
     if status is SlamStatus.UNCHANGED and bent is not None:
         return (
-            f"odometry may bend {bent.config.window_length * bent.length:.2g} m of path by {bent.bends_by:.2g} m, "
+            f"odometry may bend {bent.path_length:.2g} m of path by {bent.bends_by:.2g} m, "
             f"too much if the field changes over {bent.length:.2g} m; if odometry is more accurate, say so with "
             "--odometry-sd"
         )

@@ -113,8 +113,12 @@ def _moved(before: Rough, now: Rough, window: Window) -> Scalars:
 
 def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
     """Of some nodes those before a window that do not adjoin it."""
-    is_other = (graph.log[nodes] != window.log) | (nodes <= window.node - APART)
-    return np.asarray(nodes[is_other & (nodes < window.node)])
+    return np.asarray(nodes[(nodes < window.node) & ~graph.is_one_pass(nodes, window.node)])
+
+
+def is_known(window: Window, nodes: Indices, graph: PoseGraph) -> bool:
+    """Whether the graph knows where a window lies beside one of some nodes, as well as poses are told apart."""
+    return bool(graph.sds_of_place(nodes, window.node).min() < SAME_SHIFT * window.length)
 
 
 def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
@@ -122,9 +126,9 @@ def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
     firsts = earlier_passes(window, nodes, graph)
     if not len(firsts) or not window.keeps_shape:
         return firsts[:0]
-    half = window.config.window_length * window.length / 2
     apart = np.linalg.norm(graph.p[firsts] - graph.p[window.node], axis=1)
-    return np.asarray(firsts[apart <= half + window.length + REACH * graph.sds_of_place(firsts, window.node)])
+    near = window.path_length / 2 + window.length + REACH * graph.sds_of_place(firsts, window.node)
+    return np.asarray(firsts[apart <= near])
 
 
 def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:
@@ -165,10 +169,14 @@ def near_candidates(
 
 def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> bool:
     """Whether two candidates are one pose beside one pass, which neighbouring stretches led to."""
-    if graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART:
+    if not graph.is_one_pass(c.node, k.node):
         return False
     T_c, T_k = (graph.center(one.node) * one.T_node_window for one in (c, k))
-    shift, turn = transform_error(T_c, T_k, np.zeros(3))
+    return _is_one_pose(T_c, T_k, length)
+
+
+def _is_one_pose(T: RigidTransform, T_other: RigidTransform, length: float) -> bool:
+    shift, turn = transform_error(T, T_other, np.zeros(3))
     return shift <= SAME_SHIFT * length and turn <= SAME_TURN
 
 
@@ -188,7 +196,7 @@ def _candidates(
     known: Sequence[RigidTransform] | None = None,
     middle: int | None = None,
 ) -> list[Candidate]:
-    found = matches(window, base, window.config, expected, known, middle)
+    found = matches(window, base, expected, known, middle)
     if not found:
         return []
     nodes = base.nodes_near(np.array([match.T_base_log.apply(window.center) for match in found]))
@@ -237,9 +245,7 @@ def tie(
 
 def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
     """Probability that a window lies on stretches of its component where candidates were found."""
-    if beside and graph.sds_of_place(np.unique(beside), window.node).min() < SAME_SHIFT * window.length:
-        return SURE
-    return graph.config.revisit_share
+    return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
 
 
 def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfig) -> Closure:
@@ -259,18 +265,14 @@ def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indice
     if not len(order):
         return order
     T_best = placed[order[0]].T
-    off = [transform_error(placed[k].T, T_best, np.zeros(3)) for k in order]
-    return order[[shift <= SAME_SHIFT * length and turn <= SAME_TURN for shift, turn in off]]
+    return order[[_is_one_pose(placed[k].T, T_best, length) for k in order]]
 
 
 def _one_a_pass(candidates: list[Candidate], graph: PoseGraph) -> list[Candidate]:
     """The first candidate, and of each other pass the first, unless that pass speaks against the place."""
     kept: list[Candidate] = []
     for c in candidates:
-        # Neighbouring nodes are one pass.
-        if (not kept or c.match.log_odds > 0) and all(
-            graph.log[c.node] != graph.log[k.node] or abs(c.node - k.node) >= APART for k in kept
-        ):
+        if not kept or (c.match.log_odds > 0 and not any(graph.is_one_pass(c.node, k.node) for k in kept)):
             kept.append(c)
     return kept
 

@@ -35,6 +35,11 @@ class Window:
     log_field: tuple[Vector3, float]
 
     @property
+    def path_length(self) -> float:
+        """Path that windows are cut to, m."""
+        return self.config.window_length * self.length
+
+    @property
     def T_log_node(self) -> RigidTransform:
         """Odometry's frame from the node's."""
         return RigidTransform.from_translation(self.center)

@@ -116,10 +116,10 @@ def _alone(graph: PoseGraph) -> list[Part]:
         J = np.concatenate([np.zeros((n, 3)), graph.R[:, 2, :]], axis=1)[:, None, :]
         off = (graph.p[:, 2] - graph.level)[:, None]
         found.append((six(every), J, _alike(np.eye(1) / LEVEL_SD**2, n), off))
-    component = graph.component()
-    names, first = np.unique(component, return_index=True)
+    frames = graph.frames()
+    names, first = np.unique(frames[graph.log], return_index=True)
     k = len(first)
-    has_fixed = np.isin(names, component[graph.fixed.one] if graph.fixed is not None else names[:0])
+    has_fixed = np.isin(names, list(graph.fixed_by(frames)))
     sure = np.where(has_fixed, FREE, SURE)[:, None, None]
     found.append((six(first), _alike(np.eye(6), k), np.eye(6) / sure**2, np.zeros((k, 6))))
     if graph.fixed is not None:

@@ -70,18 +70,7 @@ def covariance_of_end(path: Path, C: Covariance6, config: SlamConfig, *, from_st
 def covariance_beside(path: Path, node: int, T_node_other: RigidTransform, config: SlamConfig) -> Covariance6:
     """Covariance that odometry adds to a pose which the field shows relative to the path beside it, not to a node.
 
-    Parameters
-    ----------
-    path : Path
-    node : int
-        Node of that path in whose window the pose lies.
-    T_node_other : RigidTransform
-    config : SlamConfig
-
-    Returns
-    -------
-    (6, 6) array
-        Of xi in ``T_node_other Exp(xi)``.
+    The node is the one of the path in whose window the pose lies. Gives (6, 6), of xi in ``T_node_other Exp(xi)``.
     """
     k = node - path.first_node
     rows = np.flatnonzero(path.number == k)

@@ -77,19 +77,26 @@ class PoseGraph:
             self.R[j], self.p[j] = self.R[i], self.p[i] + self.R[i] @ shift
             self.level[j] = self.level[i] + shift[2]
 
-    def component(self) -> Indices:
-        """First log of the logs that share each node's frame: by closures, or by fixed points that tell the frame."""
+    def frames(self) -> Indices:
+        """For each log, the first log that shares its frame: by closures, or by fixed points that tell the frame."""
         root = self.tied()
         told = [r for r, rows in self.fixed_by(root).items() if self.tell_the_frame(rows)]
         root[np.isin(root, told)] = min(told, default=0)
-        found: Indices = root[self.log].astype(np.int64)
+        return root
+
+    def component(self) -> Indices:
+        """Of each node, what `frames` has of its log."""
+        found: Indices = self.frames()[self.log]
         return found
+
+    def is_one_pass(self, nodes: Indices | int, others: Indices | int) -> Mask:
+        """Whether nodes adjoin others along one log."""
+        return np.asarray((self.log[nodes] == self.log[others]) & (np.abs(nodes - others) < APART))
 
     def is_tied(self, nodes: Indices, second: int) -> Mask:
         """Whether a closure ties a node to each of some others, or to one beside it on the same pass."""
         firsts = np.array([c.first for c in self.closures if c.second == second], dtype=np.int64)
-        is_beside = np.abs(nodes[:, None] - firsts) < APART
-        return np.asarray((is_beside & (self.log[nodes][:, None] == self.log[firsts])).any(axis=1))
+        return np.asarray(self.is_one_pass(nodes[:, None], firsts).any(axis=1))
 
     def tied(self) -> Indices:
         """For each log, the first log that closures connect it to."""
@@ -117,9 +124,9 @@ class PoseGraph:
 
     def is_fixed(self, node: int) -> bool:
         """Whether fixed points tell the frame that a node is in."""
-        component = self.component()
-        rows = self.fixed_by(component[np.unique(self.log, return_index=True)[1]])
-        return any(r == component[node] and self.tell_the_frame(some) for r, some in rows.items())
+        frames = self.frames()
+        rows = self.fixed_by(frames).get(int(frames[self.log[node]]))
+        return rows is not None and self.tell_the_frame(rows)
 
     def seen_at_fixed(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the graph has the fixed points (a, 3), and the slopes with both nodes of each (a, 3, 12)."""
@@ -173,25 +180,32 @@ class PoseGraph:
         C = self.relative_covariances(firsts, second)[:, 3:, 3:]
         return np.asarray(np.sqrt(np.linalg.eigvalsh(C)[:, -1]))
 
-    def covariance_from(self, first: int, node: int) -> Covariance6:
-        """Of ``T_first_node Exp(xi)`` for nodes of one component, in metres: with how well its scale is known."""
-        C = self.relative_covariances(np.array([first]), node)[0]
-        logs = self.scaled_logs().get(int(self.component()[node]))
-        if logs is not None and len(self.edges.first):
-            # Each log's scale is as likely as stated by itself, so their mean is known by so much better.
-            along = (self.p[node] - self.p[first]) @ self.R[node] * self.config.odometry.scale_sd
-            C[3:, 3:] += np.outer(along, along) / len(logs)
-        return np.asarray(C)
+    def covariances(self, nodes: Indices) -> np.ndarray:
+        """Of nodes (k,), in metres, with how well their scale is known: (k, 6, 6).
+
+        Of ``T Exp(xi)``, T against the first node of their component, or in the frame of the fixed points.
+        """
+        if len(nodes) and self.is_fixed(int(nodes[0])):
+            return np.asarray(self.marginals()[nodes])
+        component, scaled, found = self.component(), self.scaled_logs(), np.zeros((len(nodes), 6, 6))
+        for C, node in zip(found, nodes.tolist(), strict=True):
+            first = int(np.argmax(component == component[node]))
+            C[:] = self.relative_covariances(np.array([first]), node)[0]
+            logs = scaled.get(int(component[node]))
+            if logs is not None and len(self.edges.first):
+                # Each log's scale is as likely as stated by itself, so their mean is known by so much better.
+                along = (self.p[node] - self.p[first]) @ self.R[node] * self.config.odometry.scale_sd
+                C[3:, 3:] += np.outer(along, along) / len(logs)
+        return found
 
     def scaled_logs(self) -> dict[int, Indices]:
         """Logs of each component whose scale nothing tells: revisits show only that of one log relative to another's.
 
         Fixed points would tell it.
         """
-        component = self.component()
-        fixed = [] if self.fixed is None else component[self.fixed.one].tolist()
-        of_logs = component[np.unique(self.log, return_index=True)[1]]
-        return {int(name): np.flatnonzero(of_logs == name) for name in np.unique(of_logs) if name not in fixed}
+        frames = self.frames()
+        fixed = self.fixed_by(frames)
+        return {int(name): np.flatnonzero(frames == name) for name in np.unique(frames) if name not in fixed}
 
     def _covariances_with(self, node: int) -> np.ndarray:
         """Covariance of each node with one: (n, 6, 6). One window's are asked for several times in a row."""

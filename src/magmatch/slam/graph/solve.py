@@ -90,9 +90,8 @@ def _doubt(graph: PoseGraph) -> None:
 def _bring_home(graph: PoseGraph) -> None:
     """Return logs whose last closure was rejected to their own frame."""
     component = graph.component()
-    names, first = np.unique(component, return_index=True)
-    fixed = [] if graph.fixed is None else component[graph.fixed.one].tolist()
-    for name, k in zip(names.tolist(), first.tolist(), strict=True):
-        if name not in fixed and np.abs(graph.p[k] - graph.start[k]).max() > SMALL:
-            R, mine = graph.R[k].T, component == name
+    for name in graph.scaled_logs():
+        k, mine = int(np.argmax(component == name)), component == name
+        if np.abs(graph.p[k] - graph.start[k]).max() > SMALL:
+            R = graph.R[k].T
             graph.R[mine], graph.p[mine] = R @ graph.R[mine], (graph.p[mine] - graph.p[k]) @ R.T + graph.start[k]
