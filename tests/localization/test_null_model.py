@@ -23,7 +23,7 @@ def likelihood(known, field, config):
 
 def of_the_map(known):
     """Mean field in axes whose z is up."""
-    return known.T_map_model[:3, :3] @ known.mean_field
+    return known.frame.T_map_model[:3, :3] @ known.mean_field
 
 
 @pytest.mark.parametrize("is_gravity_aligned", [True, False])

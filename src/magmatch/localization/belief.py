@@ -9,7 +9,10 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, Window, follow
-from magmatch.localization.monitor import (
+from magmatch.localization.null_model import NullModel
+from magmatch.localization.start.search import search
+from magmatch.localization.state import BIAS, hypotheses, model_of
+from magmatch.localization.weigh_hypotheses import (
     Toll,
     Weighed,
     covariance_of,
@@ -20,9 +23,6 @@ from magmatch.localization.monitor import (
     stated,
     weigh,
 )
-from magmatch.localization.null_model import NullModel
-from magmatch.localization.start.search import search
-from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.registration.decide.decision import in_words
 from magmatch.registration.decide.estimate import worst_sd
 from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
@@ -78,7 +78,7 @@ class Belief:
         """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
         window = self._window
         if self._since == 0:
-            forget(*self._parts(), self._known, self._toll, self._most_earlier, self._bank)
+            forget(*self._parts(), self._known, self._toll, self._bank)
         window.forget_first()
         self._since = max(self._since - 1, 0)
 
@@ -199,7 +199,7 @@ class Belief:
 
     def hypotheses(self) -> list[Hypothesis]:
         """Hypotheses at the last bin, most likely first."""
-        T_map_model = RigidTransform.from_matrix(self._known.T_map_model)
+        T_map_model = RigidTransform.from_matrix(self._known.frame.T_map_model)
         found = zip(self._found.poses, self._found.probabilities, strict=True)
         return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 

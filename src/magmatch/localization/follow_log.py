@@ -20,7 +20,7 @@ from magmatch.localization.samples import OdometryJump
 from magmatch.localization.track import Track
 from magmatch.progress import tell
 from magmatch.registration.clock import Clock
-from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.maps import map_of, survey_of
 from magmatch.slam.graph.odometry import lie_level
 from magmatch.threads import one_blas_thread
 
@@ -59,7 +59,7 @@ def follow_log(place: Place, walk: Survey, config: LocalizerConfig | None = None
 
 def _is_level(place: Place, walk: Survey) -> bool:
     """Whether the log keeps one height, and the map does; of an atlas nobody looked."""
-    return not isinstance(place, Atlas) and all(lie_level([s]) for s in (walk, _maps(place, [])[0].survey))
+    return not isinstance(place, Atlas) and all(lie_level([s]) for s in (walk, survey_of(place)))
 
 
 def _maps(place: Place, estimates: Sequence[Estimate]) -> tuple[FieldMap, ...]:
@@ -67,4 +67,4 @@ def _maps(place: Place, estimates: Sequence[Estimate]) -> tuple[FieldMap, ...]:
     if isinstance(place, Atlas):
         named = {e.map for e in estimates}
         return tuple(place.load(entry).field_map for entry in place.entries if entry.name in named)
-    return (place.field_map if isinstance(place, MapIndex) else place,)
+    return (map_of(place),)

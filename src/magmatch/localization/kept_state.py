@@ -22,8 +22,8 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces, NotReadyError
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.measurement import Window
-from magmatch.localization.monitor import Weighed
 from magmatch.localization.samples import Samples
+from magmatch.localization.weigh_hypotheses import Weighed
 from magmatch.registration.decide.posterior import Posterior
 
 SCHEMA = "magmatch.localizer/3"
@@ -35,16 +35,16 @@ MADE_ANEW = {"_known", "_config", "_model", "_start"}
 
 def state_of(localizer: Localizer) -> bytes:
     """Serialise the complete state of a localizer."""
-    places = localizer._places
+    maps = localizer._maps
     arrays: dict[int, tuple[int, np.ndarray]] = {}
     tree = {
         "samples": localizer._samples,
         "binning": localizer._binning,
-        "bins": places._bins,
-        "n_until_vote": places._n_until_vote,
+        "bins": maps._bins,
+        "n_until_vote": maps._n_until_vote,
         "likely": [
-            [None if entry is None else entry.name, places.known.fingerprint(entry), _belief(belief)]
-            for entry, belief in places.likely.items()
+            [None if entry is None else entry.name, maps.known.fingerprint(entry), _belief(belief)]
+            for entry, belief in maps.likely.items()
         ],
     }
     head: dict[str, Any] = {"schema": SCHEMA, "version": __version__, "config": _config_of(localizer)}
@@ -80,25 +80,25 @@ def restored(known: KnownPlaces, config: LocalizerConfig, state: bytes, path: st
         arrays.append(np.frombuffer(content, row, math.prod(shape), at).reshape(shape).copy())
         at += arrays[-1].nbytes
     tree = _thawed(head["state"], arrays)
-    localizer._samples, localizer._binning, places = tree["samples"], tree["binning"], localizer._places
-    places._bins, places._n_until_vote, places.likely = tree["bins"], tree["n_until_vote"], {}
+    localizer._samples, localizer._binning, maps = tree["samples"], tree["binning"], localizer._maps
+    maps._bins, maps._n_until_vote, maps.likely = tree["bins"], tree["n_until_vote"], {}
     entries = {None if entry is None else entry.name: entry for entry in known.entries}
     for name, fingerprint, _ in tree["likely"]:
         if name not in entries or known.fingerprint(entries[name]) != fingerprint:
             raise DataFormatError(path, f"is of another version of the map {name or ''}".rstrip())
-    maps = [known.soon(entries[name]) for name, *_ in tree["likely"]]
-    for one, (name, _, kept) in zip(maps, tree["likely"], strict=True):
+    ready = [known.soon(entries[name]) for name, *_ in tree["likely"]]
+    for one, (name, _, kept) in zip(ready, tree["likely"], strict=True):
         if one is None:
             raise NotReadyError
         belief = Belief(one, config)
         vars(belief._null).update(kept.pop("_null"))
         vars(belief).update(kept)
-        places.likely[entries[name]] = belief
+        maps.likely[entries[name]] = belief
     return localizer
 
 
 def _config_of(localizer: Localizer) -> Any:
-    return localizer._places._config.model_dump(mode="json")
+    return localizer._maps._config.model_dump(mode="json")
 
 
 def _belief(belief: Belief) -> dict[str, Any]:

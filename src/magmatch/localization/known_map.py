@@ -31,15 +31,23 @@ class Ground(NamedTuple):
     up: np.ndarray
 
 
+class Frame(NamedTuple):
+    """Where poses in the model frame lie in the map, as compiled loops take it."""
+
+    T_map_model: Matrix  # (4, 4)
+    up: Vector3  # the map's z, model frame
+    bent: Covariance6  # (6, 6): covariance of the map's own poses' errors, rotation first (rad, m)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class KnownMap:
     """A map prepared for localisation."""
 
     index: MapIndex
     name: str
-    T_map_model: Matrix  # (4, 4)
     R_model_map: Matrix  # (3, 3)
     ground: Ground
+    frame: Frame
     length: float  # m: field length
     noise: PathNoise  # covariance of another walk's residuals
     anchors: Points  # (a, 3), m: where a search begins: the map's own samples, thinned
@@ -47,14 +55,13 @@ class KnownMap:
     field_sd: float  # T: of one component over the map's samples
     field_rms: float  # T
     mean_field: Vector3  # T, model frame
-    bent: Covariance6  # (6, 6): covariance of its own poses' errors, rotation first (rad, m)
     # Two (f,) arrays: `PathNoise.log_factors`, as many as a window's bins can tell apart
     log_factors: tuple[Scalars, Scalars]
 
     @property
     def up(self) -> Vector3:
         """The map's z."""
-        return self.ground.up
+        return self.frame.up
 
     @classmethod
     def of(cls, place: FieldMap | MapIndex) -> "KnownMap":
@@ -67,13 +74,14 @@ class KnownMap:
         # A map that says nothing of a place still says how much its field varies.
         sd = values[..., 3]
         sd /= np.sqrt(1 + np.maximum(sd * noise.map_factor / field_sd, 0) ** 2)
-        R = rotation_matrix(base.T_map_model).T
+        R = np.ascontiguousarray(rotation_matrix(base.T_map_model).T)
+        up, bent = np.ascontiguousarray(R[:, 2]), np.diag(np.repeat([noise.attitude_sd**2, noise.drift_sd**2], 3))
         return cls(
             index,
             base.field_map.survey.name,
-            base.T_map_model.as_matrix(),
-            np.ascontiguousarray(R),
-            Ground(values, raster.origin, raster.spacing, np.ascontiguousarray(R[:, 2])),
+            R,
+            Ground(values, raster.origin, raster.spacing, up),
+            Frame(base.T_map_model.as_matrix(), up, bent),
             index.length,
             noise,
             np.ascontiguousarray(anchors),
@@ -81,7 +89,6 @@ class KnownMap:
             field_sd,
             float(np.sqrt((base.sample_field**2).mean())),
             base.sample_field.mean(axis=0),
-            np.diag(np.repeat([noise.attitude_sd**2, noise.drift_sd**2], 3)),
             _some_factors(noise),
         )
 

@@ -13,7 +13,7 @@ from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
 from magmatch.localization.known_places import KnownPlaces, Place
-from magmatch.localization.places import Places
+from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.samples import Samples
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
@@ -38,9 +38,9 @@ class Localizer:
         expect_kind(config, "config", (LocalizerConfig,))
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
-            self._places = Places(known, config)
+            self._maps = LikelyMaps(known, config)
         self._samples = Samples()
-        self._binning = Binning(self._places.bin_length)
+        self._binning = Binning(self._maps.bin_length)
 
     def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
         """Take a sample.
@@ -73,13 +73,13 @@ class Localizer:
         new = self._binning.add(sample)
         if new is None:
             return
-        for belief in self._places.follow(new):
+        for belief in self._maps.follow(new):
             if belief.is_doubtful():
                 belief.doubt()
-        for belief in self._places.due():
+        for belief in self._maps.due():
             if may_search():
                 belief.search()
-        self._places.judge()
+        self._maps.judge()
 
     def estimate(self) -> Estimate:
         """Give the present estimate.
@@ -89,12 +89,12 @@ class Localizer:
         Estimate
             ``T_map_body`` is None unless the pose is stated.
         """
-        best = self._places.best
+        best = self._maps.best
         if best is None:
-            return Estimate(LocalizerStatus.SEARCHING, self._places.why_none)
+            return Estimate(LocalizerStatus.SEARCHING, self._maps.why_none)
         return best.estimate(self._samples.T_odom_body)
 
     def hypotheses(self) -> list[Hypothesis]:
         """List the competing hypotheses as of the last bin of the path, most likely first."""
-        found = [one for belief in self._places.likely.values() for one in belief.hypotheses()]
+        found = [one for belief in self._maps.likely.values() for one in belief.hypotheses()]
         return sorted(found, key=lambda one: -one.probability)

@@ -91,8 +91,8 @@ def _follow(nulls, steps, model, fit):  # type: ignore[no-untyped-def]
                 RM[a, e] = R[a, 0] * M[0, e] + R[a, 1] * M[1, e] + R[a, 2] * M[2, e]
         for k in range(len(nulls)):
             one, found = nulls[k], fit[n, k]
-            _predict(one.x, one.P, d, steps[n].dt, one.rate, one.variance, one.misfit, model)
-            _compare(one.x, one.P, b, RM, one.nugget, PH, S, r)
+            _predict(one, d, steps[n].dt, model)
+            _compare(one, b, RM, PH, S, r)
             found.is_seen, found.is_known = 1, 1
             found.chi2, found.half_log_det = settle(one.P, PH, S, r, model.gate, dx)
             for i in range(N):
@@ -100,8 +100,9 @@ def _follow(nulls, steps, model, fit):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _compare(x, P, b, RM, nugget, PH, S, r):  # type: ignore[no-untyped-def]
+def _compare(one, b, RM, PH, S, r):  # type: ignore[no-untyped-def]
     """Innovation by a field b in the odometry's axes, P H^T and the innovation's covariance (upper half)."""
+    x, P = one.x, one.P
     for i in range(N):
         for a in range(3):
             at = 4 * a
@@ -117,14 +118,14 @@ def _compare(x, P, b, RM, nugget, PH, S, r):  # type: ignore[no-untyped-def]
             S[a, e] = PH[at, e] + PH[at + MISFIT, e] + PH[at + CONSTANT, e]
             for f in range(3):
                 S[a, e] += RM[a, f] * PH[BIAS + f, e]
-        S[a, a] += nugget
+        S[a, a] += one.nugget
 
 
 @compiled
-def _predict(x, P, d, dt, rate, variance, misfit, model):  # type: ignore[no-untyped-def]
+def _predict(one, d, dt, model):  # type: ignore[no-untyped-def]
     """Along d metres of path; the slope is in units of the field, times the rate."""
-    fade = np.exp(-d / model.misfit_length)
-    f00, f01, f10, f11 = transition(rate * d)
+    x, P, variance, fade = one.x, one.P, one.variance, np.exp(-d / model.misfit_length)
+    f00, f01, f10, f11 = transition(one.rate * d)
     for a in range(3):
         i = 4 * a
         x[i], x[i + SLOPE] = f00 * x[i] + f01 * x[i + 1], f10 * x[i] + f11 * x[i + 1]
@@ -142,5 +143,5 @@ def _predict(x, P, d, dt, rate, variance, misfit, model):  # type: ignore[no-unt
         P[j + 1, j + 1] += variance * (1 - f10 * f10 - f11 * f11)
         P[j, j + 1] -= variance * (f00 * f10 + f01 * f11)
         P[j + 1, j] -= variance * (f00 * f10 + f01 * f11)
-        P[j + MISFIT, j + MISFIT] += misfit * (1 - fade * fade)
+        P[j + MISFIT, j + MISFIT] += one.misfit * (1 - fade * fade)
         P[BIAS + a, BIAS + a] += model.bias_drift * dt

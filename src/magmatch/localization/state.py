@@ -164,13 +164,6 @@ def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def move(bank, dR, u, up, model):  # type: ignore[no-untyped-def]
-    """Move hypotheses on by odometry, in no time."""
-    for k in range(len(bank)):
-        predict(bank[k], dR, u, 0.0, up, model)
-
-
-@compiled
 def correct(h, dx):  # type: ignore[no-untyped-def]
     """Add an error to a hypothesis: ``R = Exp(theta) R``."""
     R, p, b, c, e, c_slope, e_slope = h.R, h.p, h.b, h.c, h.e, h.c_slope, h.e_slope

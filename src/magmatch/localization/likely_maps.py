@@ -12,12 +12,11 @@ from magmatch.atlas.retrieval import count_votes, shortlist
 from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
-from magmatch.field.map import FieldMap
 from magmatch.localization.belief import BIN_LENGTH, Belief
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces
-from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.maps import survey_of
 from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)
@@ -25,7 +24,7 @@ log = logging.getLogger(__name__)
 VOTE_EVERY = 2.0
 
 
-class Places:
+class LikelyMaps:
     """The belief in each likely map."""
 
     def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
@@ -39,7 +38,7 @@ class Places:
         self.bin_length, self.why_none = 1.0, "the body has moved too little"
         if isinstance(place, Atlas):
             self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in place.entries]))
-        elif _survey_of(place).field.std(axis=0).max() < CONSTANT_FIELD:
+        elif survey_of(place).field.std(axis=0).max() < CONSTANT_FIELD:
             # It has no field length either.
             self.why_none = "the map's field is constant: nothing tells places apart"
         else:
@@ -116,7 +115,3 @@ class Places:
                 for one in self._bins:
                     self.likely[entry].follow(one)
         self._awaited = [entry for entry in self._awaited if entry not in self.likely]
-
-
-def _survey_of(place: FieldMap | MapIndex) -> Survey:
-    return (place.field_map if isinstance(place, MapIndex) else place).survey

@@ -7,8 +7,8 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from magmatch.localization.measurement import FIT, STEP, follow
-from magmatch.localization.monitor import Toll, covariance_of, evidence, forget
 from magmatch.localization.state import hypotheses, model_of
+from magmatch.localization.weigh_hypotheses import Toll, covariance_of, evidence, forget
 
 N, FREE = 24, Toll(0.0, 0)
 
@@ -55,7 +55,7 @@ def test_a_bin_that_is_forgotten_leaves_what_it_gained_up_to_a_cap(known):
     before = evidence(steps, fit, null, known, FREE)[0]
     for most in (np.inf, 1.0):
         bank["earlier"] = 0.0
-        forget(steps, fit, null, known, FREE, most, bank)
+        forget(steps, fit, null, known, FREE._replace(most=most), bank)
         after = bank["earlier"] + evidence(steps[1:], fit[1:], null[1:], known, FREE)[0]
         np.testing.assert_allclose(after[1], before[1], atol=1e-9)
         assert bank["earlier"][0] == pytest.approx(1.0) if most == 1.0 else after[0] == pytest.approx(before[0])
@@ -65,7 +65,7 @@ def test_who_is_trusted_and_outside_the_map_forgets_nothing(known):
     steps, rng = np.zeros(N, STEP), np.random.default_rng(4)
     fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
     fit["chi2"][0], null["chi2"][0], fit["is_known"][-1] = 0.1, 20.0, 0
-    forget(steps, fit, null, known, Toll(0.0, 1), 1.0, bank)
+    forget(steps, fit, null, known, Toll(0.0, 1, 1.0), bank)
     assert bank["earlier"][0] > 5
     assert bank["earlier"][1] == pytest.approx(1.0)
 
@@ -79,7 +79,7 @@ def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it
     )
     for n in range(60):
         localizer.update(log.times[n], poses[n], z[n])
-    belief, usual = localizer._places.best, model_of(known, mm.LocalizerConfig())
+    belief, usual = localizer._maps.best, model_of(known, mm.LocalizerConfig())
     worse = {k: 4 * getattr(usual, k) for k in ("misfit_variance", "map_factor2", "nugget_variance")}
     a, b = (belief._bank[:1].copy() for _ in range(2))
     sizes = []
@@ -93,7 +93,7 @@ def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it
         sizes.append([np.trace(one["P"][0, 3:6, 3:6]) for one in (a, b)])
     ratio = np.median([y / x for x, y in sizes[len(sizes) // 4 :]])
     assert ratio == pytest.approx(2.0, rel=0.25)
-    said = [np.trace((covariance_of(a, known, factor) - known.bent)[3:, 3:]) for factor in (1.0, 4.0)]
+    said = [np.trace((covariance_of(a, known, factor) - known.frame.bent)[3:, 3:]) for factor in (1.0, 4.0)]
     assert said[1] / said[0] == pytest.approx(ratio, rel=0.25)
 
 
@@ -111,6 +111,6 @@ def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
     steps, rng = np.zeros(N, STEP), np.random.default_rng(7)
     fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
     bank["earlier"], fit["is_known"][-1] = 30.0, 0
-    forget(steps, fit, null, known, Toll(0.0, 1), 4.0, bank)
+    forget(steps, fit, null, known, Toll(0.0, 1, 4.0), bank)
     assert bank["earlier"][0] > 20
     assert bank["earlier"][1] == pytest.approx(4.0)

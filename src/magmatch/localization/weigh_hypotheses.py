@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.state import BIAS, Model, move
+from magmatch.localization.state import BIAS, Model, predict
 from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
@@ -61,7 +61,10 @@ class Weighed:
 
 
 class Toll(NamedTuple):
-    """Penalty per metre outside the map, how many of the first hypotheses are exempt from it, and the most (nats)."""
+    """Penalty per metre outside the map, how many of the first hypotheses are exempt from it, and the most (nats).
+
+    No more than that is kept of earlier evidence either.
+    """
 
     per_metre: float
     n_free: int
@@ -75,16 +78,15 @@ def evidence(
 
     ``fit`` (n, k) and ``null`` (n, c) are FIT of hypotheses and of unrelated fields at the same steps.
     """
-    n = fit.shape[1]
-    gained, misfit, factor = np.zeros(n), np.zeros(n), np.ones(n)
-    _weigh_all(steps, fit, null, toll, *known.log_factors, gained, misfit, factor)
-    return gained, factor, misfit
+    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(steps, fit, null, toll, *known.log_factors)
+    return found
 
 
 @compiled
-def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, factor):  # type: ignore[no-untyped-def]
-    inverse = np.exp(-log_factors)
-    for k in range(fit.shape[1]):
+def _weigh_all(steps, fit, null, toll, log_factors, log_priors):  # type: ignore[no-untyped-def]
+    n_hypotheses, inverse = fit.shape[1], np.exp(-log_factors)
+    gained, factor, misfit = np.zeros(n_hypotheses), np.zeros(n_hypotheses), np.zeros(n_hypotheses)
+    for k in range(n_hypotheses):
         own, own_det, paid, n = 0.0, 0.0, 0.0, 0
         for m in range(len(fit)):
             one, u = fit[m, k], steps[m].u
@@ -109,16 +111,17 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors, gained, misfit, 
         factor[k] = np.exp(log_factors[best])
         # The covariance's factor is averaged over: what it explains is not to count again.
         misfit[k] = np.sqrt(own / factor[k] / max(n, 1))
+    return gained, factor, misfit
 
 
 def forget(
-    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll, most: float, bank: np.ndarray
+    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll, bank: np.ndarray
 ) -> None:
-    """Move what each hypothesis gained by the first bin to earlier evidence, up to a cap unless it is free."""
+    """Move what each hypothesis gained by the first bin to earlier evidence, up to the most unless it is free."""
     gained, rest = (evidence(steps[k:], fit[k:], null[k:], known, toll)[0] for k in (0, 1))
     # A body that may leave the map and is outside forgets nothing, and nothing of that when it comes back.
     is_free, is_outside = np.arange(len(bank)) < toll.n_free, fit[-1]["is_known"] == 0
-    limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(most, bank["earlier"])), most)
+    limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(toll.most, bank["earlier"])), toll.most)
     bank["earlier"] = np.minimum(bank["earlier"] + gained - rest, limit)
 
 
@@ -181,7 +184,7 @@ def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
 def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
     """Of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes; how the map's own poses may be off is part of it."""
     C = np.empty((6, 6))
-    _covariance(one, known.bent, _factor(known, factor), C)
+    _covariance(one, known.frame.bent, _factor(known, factor), C)
     return C
 
 
@@ -210,21 +213,21 @@ def stated(
 ) -> np.ndarray:
     """What is said of a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
     said = np.zeros(1, STATED)
-    _state(one, last, T_odom_body, known.T_map_model, known.bent, _factor(known, factor), known.up, model, said)
+    _state(one, last, T_odom_body, known.frame, _factor(known, factor), model, said)
     return said
 
 
 @compiled
-def _state(bank, last, T, T_map_model, bent, factor, up, model, said):  # type: ignore[no-untyped-def]
-    h, step, out = bank[0], last[0], said[0]
+def _state(bank, last, T, frame, factor, model, said):  # type: ignore[no-untyped-def]
+    h, step, out, T_map_model = bank[0], last[0], said[0], frame.T_map_model
     dR, u = np.zeros((3, 3)), np.zeros(3)
     for a in range(3):
         for k in range(3):
             u[a] += step.R[k, a] * (T[k, 3] - step.p[k])
             for e in range(3):
                 dR[a, e] += step.R[k, a] * T[k, e]
-    move(bank, dR, u, up, model)
-    _covariance(bank, bent, factor, out.covariance)
+    predict(h, dR, u, 0.0, frame.up, model)
+    _covariance(bank, frame.bent, factor, out.covariance)
     out.T[3, 3] = 1.0
     for a in range(3):
         out.bias[a], out.bias_sd[a] = h.b[a], np.sqrt(h.P[BIAS + a, BIAS + a])
