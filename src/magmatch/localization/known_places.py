@@ -87,9 +87,9 @@ class KnownPlaces:
         return known
 
     def _make(self, entry: AtlasEntry | None) -> KnownMap:
-        if entry is None or not isinstance(self.place, Atlas):
-            assert not isinstance(self.place, Atlas)
+        if not isinstance(self.place, Atlas):
             return KnownMap.of(self.place)
+        assert entry is not None
         # Wherever it is found, it was looked for in all maps.
         return replace(KnownMap.of(self.place.load(entry)), name=entry.name, volume=self.place.volume)
 

@@ -82,13 +82,7 @@ class Localizer:
         self._maps.judge()
 
     def estimate(self) -> Estimate:
-        """Give the present estimate.
-
-        Returns
-        -------
-        Estimate
-            ``T_map_body`` is None unless the pose is stated.
-        """
+        """Give the present estimate; its ``T_map_body`` is None unless the pose is stated."""
         best = self._maps.best
         if best is None:
             return Estimate(LocalizerStatus.SEARCHING, self._maps.why_none)

@@ -26,17 +26,10 @@ FIRST_SAMPLES, LEAST_GROWTH = 64, 1.25
 
 
 class LiveLog:
-    """A log that grows sample by sample.
-
-    Parameters
-    ----------
-    config : SlamConfig
-    places : Places, optional
-        Of earlier logs, which are not changed.
-    """
+    """A log that grows sample by sample; places of earlier logs are not changed."""
 
     def __init__(self, config: SlamConfig, places: Places | None) -> None:
-        self.config, self.name = config, "live"
+        self.config = config
         self.places = None if places is None else places.copied()
         self._t: list[float] = []
         self._p: list[Vector3] = []
@@ -80,7 +73,7 @@ class LiveLog:
         """All samples, or those from one on."""
         R = Rotation.from_quat(np.array(self._R[first:]))
         p, b, t = (np.array(values[first:]) for values in (self._p, self._b, self._t))
-        return Survey(p, b, t, R, name=self.name)
+        return Survey(p, b, t, R, name="live")
 
     def pose(self) -> RigidTransform:
         """Body in the frame of the log's component, after the last sample; odometry's pose until that is known."""

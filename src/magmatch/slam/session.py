@@ -270,7 +270,7 @@ class Session:
 
     def _bent(self) -> Window | None:
         """A window, where none keeps its shape."""
-        windows = [] if self.is_rigid or self._now.maker is None else [w for p in self.paths for w in p.windows]
+        windows = [] if self._now.maker is None else [w for p in self.paths for w in p.windows]
         return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
 
     def _state_log(self, log: int) -> LogResult:

@@ -29,14 +29,9 @@ KEEP_EVERY_S = 5.0
 
 
 class Steps:
-    """Results of steps, in their order; without a folder they are not stored.
+    """Results of steps, in their order; without a folder, which is created, they are not stored.
 
-    Parameters
-    ----------
-    folder : path, optional
-        Created if it does not exist.
-    **of
-        The input of the steps, in JSON's types: results for any other input are deleted.
+    ``of`` is the input of the steps, in JSON's types: results for any other input are deleted.
     """
 
     def __init__(self, folder: Path | None = None, **of: Any) -> None:

@@ -40,8 +40,6 @@ SURE = DecisionConfig().min_probability
 N_NUMBERS = 123
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
 SAME_PRIOR = 0.1
-# The base about a node.
-Stretch = Callable[[int], Base]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -147,9 +145,9 @@ def near_candidates(
     searched: dict[int, Searched],
     standing: Collection[int],
     graph: PoseGraph,
-    stretch: Stretch,
+    stretch: Callable[[int], Base],
 ) -> list[Candidate]:
-    """Where a window may lie on stretches about other nodes.
+    """Where a window may lie on stretches about other nodes; ``stretch`` gives the base about one.
 
     What was searched before is not searched again, and on stretches where that is still ``standing`` not weighed.
     """

@@ -25,7 +25,7 @@ def corrected(path: Path, graph: PoseGraph) -> Survey:
     )
 
 
-def corrected_poses(path: Path, graph: PoseGraph, poses: Trajectory | None = None) -> Trajectory | None:
+def corrected_poses(path: Path, graph: PoseGraph, poses: Trajectory | None) -> Trajectory | None:
     """A log's poses there: at their own times where given, else those of its samples; None where it has none."""
     survey = path.survey
     if survey.times is None:

@@ -32,7 +32,7 @@ MAX_BYTES = 256 * 1024**2
 def write_session(session: Session, path: Path) -> None:
     """Write the state needed to add logs; nothing if no log can be added without redoing the others."""
     places = session.places
-    if session.is_rigid or places is None or places.maker is None:
+    if places is None or places.maker is None:
         return
     graph, maker = places.graph, places.maker
     content = {
