@@ -300,8 +300,9 @@ def _sample_rows(position: Points, field: Vectors, orientation: np.ndarray | Non
 
 def _check_samples(rows: np.ndarray, start: np.ndarray) -> None:
     """Refuse what no magnetometer on a walk from ``start`` (m) reports."""
-    offsets = np.abs(rows - np.r_[start, 0.0, 0.0, 0.0])
-    is_good = (offsets <= LIMITS).all(axis=1)
+    offsets = rows.copy()
+    offsets[:, :3] -= start
+    is_good = (np.abs(offsets) <= LIMITS).all(axis=1)
     if is_good.all():
         return
     bad = int(np.argmin(is_good))
