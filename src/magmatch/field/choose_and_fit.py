@@ -7,8 +7,8 @@ from magmatch.field.domain import Box
 from magmatch.field.fit import fit_unbounded, within
 from magmatch.field.linear_model import Posterior, Runner
 from magmatch.field.map import FieldMap
+from magmatch.field.prior_choice.choose_hyperparameters import choose_numbers
 from magmatch.field.prior_choice.choose_prior import choose_prior
-from magmatch.field.prior_choice.numbers import choose_numbers
 from magmatch.field.priors import prior_over
 from magmatch.progress import tell
 

@@ -10,7 +10,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.prior_choice.numbers import likely_numbers
+from magmatch.field.prior_choice.choose_hyperparameters import likely_numbers
 from magmatch.field.priors import PRIORS
 from magmatch.geometry import path_walked
 from magmatch.registration.prepared.cubes import even_choice

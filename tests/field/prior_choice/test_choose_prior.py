@@ -11,8 +11,8 @@ from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice import choose_prior as choice
+from magmatch.field.prior_choice.choose_hyperparameters import choose_all_numbers
 from magmatch.field.prior_choice.cross_validation import Candidate, compare, compare_on_the_rest
-from magmatch.field.prior_choice.numbers import choose_all_numbers
 from magmatch.field.priors import DENSE_PRIORS, PRIORS
 from magmatch.field.variogram import typical_length
 

@@ -19,7 +19,7 @@ from magmatch.data.logs.decode import ENCODINGS
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import TREES, Entries, Frames
-from magmatch.data.logs.numbers import read_numbers
+from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
 from magmatch.data.tables.gzipped import plain_file

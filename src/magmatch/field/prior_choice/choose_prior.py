@@ -17,8 +17,8 @@ from magmatch.field.domain import Box
 from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
+from magmatch.field.prior_choice.choose_hyperparameters import choose_all_numbers, given_numbers
 from magmatch.field.prior_choice.cross_validation import N_COMPARED, Candidate, compare, compare_on_the_rest
-from magmatch.field.prior_choice.numbers import choose_all_numbers, given_numbers
 from magmatch.field.priors import DENSE_PRIORS, prior_over
 from magmatch.field.subset import choose_part
 from magmatch.field.variogram import typical_length

@@ -13,7 +13,7 @@ from magmatch.field.domain import Box
 from magmatch.field.folds import Folds
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import LinearModel
-from magmatch.field.prior_choice.numbers import FAILURES
+from magmatch.field.prior_choice.choose_hyperparameters import FAILURES
 from magmatch.field.priors import prior_over
 from magmatch.progress import tell
 from magmatch.typing import Indices, Mask, Scalars

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.logs.numbers import read_numbers
+from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.read import read_survey, read_survey_and_channels
 
