@@ -221,7 +221,8 @@ class RegistrationResult(TypedDocument):
     n_inliers: Count = 0
     n_keypoints: Count = 0
     n_correspondences: Count = 0
-    links: Annotated[Links, AfterValidator(_pairs)] = NO_LINKS
+    # By a factory: a schema cannot show arrays as a default.
+    links: Annotated[Links, AfterValidator(_pairs)] = field(default_factory=lambda: NO_LINKS)
     seconds: dict[str, NumberOrNull] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     version: str = ""
