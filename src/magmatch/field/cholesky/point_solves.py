@@ -24,7 +24,7 @@ def solve_operations(elimination: Elimination, unknowns: np.ndarray, n_rows: int
         climb[k] += n * n + 2.0 * n * len(front.border)
         for child in front.children:
             climb[child] = climb[k]
-    first = elimination.position[unknowns].min(axis=1, initial=elimination.n_unknowns - 1)
+    first = elimination.position[unknowns].min(axis=1)
     entry = np.searchsorted([front.stop for front in elimination.fronts], first, side="right")
     return float(n_rows * climb[entry].sum())
 
