@@ -217,6 +217,16 @@ def test_charges_that_stand_for_nothing_leave_turns_as_well_known_and_scores_tha
     assert block.residual2.mean() == pytest.approx(3 * found.noise, rel=0.1)
 
 
+def test_what_a_change_leaves_of_residuals_that_are_too_large_is_noise(moved, ordinary):
+    base, target, T_model, _ = moved
+    rng = np.random.default_rng(0)
+    rough = replace(target, sample_field=target.sample_field + 2e-6 * rng.standard_normal(target.sample_field.shape))
+    agrees, pose = np.ones(len(target.samples), dtype=bool), replace(ordinary, T_base_target=T_model)
+    found = refine_beside_changes(base, rough, pose, agrees, FLAT, CONFIG, rng)
+    assert found.noise > 2
+    assert found.pose.blocks[0].residual2.mean() == pytest.approx(3 * found.noise, rel=0.15)
+
+
 def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):
     T_base_target = random_transform(np.random.default_rng(3))
     rng = np.random.default_rng(0)
