@@ -213,6 +213,12 @@ def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: 
     return translation_error, rotation_error
 
 
+def is_one_pose(T: RigidTransform, T_other: RigidTransform, center: Vector3, tolerance: tuple[float, float]) -> bool:
+    """Whether two transforms of the same frames differ by no more than a tolerance (m, rad), as `transform_error`."""
+    shift, turn = transform_error(T, T_other, center)
+    return shift <= tolerance[0] and turn <= tolerance[1]
+
+
 def path_walked(positions: Points) -> Scalars:
     """Path walked up to each of consecutive positions: (n,), m, from 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])

@@ -14,7 +14,7 @@ from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, import_extra
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
-from magmatch.grid import RegularGrid
+from magmatch.grid import RegularGrid, spanned_points
 from magmatch.typing import Mask, Points, Scalars
 
 # Points evaluated at a time; bounds the memory whatever the number of points.
@@ -123,7 +123,7 @@ def write_vtk(grid: MapGrid, path: str | Path) -> None:
 
 def write_ply_cloud(grid: MapGrid, path: str | Path) -> None:
     """Write the points that the map knows as PLY, with ``bx, by, bz`` and ``sx, sy, sz``."""
-    points = np.stack(np.meshgrid(*grid.axes, indexing="ij"), axis=-1)[grid.is_known]
+    points = spanned_points(grid.axes)[grid.is_known.ravel()]
     with atomic_write(path) as stream:
         write_ply(stream, points, {"b": grid.field[grid.is_known], "s": grid.sd[grid.is_known]})
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import transform_error, transform_from_matrix, transform_of
+from magmatch.geometry import is_one_pose, transform_from_matrix, transform_of
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
@@ -170,12 +170,7 @@ def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> boo
     if not graph.is_one_pass(c.node, k.node):
         return False
     T_c, T_k = (graph.center(one.node) * one.T_node_window for one in (c, k))
-    return _is_one_pose(T_c, T_k, length)
-
-
-def _is_one_pose(T: RigidTransform, T_other: RigidTransform, length: float) -> bool:
-    shift, turn = transform_error(T, T_other, np.zeros(3))
-    return shift <= SAME_SHIFT * length and turn <= SAME_TURN
+    return is_one_pose(T_c, T_k, np.zeros(3), (SAME_SHIFT * length, SAME_TURN))
 
 
 def far_candidates(window: Window, bases: Sequence[Base], graph: PoseGraph) -> list[Candidate]:
@@ -262,8 +257,8 @@ def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indice
     order = np.argsort(-shares, kind="stable")
     if not len(order):
         return order
-    T_best = placed[order[0]].T
-    return order[[_is_one_pose(placed[k].T, T_best, length) for k in order]]
+    T_best, same = placed[order[0]].T, (SAME_SHIFT * length, SAME_TURN)
+    return order[[is_one_pose(placed[k].T, T_best, np.zeros(3), same) for k in order]]
 
 
 def _one_a_pass(candidates: list[Candidate], graph: PoseGraph) -> list[Candidate]:

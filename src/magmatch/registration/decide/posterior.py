@@ -21,7 +21,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from magmatch.geometry import transform_error
+from magmatch.geometry import is_one_pose
 from magmatch.registration.weigh.hypothesis import Hypothesis, Kind
 
 H = TypeVar("H", bound=Hypothesis)
@@ -138,5 +138,4 @@ def distinct(ranked: Iterable[H], tolerance: tuple[float, float]) -> list[H]:
 
 def is_same_answer(one: Hypothesis, other: Hypothesis, tolerance: tuple[float, float]) -> bool:
     """Whether two poses of a target are one answer."""
-    apart, angle = transform_error(one.T_base_target, other.T_base_target, one.center)
-    return apart <= tolerance[0] and angle <= tolerance[1]
+    return is_one_pose(one.T_base_target, other.T_base_target, one.center, tolerance)
