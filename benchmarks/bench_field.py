@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Accuracy, calibration and time of the default field model; OPENBLAS_NUM_THREADS=1 gives the one-thread figures.
 
-Usage: python benchmarks/bench_field.py [--from DIR] [--repeat 3]
+Usage: python benchmarks/bench_field.py [--from DIR] [--quick] [--repeat 3]
 Simulated rooms and tables have exact truth; the walk is walk one of CEA predicting walk two. Times are seconds of the
 processor, the least of the repetitions: choosing the numbers, fit, field and gradient at the queries, their sd.
 """
@@ -127,18 +127,18 @@ def measure(name, scenario, has_truth=True, repeat=1):
 
 @single_threaded
 def main():
-    asked = arguments(__doc__, recordings=None, repeat=3, save=saver)
+    asked = arguments(__doc__, recordings=None, quick=False, repeat=3, save=saver)
     # Compiles, or loads what was compiled.
     for scenario in (room(99, 400), lanes(99, 900)):
         fitted(*scenario[:2], scenario[0])
-    few = range(4)
+    few = range(1 if asked.quick else 4)
     cases = [(f"room {seed}", room(seed)) for seed in few]
     cases += [("room", room(4, 3000))]
     cases += [(f"room {seed}", room(10 + seed, n)) for n in (300, 1000) for seed in few]
     cases += [(f"lanes {seed}", lanes(seed, n)) for n in (400, 1000, 3000) for seed in few]
     cases += [("plane", plane(1)), *((f"table {seed}", table(seed)) for seed in few[:2])]
     rows = [row for name, case in cases for row in measure(name, case, repeat=asked.repeat)]
-    if asked.recordings:
+    if asked.recordings and not asked.quick:
         walks = load_recordings("cea", asked.recordings)
         for name, order in (("building", ("training", "test")), ("building, reversed", ("test", "training"))):
             rows += measure(name, walk(walks, *order), has_truth=False, repeat=asked.repeat)

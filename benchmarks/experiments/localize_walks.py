@@ -374,7 +374,7 @@ def main() -> None:
     costs = [
         (one, *(f"{x:.3g}" for x in cost(place_of(one, asked.data, asked.out), asked.data)))
         for one in ("cea1", "cea")
-        if one in asked.sets.split(",")
+        if one in asked.sets.split(",") and not asked.quick
     ]
     show(("map", "a tracked sample", "a search", "evaluation, us"), costs)
 
