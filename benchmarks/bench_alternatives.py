@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What our own k-d tree, CSV parser, archive and sparse Cholesky do, against SciPy, pandas, zarr and SuperLU.
+"""What our own k-d tree, CSV parser, archive and sparse Cholesky factors do, against SciPy, pandas, zarr and SuperLU.
 
 Run ``python benchmarks/bench_alternatives.py``; needs the extra ``test``. Seconds of the processor, best of three,
 after compilation. docs/decisions.md says what follows.
@@ -133,13 +133,45 @@ def cholesky(side: float) -> None:
           f"SuperLU {m * seconds(lambda: theirs.solve(column)):.0f} s ({m} solves)")  # fmt: skip
 
 
+def pose_graph(n: int) -> None:
+    from scipy.sparse import csc_array, tril
+    from scipy.sparse.linalg import splu
+
+    from magmatch.slam.graph.block_cholesky import BlockCholesky, sum_of_blocks
+
+    # A walk through streets, turning at random: each node is tied to the one before it and to the last at its place.
+    rng = np.random.default_rng(0)
+    turns = np.pi / 2 * np.cumsum(rng.choice([-1, 0, 0, 0, 0, 1], n))
+    places = np.cumsum(np.column_stack([np.cos(turns), np.sin(turns)]), axis=0).round() % 16
+    pairs, last = [(k, k + 1) for k in range(n - 1)], {}
+    for k, place in enumerate(map(tuple, places.tolist())):
+        pairs += [(last[place], k)] if place in last else []
+        last[place] = k
+    rows, columns, blocks = list(range(n)), list(range(n)), [1e-3 * np.eye(6)] * n
+    for one, other in pairs:
+        J = np.eye(6) + 0.2 * rng.normal(size=(2, 6, 6))
+        rows += [one, other, other]
+        columns += [one, one, other]
+        blocks += [J[0].T @ J[0], J[1].T @ J[0], J[1].T @ J[1]]
+    A = sum_of_blocks(np.array(rows), np.array(columns), np.array(blocks), n)
+    whole = csc_array(tril(A) + tril(A, -1).T)
+    options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    factor, theirs, unit = BlockCholesky.of(A), splu(whole, **options), np.eye(6 * n)[:, :6]
+    factor.inverse_blocks()
+    print(f"Pose graph, {n} nodes, {len(pairs)} ties: ours {seconds(lambda: BlockCholesky.of(A)):.3f} s, "
+          f"SuperLU {seconds(lambda: splu(whole, **options)):.3f} s; all covariances: ours "
+          f"{seconds(factor.inverse_blocks):.3f} s (selected inverse), "
+          f"SuperLU {n * seconds(lambda: theirs.solve(unit)):.0f} s ({n} solves)")  # fmt: skip
+
+
 def main() -> None:
-    asked = arguments(__doc__, points=100_000, rows=300_000, side=2.0)
+    asked = arguments(__doc__, points=100_000, rows=300_000, side=2.0, nodes=2000)
     with tempfile.TemporaryDirectory() as folder:
         kdtree(asked.points)
         tables(asked.rows, Path(folder))
         archives(Path(folder))
         cholesky(asked.side)
+        pose_graph(asked.nodes)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 """Stretches of path as bases for windows: a small map of each, prepared for the search."""
 
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -25,6 +26,8 @@ from magmatch.typing import Indices, Points
 N_DRAWS = 6
 # Stretches kept in memory as bases, at about a megabyte each.
 MOST_BASES = 1024
+# Held by the thread that changes what is kept: stretches are made in parallel.
+_keeping = Lock()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,16 +63,18 @@ class BaseMaker:
 
     def stretch(self, path: Path, node: int) -> Base:
         """A window and its neighbours, odometry's frame."""
-        base = self._made.pop(node, None)
+        with _keeping:
+            base = self._made.pop(node, None)
         if base is None:
             first, last = np.searchsorted(path.number, np.array([node - 1, node + 2]) - path.first_node)
             rows = np.arange(first, last)
             base = self.make(path.survey.subset(rows), path.nodes[path.number[rows]])
+        with _keeping:
             self._tables[node] = base.index.table
-        # The one used last stands last.
-        self._made[node] = base
-        if len(self._made) > MOST_BASES:
-            del self._made[next(iter(self._made))]
+            # The one used last stands last.
+            self._made[node] = base
+            if len(self._made) > MOST_BASES:
+                del self._made[next(iter(self._made))]
         return base
 
     def table(self, path: Path, node: int) -> PairTable:

@@ -45,7 +45,7 @@ from magmatch.slam.tie import (
     tie,
 )
 from magmatch.slam.windows import Path, Window, cut
-from magmatch.threads import one_blas_thread
+from magmatch.threads import one_blas_thread, side_by_side
 from magmatch.typing import Indices, Matrix, Scalars, Vector3
 
 log = logging.getLogger(__name__)
@@ -207,7 +207,7 @@ class Places:
         new = [node for node in nodes if node not in known]
 
         def ask() -> Matrix:
-            tables = [maker.table(self.path(node), node) for node in new]
+            tables = side_by_side(lambda node: maker.table(self.path(node), node), new)
             return count_votes(tables, window.survey, self.graph.config.search, 0)[None]
 
         if new:

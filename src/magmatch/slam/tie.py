@@ -27,6 +27,7 @@ from magmatch.slam.loop_closure import (
     matches,
 )
 from magmatch.slam.windows import Path, Window
+from magmatch.threads import side_by_side
 from magmatch.typing import Indices, Matrix, Scalars
 
 # Candidates of a window that take part.
@@ -151,13 +152,15 @@ def near_candidates(
 
     What was searched before is not searched again, and on stretches where that is still ``standing`` not weighed.
     """
-    found: list[Candidate] = []
-    for a, rough in expected.items():
+
+    def look(a: int) -> list[Candidate]:
         if a in standing:
-            some = searched[a].found
-        else:
-            known = [c.match.T_base_log for c in searched[a].found] if a in searched else None
-            some = _candidates(window, stretch(a), rough, graph.center, known, a)
+            return searched[a].found
+        known = [c.match.T_base_log for c in searched[a].found] if a in searched else None
+        return _candidates(window, stretch(a), expected[a], graph.center, known, a)
+
+    found: list[Candidate] = []
+    for some in side_by_side(look, expected):
         # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
         for c in some:
             if not any(_is_same(c, k, graph, window.length) for k in found):

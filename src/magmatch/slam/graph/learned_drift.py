@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import fmin
-from scipy.sparse import csc_array
 
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.normal_equations import LEAST_LASTING, hold_scale, normal_equations
+from magmatch.slam.graph.normal_equations import LEAST_LASTING, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.windows import Path
@@ -52,12 +51,11 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
 def log_evidence(graph: PoseGraph) -> float:
     """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
     H, v, chi2 = normal_equations(graph)
-    H, v = hold_scale(graph, H, v)
-    lu = graph.factor(csc_array(H))
-    log_det = float(np.log(np.abs(lu.U.diagonal())).sum())
+    factor = graph.factor(H)
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
     log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
-    return -0.5 * (chi2 - float(v @ lu.solve(v)) + log_det + log_det_odometry + log_det_lasting)
+    explained = float((v * factor.solve(v[None])[0]).sum())
+    return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_lasting)
 
 
 def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:

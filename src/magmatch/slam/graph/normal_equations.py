@@ -1,59 +1,85 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Normal equations of all poses from odometry, closures, fixed points, gravity and the floor.
 
-A node's perturbation has separate rotation and translation: R Exp(phi), p + R rho.
+A node's perturbation has separate rotation and translation: R Exp(phi), p + R rho. Unknowns come in blocks of six:
+one for each node, then one for each log, of which the first two are its lasting errors and the others are not used.
 """
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import bsr_array
 from scipy.spatial.transform import Rotation
 
 from magmatch.geometry import skew
+from magmatch.slam.graph.block_cholesky import SIDE, sum_of_blocks
 from magmatch.slam.graph.factors import N_LASTING
-from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph, six
+from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 # Least standard deviation of a lasting error, so that the equations can be solved where it is stated as 0.
 LEAST_LASTING = 1e-9
-# Columns, Jacobian, information and residual of many rows alike.
+# Of e rows alike: blocks of unknowns (e, k), Jacobian (e, m, 6 k), information (m, m) or (e, m, m), residual (e, m).
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def normal_equations(graph: PoseGraph) -> tuple[coo_array, np.ndarray, float]:
-    """Information of all poses and constant errors, the gradient of half their chi^2, and chi^2."""
-    size = 6 * len(graph.p) + graph.lasting.size
-    e, parts = graph.edges, _alone(graph)
-    if len(e.first):
-        scale, rate = graph.lasting[e.log].T
-        turned = e.lasting[:, :, 1] * rate[:, None]
-        Z = Rotation.from_rotvec(turned[:, :3]).as_matrix(), np.zeros((len(e.first), 3))
-        r, Ji, Jj = residual_between(graph, e.first, e.second, *Z)
-        # What was measured is the real step in the odometry's unit, with noise: were it the measured step, noise and
-        # all, that is scaled, loops that do not close would shrink the map.
-        of_scale = _in_unit(scale, r, Ji, Jj)
-        r[:, 3:] -= e.shift + turned[:, 3:]
-        cols = np.concatenate([six(e.first), six(e.second), _lasting_columns(graph, e.log)], axis=1)
-        J = np.concatenate([Ji, Jj, of_scale, -e.lasting[:, :, 1:]], axis=2)
-        parts.append((cols, J, np.linalg.inv(e.covariance), r))
-    if graph.closures:
-        i, j, r, Ji, Jj, P = closure_rows(graph)
-        # What ties two components no more pulls at neither.
-        component = graph.component()
-        weight = counted(graph) * (component[i] == component[j])
-        cols = np.concatenate([six(i), six(j)], axis=1)
-        parts.append((cols, np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r))
-    rows, columns, values, v, chi2 = [], [], [], np.zeros(size), 0.0
-    for cols, J, P, r in parts:
-        H = np.swapaxes(J, 1, 2) @ P @ J
-        k = cols.shape[1]
-        rows.append(np.repeat(cols, k, axis=1).ravel())
-        columns.append(np.tile(cols, (1, k)).ravel())
-        values.append(H.ravel())
-        Pr = P @ r[:, :, None]
-        np.add.at(v, cols.ravel(), (np.swapaxes(J, 1, 2) @ Pr).ravel())
-        chi2 += float((r * Pr[:, :, 0]).sum())
-    at = (np.concatenate(rows), np.concatenate(columns))
-    return coo_array((np.concatenate(values), at), shape=(size, size)), v, chi2
+def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
+    """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2."""
+    n = len(graph.p) + len(graph.lasting)
+    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph)]
+    rows, columns, values, v, chi2 = [], [], [], np.zeros((n, SIDE)), 0.0
+    for blocks, J, P, r in parts:
+        e, k = blocks.shape
+        JP = np.swapaxes(J, 1, 2) @ P
+        H = np.swapaxes((JP @ J).reshape(e, k, SIDE, k, SIDE), 2, 3)
+        row, column = np.broadcast_arrays(blocks[:, :, None], blocks[:, None, :])
+        lower = row >= column
+        rows.append(row[lower])
+        columns.append(column[lower])
+        values.append(H[lower])
+        np.add.at(v, blocks, (JP @ r[:, :, None]).reshape(e, k, SIDE))
+        chi2 += float(np.einsum("em,em->", r, (P @ r[:, :, None])[:, :, 0]))
+    return sum_of_blocks(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), n), v, chi2
+
+
+def _odometry(graph: PoseGraph) -> list[Part]:
+    e = graph.edges
+    if not len(e.first):
+        return []
+    scale, rate = graph.lasting[e.log].T
+    turned = e.lasting[:, :, 1] * rate[:, None]
+    Z = Rotation.from_rotvec(turned[:, :3]).as_matrix(), np.zeros((len(e.first), 3))
+    r, Ji, Jj = residual_between(graph, e.first, e.second, *Z)
+    # What was measured is the real step in the odometry's unit, with noise: were it the measured step, noise and
+    # all, that is scaled, loops that do not close would shrink the map.
+    of_scale = _in_unit(scale, r, Ji, Jj)
+    r[:, 3:] -= e.shift + turned[:, 3:]
+    unused = np.zeros((len(e.first), SIDE, SIDE - N_LASTING))
+    J = np.concatenate([Ji, Jj, of_scale, -e.lasting[:, :, 1:], unused], axis=2)
+    return [(np.column_stack([e.first, e.second, len(graph.p) + e.log]), J, np.linalg.inv(e.covariance), r)]
+
+
+def _closures(graph: PoseGraph) -> list[Part]:
+    if not graph.closures:
+        return []
+    i, j, r, Ji, Jj, P = closure_rows(graph)
+    # What ties two components no more pulls at neither.
+    component = graph.component()
+    weight = counted(graph) * (component[i] == component[j])
+    return [(np.column_stack([i, j]), np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r)]
+
+
+def _scale_held(graph: PoseGraph) -> list[Part]:
+    """The mean scale of each component is held, unless fixed points tell it.
+
+    Without this, a map shrinks or grows by what covariances of closures or of odometry are too small, and they would
+    say that the scale is known.
+    """
+    found: list[Part] = []
+    for logs in graph.scaled_logs().values():
+        J = np.zeros((1, 1, SIDE * len(logs)))
+        J[:, :, ::SIDE] = 1 / len(logs)
+        mean = graph.lasting[logs, 0].mean()
+        found.append((len(graph.p) + logs[None], J, np.eye(1) / SURE**2, np.array([[mean]])))
+    return found
 
 
 def counted(graph: PoseGraph) -> Scalars:
@@ -69,24 +95,6 @@ def counted(graph: PoseGraph) -> Scalars:
     return np.asarray(weight / (1 + common * others))
 
 
-def hold_scale(graph: PoseGraph, H: coo_array, v: np.ndarray) -> tuple[coo_array, np.ndarray]:
-    """The same equations with the mean scale of each component held, unless fixed points tell it.
-
-    Without this, a map shrinks or grows by what covariances of closures or of odometry are too small, and they would
-    say that the scale is known.
-    """
-    held = graph.scaled_logs().values()
-    J = np.zeros((len(held), len(v)))
-    for row, logs in zip(J, held, strict=True):
-        row[_lasting_columns(graph, logs)[:, 0]] = 1 / len(logs)
-    off = J @ np.concatenate([np.zeros(6 * len(graph.p)), graph.lasting.ravel()])
-    A = coo_array(J)
-    more = coo_array(A.T @ A / SURE**2)
-    # A sum would drop entries that happen to be zero, where the inverse is not.
-    at = tuple(np.concatenate([of_H, of_more]) for of_H, of_more in zip(H.coords, more.coords, strict=True))
-    return coo_array((np.concatenate([H.data, more.data]), at), shape=H.shape), v + J.T @ off / SURE**2
-
-
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:
     """Change residuals of position and their slopes to a unit of ``exp(log_scale)`` m; gives the slope with that log.
 
@@ -99,36 +107,33 @@ def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndar
     return -(r * [0, 0, 0, 1, 1, 1])[:, :, None]
 
 
-def _lasting_columns(graph: PoseGraph, logs: Indices) -> np.ndarray:
-    return np.asarray(6 * len(graph.p) + N_LASTING * logs[:, None] + np.arange(N_LASTING))
-
-
 def _alone(graph: PoseGraph) -> list[Part]:
     """Priors on single nodes (vertical, height, first node of a component) and on constant errors."""
     n, c = len(graph.p), graph.config
-    every = np.arange(n)
+    every = np.arange(n)[:, None]
     found: list[Part] = []
     if c.is_gravity_aligned:
         up = graph.R[:, 2, :]  # the map's vertical in the node's axes
         J = np.concatenate([skew(up), np.zeros((n, 3, 3))], axis=2)
-        found.append((six(every), J, _alike(np.eye(3) / UPRIGHT_SD**2, n), up - [0.0, 0.0, 1.0]))
+        found.append((every, J, np.eye(3) / UPRIGHT_SD**2, up - [0.0, 0.0, 1.0]))
     if c.is_planar:
         J = np.concatenate([np.zeros((n, 3)), graph.R[:, 2, :]], axis=1)[:, None, :]
         off = (graph.p[:, 2] - graph.level)[:, None]
-        found.append((six(every), J, _alike(np.eye(1) / LEVEL_SD**2, n), off))
+        found.append((every, J, np.eye(1) / LEVEL_SD**2, off))
     frames = graph.frames()
     names, first = np.unique(frames[graph.log], return_index=True)
     k = len(first)
     has_fixed = np.isin(names, list(graph.fixed_by(frames)))
     sure = np.where(has_fixed, FREE, SURE)[:, None, None]
-    found.append((six(first), _alike(np.eye(6), k), np.eye(6) / sure**2, np.zeros((k, 6))))
+    found.append((first[:, None], _alike(np.eye(6), k), np.eye(6) / sure**2, np.zeros((k, 6))))
     if graph.fixed is not None:
-        f, columns = graph.fixed, np.concatenate([six(graph.fixed.one), six(graph.fixed.other)], axis=1)
-        seen, J = graph.seen_at_fixed()
-        found.append((columns, J, np.eye(3) / f.sd[:, None, None] ** 2, seen - f.position))
-    sd, k = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], LEAST_LASTING), len(graph.lasting)
-    columns = _lasting_columns(graph, np.arange(k))
-    found.append((columns, _alike(np.eye(2), k), _alike(np.diag(sd**-2), k), graph.lasting))
+        f, (seen, J) = graph.fixed, graph.seen_at_fixed()
+        P = np.eye(3) / f.sd[:, None, None] ** 2
+        found.append((np.column_stack([f.one, f.other]), J, P, seen - f.position))
+    sd, k = np.ones(SIDE), len(graph.lasting)
+    sd[:N_LASTING] = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], LEAST_LASTING)
+    errors = np.concatenate([graph.lasting, np.zeros((k, SIDE - N_LASTING))], axis=1)
+    found.append((n + np.arange(k)[:, None], _alike(np.eye(SIDE), k), np.diag(sd**-2), errors))
     return found
 
 

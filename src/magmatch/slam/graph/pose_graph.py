@@ -8,15 +8,14 @@ from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import bsr_array, coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.block_cholesky import SIDE, BlockCholesky
 from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints
-from magmatch.slam.graph.selected_inverse import factorised, inverse_blocks
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
@@ -47,8 +46,7 @@ class PoseGraph:
     # (logs, 2): estimated log of the scale of each log's odometry, and its turn rate (rad/m)
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
-    _H: csc_array | None = None
-    _lu: SuperLU | None = None
+    _factor: BlockCholesky | None = None
     _own: np.ndarray | None = None
     _with: tuple[int, np.ndarray] | None = None
 
@@ -158,10 +156,10 @@ class PoseGraph:
         lasting = L @ np.diag([o.scale_sd**2, o.turn_rate_sd**2]) @ L.T
         return RigidTransform.from_translation(self.edges.shift[e]), self.edges.covariance[e] + lasting
 
-    def factor(self, H: csc_array) -> SuperLU:
+    def factor(self, H: bsr_array) -> BlockCholesky:
         """Keep the information of all poses, from which their covariances follow."""
-        self._H, self._own, self._with, self._lu = H, None, None, factorised(H)
-        return self._lu
+        self._own, self._with, self._factor = None, None, BlockCholesky.of(H)
+        return self._factor
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
         """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6), odometry's unit."""
@@ -210,21 +208,15 @@ class PoseGraph:
     def _covariances_with(self, node: int) -> np.ndarray:
         """Covariance of each node with one: (n, 6, 6). One window's are asked for several times in a row."""
         if self._with is None or self._with[0] != node:
-            assert self._lu is not None
-            unit = np.zeros((6 * len(self.p) + self.lasting.size, 6))
-            unit[6 * node : 6 * node + 6] = np.eye(6)
-            self._with = node, self._lu.solve(unit)[: 6 * len(self.p)].reshape(-1, 6, 6)
+            assert self._factor is not None
+            unit = np.zeros((SIDE, len(self.p) + len(self.lasting), SIDE))
+            unit[:, node] = np.eye(SIDE)
+            self._with = node, np.moveaxis(self._factor.solve(unit)[:, : len(self.p)], 0, 2)
         return self._with[1]
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
         if self._own is None:
-            assert self._lu is not None
-            assert self._H is not None
-            self._own = inverse_blocks(self._H, self._lu, len(self.p), 6)
+            assert self._factor is not None
+            self._own = self._factor.inverse_blocks()[: len(self.p)]
         return self._own
-
-
-def six(nodes: np.ndarray) -> np.ndarray:
-    """Columns of some nodes: (n, 6)."""
-    return 6 * nodes[:, None] + np.arange(6)

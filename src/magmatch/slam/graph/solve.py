@@ -8,11 +8,10 @@ and wrong closures, fitted by expectation-maximisation.
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from magmatch.slam.graph.factors import MOST_ODDS, N_LASTING
-from magmatch.slam.graph.normal_equations import closure_rows, hold_scale, normal_equations
+from magmatch.slam.graph.normal_equations import closure_rows, normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 
 # Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
@@ -26,15 +25,14 @@ def solve(graph: PoseGraph) -> None:
     _bring_to_fixed(graph)
     is_doubted = not graph.closures
     for _ in range(MOST_STEPS):
-        H, v = hold_scale(graph, *normal_equations(graph)[:2])
-        xi = -graph.factor(csc_array(H)).solve(v)
+        H, v, _ = normal_equations(graph)
+        xi = -graph.factor(H).solve(v[None])[0]
         n = len(graph.p)
-        largest = np.abs(xi[: 6 * n].reshape(n, 6)[:, :3]).max()
-        xi *= min(1.0, MOST_TURN / max(largest, 1e-300))
-        turns, shifts = np.split(xi[: 6 * n].reshape(n, 6), 2, axis=1)
+        xi *= min(1.0, MOST_TURN / max(np.abs(xi[:n, :3]).max(), 1e-300))
+        turns, shifts = np.split(xi[:n], 2, axis=1)
         graph.p = graph.p + np.einsum("nij,nj->ni", graph.R, shifts)
         graph.R = graph.R @ Rotation.from_rotvec(turns).as_matrix()
-        graph.lasting = graph.lasting + xi[6 * n :].reshape(-1, N_LASTING)
+        graph.lasting = graph.lasting + xi[n:, :N_LASTING]
         moved = np.abs(xi).max()
         if is_doubted and moved < SMALL:
             break

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cholesky factor of a sparse matrix of 6 x 6 blocks, and the diagonal blocks of its inverse (Takahashi).
+
+Unknowns of a pose are coupled to those of another all together, so blocks are ordered and stored instead of numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bsr_array, coo_array, csc_array, diags_array
+from scipy.sparse.linalg import splu
+
+from magmatch.compiled import compiled
+from magmatch.typing import Indices
+
+SIDE = 6
+# Of each node of the network to the ground, over that of a tie: small, so that currents reach far.
+GROUNDED = 1e-6
+
+
+def sum_of_blocks(rows: Indices, columns: Indices, blocks: np.ndarray, n: int) -> bsr_array:
+    """Lower half of a symmetric matrix of n x n blocks, from blocks (k, 6, 6) of its sum at or below the diagonal."""
+    at = rows * n + columns
+    order = np.argsort(at, kind="stable")
+    places, first = np.unique(at[order], return_index=True)
+    starts = np.searchsorted(places, n * np.arange(n + 1))
+    data = np.add.reduceat(blocks[order], first, axis=0)
+    return bsr_array((data, places % n, starts), shape=(SIDE * n, SIDE * n))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BlockCholesky:
+    """``A = L L^T`` in an order that keeps L sparse."""
+
+    position: Indices  # (n,): place of each block of unknowns in that order
+    starts: Indices  # (n + 1,): where each column of L begins, the diagonal first
+    rows: Indices  # (m,): row of each block, ascending in a column
+    L: np.ndarray  # (m, 6, 6)
+
+    @classmethod
+    def of(cls, A: bsr_array) -> "BlockCholesky":
+        """Factor a positive definite matrix, of which the lower half is given."""
+        n = A.shape[0] // SIDE
+        i, j = np.repeat(np.arange(n), np.diff(A.indptr)), A.indices.astype(np.int64)
+        position, starts, rows = _order(i, j, n)
+        one, other = position[i], position[j]
+        below, right = np.maximum(one, other), np.minimum(one, other)
+        L = np.zeros((len(rows), SIDE, SIDE))
+        keys = np.repeat(np.arange(n), np.diff(starts)) * n + rows
+        upside_down = (one < other)[:, None, None]
+        L[np.searchsorted(keys, right * n + below)] = np.where(upside_down, np.swapaxes(A.data, 1, 2), A.data)
+        if not _factor(starts, rows, L, np.zeros((SIDE, SIDE))):
+            msg = "the graph does not determine all poses"
+            raise np.linalg.LinAlgError(msg)
+        return cls(position, starts, rows, L)
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of A."""
+        return 2 * float(np.log(np.diagonal(self.L[self.starts[:-1]], axis1=1, axis2=2)).sum())
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """``A^-1 rhs`` for right-hand sides (k, n, 6)."""
+        y = np.empty(rhs.shape)
+        y[:, self.position] = rhs
+        for one in y:
+            _solve(self.starts, self.rows, self.L, one)
+        return np.asarray(y[:, self.position])
+
+    def inverse_blocks(self) -> np.ndarray:
+        """Blocks along the diagonal of ``A^-1``: (n, 6, 6)."""
+        Z = np.zeros_like(self.L)
+        _invert(self.starts, self.rows, self.L.copy(), Z, np.zeros((1, SIDE, SIDE)))
+        return np.asarray(Z[self.starts[:-1]][self.position])
+
+
+def _order(i: Indices, j: Indices, n: int) -> tuple[Indices, Indices, Indices]:
+    """Minimum degree order of n blocks of which some are coupled, and the pattern of L.
+
+    It is the pattern for a network of resistors with the same ties, in which nothing cancels.
+    """
+    off = i != j
+    one, other = np.concatenate([i[off], j[off]]), np.concatenate([j[off], i[off]])
+    ties = csc_array(coo_array((np.full(len(one), -1.0), (one, other)), shape=(n, n)))
+    network = ties + diags_array(GROUNDED - np.asarray(ties.sum(axis=0)).ravel())
+    options = {"SymmetricMode": True}
+    lu = splu(csc_array(network), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    pattern = lu.L
+    pattern.sort_indices()
+    position, starts, rows = (np.asarray(a, np.int64) for a in (lu.perm_c, pattern.indptr, pattern.indices))
+    return position, starts, rows
+
+
+@compiled
+def _factor(starts: Indices, rows: Indices, L: np.ndarray, turned: np.ndarray) -> bool:
+    """Overwrite the lower blocks of a matrix by those of its factor, column by column; False if a pivot fails."""
+    for j in range(len(starts) - 1):
+        d, end = starts[j], starts[j + 1]
+        if not _factor_pivot(L, d):
+            return False
+        for q in range(d + 1, end):
+            _divide(L, q, d)
+        for q in range(d + 1, end):
+            _transpose(L, q, turned)
+            # The column of that row takes its share: both lists of rows ascend.
+            at = starts[rows[q]]
+            for r in range(q, end):
+                while rows[at] < rows[r]:
+                    at += 1
+                _subtract(L, at, L, r, turned)
+    return True
+
+
+@compiled
+def _factor_pivot(L: np.ndarray, d: int) -> bool:
+    """Overwrite block d by its own factor; False if it has none."""
+    for a in range(SIDE):
+        for b in range(a + 1):
+            s = L[d, a, b]
+            for c in range(b):
+                s -= L[d, a, c] * L[d, b, c]
+            if a == b and not s > 0:
+                return False
+            L[d, a, b] = s / L[d, b, b] if a > b else np.sqrt(s)
+        for b in range(a + 1, SIDE):
+            L[d, a, b] = 0.0
+    return True
+
+
+@compiled
+def _divide(L: np.ndarray, q: int, d: int) -> None:
+    """Overwrite block q, X, by the solution of ``Y L_d^T = X``."""
+    for a in range(SIDE):
+        for b in range(SIDE):
+            s = L[q, a, b]
+            for c in range(b):
+                s -= L[q, a, c] * L[d, b, c]
+            L[q, a, b] = s / L[d, b, b]
+
+
+@compiled
+def _transpose(A: np.ndarray, q: int, turned: np.ndarray) -> None:
+    for a in range(SIDE):
+        for b in range(SIDE):
+            turned[b, a] = A[q, a, b]
+
+
+@compiled
+def _subtract(A: np.ndarray, at: int, X: np.ndarray, r: int, Y: np.ndarray) -> None:
+    """``A[at] -= X[r] Y``."""
+    for a in range(SIDE):
+        for c in range(SIDE):
+            x = X[r, a, c]
+            for b in range(SIDE):
+                A[at, a, b] -= x * Y[c, b]
+
+
+@compiled
+def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray) -> None:
+    """Overwrite y (n, 6) by ``L^-T L^-1 y``."""
+    for j in range(len(starts) - 1):
+        d, largest = starts[j], 0.0
+        for a in range(SIDE):
+            for c in range(a):
+                y[j, a] -= L[d, a, c] * y[j, c]
+            y[j, a] /= L[d, a, a]
+            largest = max(largest, abs(y[j, a]))
+        # Most of a right-hand side for one node's covariances is zero.
+        for q in range(d + 1, starts[j + 1] if largest > 0 else d + 1):
+            for a in range(SIDE):
+                for c in range(SIDE):
+                    y[rows[q], a] -= L[q, a, c] * y[j, c]
+    for j in range(len(starts) - 2, -1, -1):
+        d = starts[j]
+        for q in range(d + 1, starts[j + 1]):
+            for c in range(SIDE):
+                for a in range(SIDE):
+                    y[j, a] -= L[q, c, a] * y[rows[q], c]
+        for a in range(SIDE - 1, -1, -1):
+            for c in range(a + 1, SIDE):
+                y[j, a] -= L[d, c, a] * y[j, c]
+            y[j, a] /= L[d, a, a]
+
+
+@compiled
+def _invert(starts: Indices, rows: Indices, N: np.ndarray, Z: np.ndarray, turned: np.ndarray) -> None:
+    """Blocks Z of the inverse where L has some, column by column from the last; N is L, which is used up."""
+    for j in range(len(starts) - 2, -1, -1):
+        d, end = starts[j], starts[j + 1]
+        _invert_pivot(N, d)
+        for q in range(d + 1, end):
+            _times_pivot(N, q, d)
+        for q in range(d + 1, end):
+            # The column of each row below holds what is needed.
+            at = starts[rows[q]]
+            for r in range(q, end):
+                while rows[at] < rows[r]:
+                    at += 1
+                _subtract(Z, r, Z, at, N[q])
+                if r > q:
+                    _transpose(Z, at, turned[0])
+                    _subtract(Z, q, turned, 0, N[r])
+        for q in range(d + 1, end):
+            _transpose(N, q, turned[0])
+            _subtract(Z, d, turned, 0, Z[q])
+        _transpose(N, d, turned[0])
+        for a in range(SIDE):
+            for c in range(a, SIDE):
+                for b in range(c + 1):
+                    Z[d, a, b] += turned[0, a, c] * N[d, c, b]
+
+
+@compiled
+def _invert_pivot(N: np.ndarray, d: int) -> None:
+    """Overwrite block d, lower triangular, by its inverse."""
+    for b in range(SIDE):
+        N[d, b, b] = 1.0 / N[d, b, b]
+        for a in range(b + 1, SIDE):
+            s = 0.0
+            for c in range(b, a):
+                s -= N[d, a, c] * N[d, c, b]
+            N[d, a, b] = s / N[d, a, a]
+
+
+@compiled
+def _times_pivot(N: np.ndarray, q: int, d: int) -> None:
+    """Multiply block q by block d, lower triangular, from the right."""
+    for a in range(SIDE):
+        for b in range(SIDE):
+            s = 0.0
+            for c in range(b, SIDE):
+                s += N[q, a, c] * N[d, c, b]
+            N[q, a, b] = s
