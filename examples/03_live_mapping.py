@@ -26,7 +26,7 @@ def main(path: str | None = None) -> None:
             ahead = estimator.predict(position[None], max_age=1.0)
             missed.append(np.linalg.norm(ahead.field[0] - field))
         estimator.update(position, field)  # orientation=(x, y, z, w) turns sensor vectors into the map
-    print(f"{len(estimator)} samples in {estimator.n_bytes / 1e6:.0f} MB")
+    print(f"{len(estimator)} samples in {estimator.n_bytes / 1e6:.2f} MB")
     print(f"a sample differs from what was expected by {1e6 * np.median(missed):.2f} uT (median)")
 
     with TemporaryDirectory() as folder:  # switch off, and go on tomorrow

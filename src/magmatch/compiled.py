@@ -108,7 +108,7 @@ class FirstUse(event.Listener):
         self._is_over = True
         log.log(
             NOTICE,
-            "Compiling numerical loops for this machine: once after installation or upgrade, for several seconds",
+            "Compiling numerical loops: once per kind of task after installation or upgrade, for several seconds",
         )
         if self.next_module is not None:
             words = f"from magmatch.compiled import compile_known; compile_known({self.next_module!r})"

@@ -142,6 +142,10 @@ def test_a_folder_without_maps_is_no_atlas(tmp_path):
         open_atlas(tmp_path)
     with pytest.raises(DataFormatError, match="cannot be read"):
         open_atlas(tmp_path / "nowhere")
+    file = tmp_path / "base.csv"
+    file.touch()
+    with pytest.raises(DataFormatError, match="expected a folder of saved maps"):
+        open_atlas(file)
 
 
 def test_a_raw_log_is_found_once_its_sensor_is_calibrated(tmp_path):

@@ -168,6 +168,8 @@ def written(folder: Path, name: str, text: str) -> Path:
 
 
 USAGE: dict[str, tuple[Arguments, str]] = {
+    "term nearly spelt": (lambda g, t, o: ["glossary", "nats"], "did you mean 'nat'?"),
+    "JSON without a schema": (lambda g, t, o: ["info", written(t, "truth.json", "{}")], "without a schema"),
     "unknown command": (lambda g, t, o: ["registr"], "registr"),
     "unknown option": (lambda g, t, o: ["register", g, g, "--outt", o / "r.json"], "--outt"),
     "missing argument": (lambda g, t, o: ["register", g], "TARGET"),

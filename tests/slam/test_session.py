@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import magmatch as mm
 from drifting import trajectory_error
 from magmatch.data.read import read_survey
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.slam.graph.normal_equations import counted
 from magmatch.slam.loop_closure import Match
@@ -233,3 +233,10 @@ def test_a_pass_ties_a_window_once(three):
         sure = Match(here, closure.covariance, 12.0, -2.0, here, closure.covariance)
         candidates = [[Candidate(first, T, sure)] if n == closure.second else [] for n in path.nodes]
         assert places.tie(path, candidates) == 0
+
+
+def test_samples_that_follow_no_path_are_refused_before_any_work():
+    rng = np.random.default_rng(0)
+    survey = mm.Survey(rng.uniform(0, 3, (1000, 3)), 1e-6 * rng.normal(size=(1000, 3)), name="room.csv")
+    with pytest.raises(SurveyError, match=r"room\.csv: its samples follow no path.*merge"):
+        mm.slam(survey)

@@ -140,6 +140,8 @@ def maps_in(folder: Path, names: Collection[str] | None = None) -> Iterator[Path
 
     Raises `DataFormatError` where there is no such folder.
     """
+    if folder.is_file():
+        raise DataFormatError(folder, "is a file, expected a folder of saved maps")
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_file())
     except OSError as error:

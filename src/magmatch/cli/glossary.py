@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch glossary``: the terms of messages and reports."""
 
+from difflib import get_close_matches
 from typing import Annotated
 
 import typer
@@ -21,6 +22,8 @@ def glossary(
 
     found = {name: said for name, said in terms().items() if name.lower().startswith((term or "").lower())}
     if not found:
-        msg = f"no term '{term}'; there are {', '.join(terms())}"
+        near = get_close_matches((term or "").lower(), [name.lower() for name in terms()], n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(terms())}"
+        msg = f"no term '{term}'; {advice}"
         raise ConfigurationError(msg)
     put("\n\n".join(f"{name}\n  {said}" for name, said in found.items()))

@@ -102,7 +102,7 @@ def tell(result: "LocalizationResult") -> str:
     if result.first_fix is None or result.sensor is None:
         return f"{level}Never localized: {result.reason}"
     where = f" in {result.map}" if result.map else ""
-    bias = ", ".join(f"{1e6 * b:.1f}" for b in result.sensor["bias"])
+    bias = ", ".join(f"{1e6 * b:z.1f}" for b in result.sensor["bias"])
     return (
         f"{level}{result.status.capitalize()}{where}: {result.reason}\n"
         f"  first after {result.first_fix[1]:.1f} m; a pose for {result.share:.0%} of the time; bias {bias} uT"

@@ -13,7 +13,9 @@ from magmatch._version import __version__
 from magmatch.arguments import expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.fingerprint import describe_input
+from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
+from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
@@ -94,6 +96,10 @@ class Session:
             raise ValueError(msg)
         for survey in logs:
             require_survey(survey, name="log")
+            if not has_order(survey):
+                who = survey.name or "log"
+                msg = f"{who}: its samples follow no path, expected a walk by odometry; for rigid surveys use merge"
+                raise SurveyError(msg)
         given = [*self.given, *logs]
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         fixed = of_logs(listed, given, names_of(given))

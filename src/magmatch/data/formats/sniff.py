@@ -169,9 +169,8 @@ def _sniff_json(path: str | Path) -> FileKind:
     schema = content.get("schema") if isinstance(content, dict) else None
     if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):
         return "registration"
-    message = (
-        f"is JSON with schema {schema!r}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
-    )
+    found = f"with schema {schema!r}" if schema else "without a schema"
+    message = f"is JSON {found}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
     raise DataFormatError(path, message)
 
 
