@@ -23,7 +23,7 @@ from magmatch.localization.weigh_hypotheses import (
     stated,
     weigh,
 )
-from magmatch.registration.decide.decision import in_words
+from magmatch.registration.decide.decision import in_words, too_low
 from magmatch.registration.decide.estimate import worst_sd
 from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
 from magmatch.typing import Matrix
@@ -209,9 +209,8 @@ class Belief:
             return "the body has moved too little, or nothing in the map resembles its path"
         if found.best >= self._config.decision.min_probability:
             return "the place is found, but not to the required accuracy"
-        # Rounded down, so that what is refused does not read as what is needed.
         needed = self._config.decision.min_probability
-        said = f"the best pose has probability {np.floor(1e3 * found.best) / 1e3:.3g}, {needed:g} is needed"
+        said = f"the best pose has probability {too_low(found.best)}, {needed:g} is needed"
         if found.rivals > found.null:
             return f"{said}; others have {found.rivals:.2g} together"
         return f"{said}: the body is not in the map, or the field along its path has too little structure so far"

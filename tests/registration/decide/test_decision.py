@@ -182,7 +182,7 @@ def test_reasons_name_the_numbers_that_decided():
     assert "0.55 together" in ambiguous
     assert "12% of the target" in verdict_of(best=0.2, attainable=0.5 * NEEDED, overlap=0.123).reason
     faint = verdict_of(best=0.2, attainable=3.2, overlap=1.0).reason
-    assert f"would reach 3 nats, {NEEDED:.0f} are needed" in faint
+    assert f"would reach 3 nats, {np.ceil(NEEDED):.0f} are needed" in faint
     assert "would reach 0 nats" in verdict_of(best=0.2, attainable=-7.0, overlap=1.0).reason
 
 
@@ -192,7 +192,13 @@ def test_a_reason_says_how_likely_different_places_are():
     strained = verdict_of(best=0.2, log_evidence=90.0, misfit=9.0)
     assert strained.status is Status.INCONSISTENT
     assert "90 nats" not in strained.reason  # they count for less
-    assert f"{NEEDED:.0f} are needed" in strained.reason
+    assert f"{np.ceil(NEEDED):.0f} are needed" in strained.reason
+
+
+def test_what_does_not_suffice_does_not_read_as_if_it_did():
+    reason = verdict_of(best=0.9899, log_evidence=NEEDED - 0.1, attainable=2 * NEEDED).reason
+    assert "probability 0.989 (" in reason
+    assert f"({np.floor(NEEDED - 0.1):.0f} nats of evidence, {np.ceil(NEEDED):.0f} are needed)" in reason
 
 
 masses = st.lists(st.floats(0.001, 1), min_size=4, max_size=4).map(lambda m: [v / sum(m) for v in m])

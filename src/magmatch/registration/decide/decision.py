@@ -61,7 +61,7 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
     if posterior.rivals > posterior.null:
         return Verdict(
             Status.AMBIGUOUS,
-            f"the best pose has probability {posterior.best:.2g}, other poses {posterior.rivals:.2g} together "
+            f"the best pose has probability {too_low(posterior.best)}, other poses {posterior.rivals:.2g} together "
             "(see alternatives); survey more of the surroundings",
         )
     needed = needed_evidence(config.min_probability, best.kind, config.prior_odds)
@@ -75,14 +75,15 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
         return Verdict(
             Status.UNINFORMATIVE,
             f"the field that both surveys may share has too little structure: a perfect match would reach "
-            f"{max(best.attainable, 0):.0f} nats, {needed:.0f} are needed; survey a larger area or closer to iron",
+            f"{np.floor(max(best.attainable, 0)):.0f} nats, {np.ceil(needed):.0f} are needed; "
+            "survey a larger area or closer to iron",
         )
     effective = effective_evidence(best.log_evidence, best.misfit)
     likely = "probably different places" if posterior.null > 0.5 else "perhaps different places"
     return Verdict(
         Status.INCONSISTENT,
-        f"{likely}: the best pose has probability {posterior.best:.2g} ({effective:.0f} nats of evidence, "
-        f"{needed:.0f} are needed)",
+        f"{likely}: the best pose has probability {too_low(posterior.best)} ({np.floor(effective):.0f} nats of "
+        f"evidence, {np.ceil(needed):.0f} are needed)",
     )
 
 
@@ -111,6 +112,11 @@ def in_words(probability: float) -> str:
     if probability > 1 - 1e-6:
         return "above 0.999999"
     return f"{probability:.{int(np.clip(np.ceil(-np.log10(1 - probability)), 2, 6))}f}"
+
+
+def too_low(probability: float) -> str:
+    """A probability that does not suffice, rounded down, so that it never reads as if it did."""
+    return f"{np.floor(1e3 * probability) / 1e3:.3f}" if probability > 0.9 else f"{probability:.2g}"
 
 
 def _lead(posterior: Posterior[Hypothesis]) -> str:
