@@ -24,7 +24,7 @@ from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import forget_closures, solve
-from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.graph.trajectories import moved
 from magmatch.slam.loop_closure import residuals
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame_odds import log_odds_shared
@@ -46,7 +46,7 @@ from magmatch.slam.tie import (
 )
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.threads import one_blas_thread, side_by_side
-from magmatch.typing import Indices, Matrix, Scalars, Vector3
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -166,15 +166,17 @@ class Places:
         self.graph.closures += closures
         solve(self.graph)
         near = [self.at(w, nodes) for w in windows]
-        known = np.concatenate([
-            corrected(p, self.graph).positions[np.isin(p.nodes, nodes)[p.number]] for p in self.paths
-        ])  # fmt: skip
+        known = np.concatenate([self._moved(path, np.isin(path.nodes, nodes)[path.number]) for path in self.paths])
         odds = log_odds_shared(windows, known, near, log_prior, self.graph)
         log.info("windows %d to %d on known path: log odds %.1f", windows[0].node, windows[-1].node, odds)
         if odds >= SURE_ODDS:
             return near
         self.graph = before
         return None
+
+    def _moved(self, path: Path, rows: Mask) -> Points:
+        """Some samples' positions, as the graph has them."""
+        return moved(path, self.graph, path.walked[rows], path.survey.positions[rows])
 
     def near(self, window: Window) -> list[Candidate]:
         """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""

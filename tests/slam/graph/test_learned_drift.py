@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 from magmatch.data.survey import Survey
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.graph.factors import Closure, Edges
+from magmatch.slam.graph.factors import Closure, Edges, Ties
 from magmatch.slam.graph.learned_drift import learned_drift, log_evidence
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -30,7 +30,7 @@ def test_evidence_of_a_step_that_a_closure_measures_is_that_of_both_errors_toget
         graph = PoseGraph(config, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), np.zeros(2, np.int64), edges)
         T = RigidTransform.from_components(off[3:], Rotation.from_rotvec(off[:3]))
         graph.closures = [Closure(0, 1, T, C, 10.0)]
-        given.append(log_evidence(graph))
+        given.append(log_evidence(graph, Ties.of(graph.closures)))
         expected.append(multivariate_normal.logpdf(off, cov=Q + C))
     # Constants do not matter.
     np.testing.assert_allclose(np.diff(given), np.diff(expected), atol=0.02)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Factors between nodes: odometry between neighbours, closures, fixed points."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -14,7 +16,7 @@ N_LASTING = 2
 MOST_ODDS = 12.0
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Edges:
     """Odometry between neighbouring nodes: shift (e, 3), covariance (e, 6, 6), lasting errors (e, 6, 2), log (e,)."""
 
@@ -30,6 +32,11 @@ class Edges:
         """Without any."""
         nodes = np.zeros(0, np.int64)
         return cls(nodes, nodes, np.zeros((0, 3)), np.zeros((0, 6, 6)), np.zeros((0, 6, N_LASTING)), nodes)
+
+    @cached_property
+    def information(self) -> Tensors:
+        """Inverse of each covariance: (e, 6, 6)."""
+        return np.linalg.inv(self.covariance)
 
     def with_more(self, more: "Edges") -> "Edges":
         """These, then others."""
@@ -65,3 +72,25 @@ class Closure:
     def is_kept(self) -> bool:
         """Whether the graph keeps it, which is also required to connect two logs."""
         return self.weight > 0.5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ties:
+    """What closures measure, as arrays."""
+
+    first: Indices  # (c,): nodes
+    second: Indices
+    R: Tensors  # (c, 3, 3), and t (c, 3), m: of the second node in the first's axes
+    t: Points
+    information: Tensors  # (c, 6, 6): rotation in the second node's axes, translation in the first's
+
+    @classmethod
+    def of(cls, closures: Sequence[Closure]) -> "Ties":
+        """Of some closures, whatever their weights."""
+        Z = np.array([c.T_first_second.as_matrix() for c in closures]).reshape(-1, 4, 4)
+        R, C = Z[:, :3, :3], np.array([c.covariance for c in closures]).reshape(-1, 6, 6)
+        # A closure's covariance is stated in the second node's axes.
+        turn = np.zeros((len(Z), 6, 6))
+        turn[:, :3, :3], turn[:, 3:, 3:] = np.eye(3), R
+        first, second = (np.array([getattr(c, name) for c in closures], np.int64) for name in ("first", "second"))
+        return cls(first, second, R, Z[:, :3, 3], np.linalg.inv(turn @ C @ np.swapaxes(turn, 1, 2)))

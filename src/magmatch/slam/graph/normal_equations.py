@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.geometry import skew
 from magmatch.slam.graph.block_cholesky import SIDE, sum_of_blocks
-from magmatch.slam.graph.factors import N_LASTING
+from magmatch.slam.graph.factors import N_LASTING, Ties
 from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
@@ -21,10 +21,13 @@ LEAST_LASTING = 1e-9
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
-    """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2."""
+def normal_equations(graph: PoseGraph, ties: Ties) -> tuple[bsr_array, np.ndarray, float]:
+    """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2.
+
+    ``ties`` are those of the graph's closures.
+    """
     n = len(graph.p) + len(graph.lasting)
-    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph)]
+    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph, ties)]
     rows, columns, values, v, chi2 = [], [], [], np.zeros((n, SIDE)), 0.0
     for blocks, J, P, r in parts:
         e, k = blocks.shape
@@ -54,17 +57,18 @@ def _odometry(graph: PoseGraph) -> list[Part]:
     r[:, 3:] -= e.shift + turned[:, 3:]
     unused = np.zeros((len(e.first), SIDE, SIDE - N_LASTING))
     J = np.concatenate([Ji, Jj, of_scale, -e.lasting[:, :, 1:], unused], axis=2)
-    return [(np.column_stack([e.first, e.second, len(graph.p) + e.log]), J, np.linalg.inv(e.covariance), r)]
+    return [(np.column_stack([e.first, e.second, len(graph.p) + e.log]), J, e.information, r)]
 
 
-def _closures(graph: PoseGraph) -> list[Part]:
+def _closures(graph: PoseGraph, ties: Ties) -> list[Part]:
     if not graph.closures:
         return []
-    i, j, r, Ji, Jj, P = closure_rows(graph)
+    r, Ji, Jj = residual_between(graph, ties.first, ties.second, ties.R, ties.t)
     # What ties two components no more pulls at neither.
     component = graph.component()
-    weight = counted(graph) * (component[i] == component[j])
-    return [(np.column_stack([i, j]), np.concatenate([Ji, Jj], axis=2), P * weight[:, None, None], r)]
+    weight = counted(graph) * (component[ties.first] == component[ties.second])
+    P = ties.information * weight[:, None, None]
+    return [(np.column_stack([ties.first, ties.second]), np.concatenate([Ji, Jj], axis=2), P, r)]
 
 
 def _scale_held(graph: PoseGraph) -> list[Part]:
@@ -135,19 +139,6 @@ def _alone(graph: PoseGraph) -> list[Part]:
     errors = np.concatenate([graph.lasting, np.zeros((k, SIDE - N_LASTING))], axis=1)
     found.append((n + np.arange(k)[:, None], _alike(np.eye(SIDE), k), np.diag(sd**-2), errors))
     return found
-
-
-def closure_rows(graph: PoseGraph) -> tuple[np.ndarray, ...]:
-    """Of each closure its nodes, residual, slopes with both, and information."""
-    i, j = (np.array([getattr(c, name) for c in graph.closures]) for name in ("first", "second"))
-    Z = [c.T_first_second.as_matrix() for c in graph.closures]
-    R, t = np.stack([z[:3, :3] for z in Z]), np.stack([z[:3, 3] for z in Z])
-    r, Ji, Jj = residual_between(graph, i, j, R, t)
-    # Their covariance is stated in the second node's axes.
-    turn = np.zeros((len(i), 6, 6))
-    turn[:, :3, :3], turn[:, 3:, 3:] = np.eye(3), R
-    C = np.stack([c.covariance for c in graph.closures])
-    return i, j, r, Ji, Jj, np.linalg.inv(turn @ C @ np.swapaxes(turn, 1, 2))
 
 
 def residual_between(

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.slam.graph.factors import MOST_ODDS, N_LASTING
-from magmatch.slam.graph.normal_equations import closure_rows, normal_equations
+from magmatch.slam.graph.factors import MOST_ODDS, N_LASTING, Ties
+from magmatch.slam.graph.normal_equations import normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 
 # Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
@@ -23,9 +23,9 @@ MOST_TURN = 0.3
 def solve(graph: PoseGraph) -> None:
     """Most likely poses; closures that the rest contradicts lose their weight."""
     _bring_to_fixed(graph)
-    is_doubted = not graph.closures
+    is_doubted, ties = not graph.closures, Ties.of(graph.closures)
     for _ in range(MOST_STEPS):
-        H, v, _ = normal_equations(graph)
+        H, v, _ = normal_equations(graph, ties)
         xi = -graph.factor(H).solve(v[None])[0]
         n = len(graph.p)
         xi *= min(1.0, MOST_TURN / max(np.abs(xi[:n, :3]).max(), 1e-300))
@@ -38,7 +38,7 @@ def solve(graph: PoseGraph) -> None:
             break
         # Of poses that still move, a contradiction may disappear.
         if moved < NEAR:
-            _doubt(graph)
+            _doubt(graph, ties)
             is_doubted = True
     _bring_home(graph)
 
@@ -74,12 +74,12 @@ def _bring_to_fixed(graph: PoseGraph) -> None:
         graph.level[mine] = graph.start[mine, 2] + np.mean(graph.p[mine, 2] - graph.start[mine, 2])
 
 
-def _doubt(graph: PoseGraph) -> None:
+def _doubt(graph: PoseGraph, ties: Ties) -> None:
     """Weigh closures by how likely they are right, now that all poses are known."""
     if not graph.closures:
         return
-    _, _, r, _, _, P = closure_rows(graph)
-    chi2 = np.einsum("ei,eij,ej->e", r, P, r)
+    r = residual_between(graph, ties.first, ties.second, ties.R, ties.t)[0]
+    chi2 = np.einsum("ei,eij,ej->e", r, ties.information, r)
     for k, c in enumerate(graph.closures):
         odds = min(c.log_odds, MOST_ODDS) - 0.5 * max(chi2[k] - 6.0, 0.0)
         graph.closures[k] = replace(c, weight=float(1 / (1 + np.exp(-np.clip(odds, -60, 60)))))

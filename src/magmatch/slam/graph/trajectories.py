@@ -16,7 +16,7 @@ from magmatch.typing import Indices, Points, Scalars
 def corrected(path: Path, graph: PoseGraph) -> Survey:
     """A log's samples in the frame of its component: positions, field and orientations."""
     survey = path.survey
-    positions, turned = _moved(path, graph, path.walked, survey.positions)
+    positions, turned = moved(path, graph, path.walked, survey.positions), _turned(path, graph, path.walked)
     return replace(
         survey,
         positions=positions,
@@ -35,18 +35,24 @@ def corrected_poses(path: Path, graph: PoseGraph, poses: Trajectory | None) -> T
             return None
         poses = Trajectory(survey.times, survey.positions, survey.orientations)
     walked = np.interp(poses.times, survey.times, path.walked)
-    positions, turned = _moved(path, graph, walked, poses.positions)
-    return Trajectory(poses.times, positions, turned * poses.orientations)
+    turned = _turned(path, graph, walked)
+    return Trajectory(poses.times, moved(path, graph, walked, poses.positions), turned * poses.orientations)
 
 
-def _moved(path: Path, graph: PoseGraph, walked: Scalars, x: Points) -> tuple[Points, Rotation]:
-    """Points of the odometry's frame and how its axes turn, after so much of the path."""
+def moved(path: Path, graph: PoseGraph, walked: Scalars, x: Points) -> Points:
+    """Points of the odometry's frame after so much of the path, in the component's frame."""
     R, p, c = graph.R[path.nodes], graph.p[path.nodes], path.centers
     one, other, share = around(path, walked)
     a, b = (p[k] + np.einsum("nij,nj->ni", R[k], x - c[k]) for k in (one, other))
+    return np.asarray(a + share[:, None] * (b - a))
+
+
+def _turned(path: Path, graph: PoseGraph, walked: Scalars) -> Rotation:
+    """How odometry's axes turn after so much of the path."""
+    R = graph.R[path.nodes]
+    one, other, share = around(path, walked)
     between = Rotation.from_matrix(R[one]).inv() * Rotation.from_matrix(R[other])
-    turned = Rotation.from_matrix(R[one]) * Rotation.from_rotvec(between.as_rotvec() * share[:, None])
-    return a + share[:, None] * (b - a), turned
+    return Rotation.from_matrix(R[one]) * Rotation.from_rotvec(between.as_rotvec() * share[:, None])
 
 
 def around(path: Path, walked: Scalars) -> tuple[Indices, Indices, Scalars]:
