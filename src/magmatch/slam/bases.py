@@ -25,7 +25,7 @@ from magmatch.typing import Indices, Points
 # Posterior samples that give a base's spread.
 N_DRAWS = 6
 # Stretches kept in memory as bases, at about a megabyte each.
-MOST_BASES = 1024
+MOST_BASES = 2048
 # Held by the thread that changes what is kept: stretches are made in parallel.
 _keeping = Lock()
 
