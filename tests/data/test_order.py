@@ -26,11 +26,23 @@ def test_a_path_without_times_has_a_length(lanes):
     assert describe(survey(lanes))["path_length"] == pytest.approx(20 * 5 + 19 * 0.25)
 
 
+def test_a_loop_walked_again_on_its_own_track_is_a_path():
+    s = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    loop = 4 * np.column_stack([np.cos(s), np.sin(s), 0 * s])
+    assert has_order(survey(np.concatenate([loop, loop + [0.01, 0, 0], loop - [0.01, 0, 0]])))
+
+
 def test_samples_in_no_order_have_none(lanes):
     shuffled = survey(np.random.default_rng(1).permutation(lanes))
     assert not has_order(shuffled)
     facts = describe(shuffled)
     assert (facts["ordered"], facts["path_length"], facts["median_step"]) == (False, None, None)
+
+
+@pytest.mark.parametrize("size", [(6, 5, 1.4), (20, 0.1, 0.1), (30, 20, 0)])
+@pytest.mark.parametrize("n", [20, 2000])
+def test_points_at_random_in_a_volume_a_line_or_an_area_are_no_path(size, n):
+    assert not has_order(survey(np.random.default_rng(n).uniform(0, 1, (n, 3)) * size))
 
 
 def test_times_make_an_order(lanes):
