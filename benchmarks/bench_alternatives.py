@@ -17,6 +17,11 @@ import numpy as np
 
 from magmatch_evaluation.script import arguments, timed
 
+# For SuperLU: a symmetric positive definite matrix.
+SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True},
+}  # fmt: skip
+
 
 def seconds(run: Callable[[], Any], repeats: int = 3) -> float:
     """Least processor time of some runs."""
@@ -119,11 +124,10 @@ def cholesky(side: float) -> None:
     sparse = coo_array((entries, (rows, columns)), shape=(m + 3, m + 3)).tocsc()
     factor = factorise(model.elimination, A)
     selected_inverse(factor)
-    options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    theirs = splu(sparse, **options)
+    theirs = splu(sparse, **SYMMETRIC)
     difference = np.abs(factor.solve(information.eta) - theirs.solve(information.eta)).max()
     scale = np.abs(factor.solve(information.eta)).max()
-    ours, lu = seconds(lambda: factorise(model.elimination, A)), seconds(lambda: splu(sparse, **options), 1)
+    ours, lu = seconds(lambda: factorise(model.elimination, A)), seconds(lambda: splu(sparse, **SYMMETRIC), 1)
     print(f"Cholesky, {m + 3} unknowns, {sparse.nnz} entries: ours {ours:.2f} s, {factor.n_bytes / 1e6:.0f} MB; "
           f"SuperLU {lu:.2f} s, {(theirs.L.nnz + theirs.U.nnz) * 12 / 1e6:.0f} MB; "
           f"solutions differ by {difference / scale:.1e}")  # fmt: skip
@@ -155,11 +159,10 @@ def pose_graph(n: int) -> None:
         blocks += [J[0].T @ J[0], J[1].T @ J[0], J[1].T @ J[1]]
     A = sum_of_blocks(np.array(rows), np.array(columns), np.array(blocks), n)
     whole = csc_array(tril(A) + tril(A, -1).T)
-    options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    factor, theirs, unit = BlockCholesky.of(A), splu(whole, **options), np.eye(6 * n)[:, :6]
+    factor, theirs, unit = BlockCholesky.of(A), splu(whole, **SYMMETRIC), np.eye(6 * n)[:, :6]
     factor.inverse_blocks()
     print(f"Pose graph, {n} nodes, {len(pairs)} ties: ours {seconds(lambda: BlockCholesky.of(A)):.3f} s, "
-          f"SuperLU {seconds(lambda: splu(whole, **options)):.3f} s; all covariances: ours "
+          f"SuperLU {seconds(lambda: splu(whole, **SYMMETRIC)):.3f} s; all covariances: ours "
           f"{seconds(factor.inverse_blocks):.3f} s (selected inverse), "
           f"SuperLU {n * seconds(lambda: theirs.solve(unit)):.0f} s ({n} solves)")  # fmt: skip
 

@@ -20,9 +20,10 @@ def glossary(
     """Explain the terms in messages and reports."""
     from magmatch.glossary import terms
 
-    found = {name: said for name, said in terms().items() if name.lower().startswith((term or "").lower())}
+    wanted = (term or "").lower()
+    found = {name: said for name, said in terms().items() if name.lower().startswith(wanted)}
     if not found:
-        near = get_close_matches((term or "").lower(), [name.lower() for name in terms()], n=1)
+        near = get_close_matches(wanted, [name.lower() for name in terms()], n=1)
         advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(terms())}"
         msg = f"no term '{term}'; {advice}"
         raise ConfigurationError(msg)
