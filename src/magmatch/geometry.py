@@ -4,6 +4,8 @@
 ``T_base_target`` takes target coordinates to base coordinates. Tangent vectors are rotation first.
 """
 
+from functools import reduce
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -145,6 +147,11 @@ def transform_from_product(matrix: Matrix) -> RigidTransform:
     """Rigid motion whose matrix is a product of such matrices: brought to the nearest once rounding has added up."""
     error = np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max()
     return RigidTransform(matrix, normalize=bool(error > ORTHONORMAL_TO_ROUNDING))
+
+
+def product(*transforms: RigidTransform) -> RigidTransform:
+    """Product of transforms by their matrices: ``A * B`` goes by quaternions, which takes half a millisecond."""
+    return transform_from_product(reduce(np.matmul, [T.as_matrix() for T in transforms]))
 
 
 def unit_vectors(vectors: Vectors) -> Vectors:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.loop_closure import Rough, matches
+from magmatch.slam.loop_closure import SAME_SHIFT, Rough, matches
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
 
@@ -43,7 +43,7 @@ def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_wha
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.3, 0.3, 0.05]) ** 2)
     found = matches(bent(window, seed), places.stretch(closure.first), rough)[0]
     off = found.T_base_log.apply(window.center) - T.apply(window.center)
-    assert np.linalg.norm(off[:2]) < 0.25 * window.length
+    assert np.linalg.norm(off[:2]) < SAME_SHIFT * window.length
     assert found.log_odds > 5
 
 

@@ -20,8 +20,10 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.windows import Path
-from magmatch.typing import Indices, Points
+from magmatch.typing import Indices, Points, Vector3
 
+# Windows that a stretch is made for. It holds one more on either side, so that a window beside them lies inside.
+TOGETHER = 2
 # Posterior samples that give a base's spread.
 N_DRAWS = 6
 # Stretches kept in memory as bases, at about a megabyte each.
@@ -47,6 +49,10 @@ class Base:
         """Nodes whose windows lie nearest to some points (k, 3) of the base's frame: (k,)."""
         return np.asarray(self.node[cdist(points, self.survey.positions).argmin(axis=1)])
 
+    def is_near(self, point: Vector3, nodes: Indices) -> bool:
+        """Whether one of some nodes is the one whose window lies nearest to a point."""
+        return bool(np.isin(self.nodes_near(point[None]), nodes)[0])
+
 
 @dataclass(eq=False, slots=True)
 class BaseMaker:
@@ -62,11 +68,12 @@ class BaseMaker:
     _whole: dict[int, tuple[int, Base]] = field(default_factory=dict, init=False)
 
     def stretch(self, path: Path, node: int) -> Base:
-        """A window and its neighbours, odometry's frame."""
+        """The stretch that was made for a node's window and others, with one more on either side, odometry's frame."""
+        node -= (node - path.first_node) % TOGETHER
         with _keeping:
             base = self._made.pop(node, None)
         if base is None:
-            first, last = np.searchsorted(path.number, np.array([node - 1, node + 2]) - path.first_node)
+            first, last = np.searchsorted(path.number, np.array([node - 1, node + TOGETHER + 1]) - path.first_node)
             rows = np.arange(first, last)
             base = self.make(path.survey.subset(rows), path.nodes[path.number[rows]])
         with _keeping:
@@ -78,7 +85,8 @@ class BaseMaker:
         return base
 
     def table(self, path: Path, node: int) -> PairTable:
-        """Pairs of points of a stretch."""
+        """Pairs of points of the stretch of a node."""
+        node -= (node - path.first_node) % TOGETHER
         if node not in self._tables:
             self.stretch(path, node)
         return self._tables[node]

@@ -3,18 +3,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import adjoint
+from magmatch.geometry import adjoint, product
 from magmatch.registration.decide.posterior import distinct, log_odds
 from magmatch.registration.prepared.hypotheses import pose_inaccuracy
-from magmatch.registration.prepared.path_noise import Stretch
+from magmatch.registration.prepared.path_noise import PathNoise, Stretch
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
+from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.slam.bases import Base
 from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
@@ -43,6 +46,11 @@ class Rough:
         C = self.covariance + NODE_COVARIANCE
         return np.sqrt([np.linalg.eigvalsh(C[k : k + 3, k : k + 3])[-1] for k in (0, 3)])
 
+    def is_narrow(self, length: float) -> bool:
+        """Whether it is known as well as poses are told apart, so that to refine it is enough."""
+        turn, shift = self.largest_sds
+        return bool(turn < SAME_TURN and shift < SAME_SHIFT * length)
+
 
 # From nowhere it is the volume of all that is searched, m^3.
 Expected = Rough | float
@@ -68,30 +76,30 @@ def matches(
     base: Base,
     expected: Expected,
     known: Sequence[RigidTransform] | None = None,
-    node: int | None = None,
+    nodes: Indices | None = None,
 ) -> list[Match]:
     """Poses of a window in a base, most likely first.
 
     They are refined from poses that are known, where the base was searched before, else from those of a search; and
-    from the predicted pose. With a node, only from those that lie in its window.
+    from the predicted pose. With some nodes, only from those that lie in their windows.
     """
     index, walk, config = base.index, window.walk, window.config
     prior = _prior(window, base, expected)
     T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
-    T_walk_node = T_walk.inv() * window.T_log_node
+    T_walk_node = product(T_walk.inv(), window.T_log_node)
     if known is None:
         proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
         starts = list(proposed.poses)
     else:
-        starts = [T for T in (T_base.inv() * T * T_walk for T in known) if _is_expected(T, window, prior)]
+        starts = [T for T in (product(T_base.inv(), T, T_walk) for T in known) if _is_expected(T, window, prior)]
     starts += [] if prior.T_base_target is None else [prior.T_base_target]
-    if node is not None and starts:
+    if nodes is not None and starts:
         at = np.array([T.apply(T_walk_node.translation) for T in starts])
-        is_here = base.nodes_near(T_base.apply(at)) == node
+        is_here = np.isin(base.nodes_near(T_base.apply(at)), nodes)
         starts = [starts[k] for k in np.flatnonzero(is_here)]
-    around = window.around if isinstance(expected, Rough) else None
+    null = _unrelated(window, index.noise, is_predicted=isinstance(expected, Rough)) if starts else None
     weighed = weigh_walk(
-        index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, around
+        index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, null
     )
     M = adjoint(window.T_middle_node.inv())
     # Gravity and the floor hold each window by itself.
@@ -100,13 +108,13 @@ def matches(
     same = SAME_SHIFT * index.length, SAME_TURN
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
-        T = T_base * e.T_base_target * T_walk.inv()
+        T = product(T_base, e.T_base_target, T_walk.inv())
         odds = log_odds(e.log_evidence, e.misfit, "window")
         densest, less = _prior_at(window, T, prior, expected)
         # What the prior costs counts by the same law as the field, so that giving it back adds no more than it took.
         gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
-        T_node_alone = (e.T_base_target * T_walk_node).inv() * T_alone * T_walk_node
+        T_node_alone = product(T_walk_node.inv(), e.T_base_target.inv(), T_alone, T_walk_node)
         found.append(
             Match(
                 T,
@@ -143,11 +151,19 @@ def _prior_at(
         turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
         height = prior.height_range if prior.height is not None else 1.0
         return float(np.log(height / (expected * turns)) - prior.log_share_inside), 0.0
-    off = (expected.T_base_log * window.T_log_node).inv() * T_base_log * window.T_log_node
+    T_log_node = window.T_log_node
+    off = product(T_log_node.inv(), expected.T_base_log.inv(), T_base_log, T_log_node)
     C = expected.covariance + NODE_COVARIANCE
     drifts = window.config.drifts
     densest = float(log_density(RigidTransform.identity(), C, drifts))
     return densest, densest - float(log_density(off, C, drifts))
+
+
+@lru_cache(maxsize=1)
+def _unrelated(window: Window, noise: PathNoise, *, is_predicted: bool) -> UnrelatedWalk:
+    """The null model of a window: kept while one stretch after the other is compared with it."""
+    x, around = window.walk.positions, window.around if is_predicted else None
+    return UnrelatedWalk.most_likely(window.walk, cdist(x, x), noise, window.length, around)
 
 
 def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
@@ -183,5 +199,5 @@ def _prior(window: Window, base: Base, expected: Expected) -> PosePrior:
         return inside_base(prior, base.index.base, window.walk, base.index.length, config.evidence)
     M = adjoint(window.T_middle_node)
     C = M @ (expected.covariance + NODE_COVARIANCE) @ M.T
-    T = T_base.inv() * expected.T_base_log * T_walk
+    T = product(T_base.inv(), expected.T_base_log, T_walk)
     return replace(prior, T_base_target=T, covariance=C, far2=REACH**2)

@@ -16,7 +16,7 @@ from magmatch.progress import counted, tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
-from magmatch.slam.bases import Base, BaseMaker
+from magmatch.slam.bases import TOGETHER, Base, BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.factors import Closure
@@ -187,13 +187,15 @@ class Places:
     def at(self, window: Window, nodes: Indices) -> list[Candidate]:
         """Where a window may lie near some nodes, of those before it, as the graph predicts."""
         nodes = nearby(window, nodes, self.graph)
-        if len(nodes) > MAX_SHORTLIST:
-            nodes = nodes[shortlist(self.votes(window, nodes.tolist()))]
-        expected = expected_beside(window, nodes, self.graph)
+        stretches = self.stretches(nodes, window)
+        if len(stretches) > MAX_SHORTLIST:
+            listed = list(stretches)
+            stretches = {listed[k]: stretches[listed[k]] for k in shortlist(self.votes(window, listed))}
+        expected = expected_beside(window, np.array(list(stretches), np.int64), self.graph)
         known = self.searched.setdefault(window.node, {})
         before = {a: known[a] for a, rough in expected.items() if a in known and known[a].holds(rough, window)}
         standing = {a for a, searched in before.items() if searched.stands(expected[a], window)}
-        found = self._step(lambda: near_candidates(window, expected, before, standing, self.graph, self.stretch))
+        found = self._step(lambda: near_candidates(window, stretches, expected, before, standing, self.graph, self.stretch))
         for a, rough in expected.items():
             here = [c for c in found if c.node == a]
             if a not in before:
@@ -201,6 +203,13 @@ class Places:
             elif a not in standing:
                 known[a] = replace(before[a], weighed=rough, found=here)
         return found
+
+    def stretches(self, nodes: Indices, window: Window) -> dict[int, Indices]:
+        """Nodes by the stretch that was made for them, which the first of these names, if it ends before a window."""
+        logs = self.graph.log[nodes]
+        firsts = nodes - (nodes - np.array([path.first_node for path in self.paths])[logs]) % TOGETHER
+        ends_before = (logs != window.log) | (firsts + TOGETHER < window.node)
+        return {a: nodes[firsts == a] for a in np.unique(firsts[ends_before]).tolist()}
 
     def votes(self, window: Window, nodes: list[int]) -> Scalars:
         """Share of a window's pairs of points that agree on one pose on the stretch about each of some nodes."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import is_one_pose, transform_from_matrix, transform_of
+from magmatch.geometry import is_one_pose, product, transform_from_matrix, transform_of
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.bases import Base
 from magmatch.slam.chain import Placed, smooth
@@ -106,7 +106,8 @@ class Searched:
 
 def _moved(before: Rough, now: Rough, window: Window) -> Scalars:
     """By how much the expected pose of a window's node has moved: rotation vector and shift."""
-    off = (before.T_base_log * window.T_log_node).inv() * now.T_base_log * window.T_log_node
+    T_log_node = window.T_log_node
+    off = product(T_log_node.inv(), before.T_base_log.inv(), now.T_base_log, T_log_node)
     return np.concatenate([off.rotation.as_rotvec(), off.translation])
 
 
@@ -131,7 +132,7 @@ def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
 
 
 def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:
-    """Where the graph expects a window on the stretch about each of some nodes."""
+    """Where the graph expects a window, as each of some nodes has it."""
     b, found = window.node, {}
     for a, C in zip(nodes.tolist(), graph.relative_covariances(nodes, b), strict=True):
         R = graph.R[a].T @ graph.R[b]
@@ -142,22 +143,28 @@ def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[in
 
 def near_candidates(
     window: Window,
+    nodes: dict[int, Indices],
     expected: dict[int, Rough],
     searched: dict[int, Searched],
     standing: Collection[int],
     graph: PoseGraph,
     stretch: Callable[[int], Base],
 ) -> list[Candidate]:
-    """Where a window may lie on stretches about other nodes; ``stretch`` gives the base about one.
+    """Where a window may lie near some nodes of each of some stretches; ``stretch`` gives the base.
 
-    What was searched before is not searched again, and on stretches where that is still ``standing`` not weighed.
+    What was searched before, or is known well, is not searched again, and where what was found is still ``standing`` it
+    is not weighed either.
     """
 
     def look(a: int) -> list[Candidate]:
         if a in standing:
             return searched[a].found
-        known = [c.match.T_base_log for c in searched[a].found] if a in searched else None
-        return _candidates(window, stretch(a), expected[a], graph.center, known, a)
+        base, rough, known = stretch(a), expected[a], None
+        if a in searched or rough.is_narrow(window.length):
+            known = [c.match.T_base_log for c in searched[a].found] if a in searched else []
+            if not known and not base.is_near(rough.T_base_log.apply(window.center), nodes[a]):
+                return []
+        return _candidates(window, base, rough, graph.center, known, nodes[a])
 
     found: list[Candidate] = []
     for some in side_by_side(look, expected):
@@ -172,7 +179,7 @@ def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> boo
     """Whether two candidates are one pose beside one pass, which neighbouring stretches led to."""
     if not graph.is_one_pass(c.node, k.node):
         return False
-    T_c, T_k = (graph.center(one.node) * one.T_node_window for one in (c, k))
+    T_c, T_k = (product(graph.center(one.node), one.T_node_window) for one in (c, k))
     return is_one_pose(T_c, T_k, np.zeros(3), (SAME_SHIFT * length, SAME_TURN))
 
 
@@ -190,14 +197,14 @@ def _candidates(
     expected: Expected,
     T_base_node: Callable[[int], RigidTransform],
     known: Sequence[RigidTransform] | None = None,
-    middle: int | None = None,
+    middle: Indices | None = None,
 ) -> list[Candidate]:
     found = matches(window, base, expected, known, middle)
     if not found:
         return []
     nodes = base.nodes_near(np.array([match.T_base_log.apply(window.center) for match in found]))
     return [
-        Candidate(node, T_base_node(node).inv() * match.T_base_log * window.T_log_node, match)
+        Candidate(node, product(T_base_node(node).inv(), match.T_base_log, window.T_log_node), match)
         for node, match in zip(nodes.tolist(), found, strict=True)
     ]
 
@@ -215,7 +222,7 @@ def tie(
     candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
     placed = [
         [
-            Placed(graph.pose(c.node) * c.T_node_window, c.match.covariance, c.match.log_odds, c.match.log_prior)
+            Placed(product(graph.pose(c.node), c.T_node_window), c.match.covariance, c.match.log_odds, c.match.log_prior)
             for c in found
         ]
         for found in candidates
@@ -252,7 +259,7 @@ def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfi
     off_level = np.diag(np.diag(NODE_COVARIANCE))
     off_level[config.drifts, config.drifts] = 0.0
     covariance = c.match.covariance_alone + covariance_beside(path, c.node, c.T_node_window, config) + 2 * off_level
-    return Closure(c.node, node, c.T_node_window * c.match.T_node_alone, covariance, odds, common=COMMON)
+    return Closure(c.node, node, product(c.T_node_window, c.match.T_node_alone), covariance, odds, common=COMMON)
 
 
 def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indices:

@@ -14,7 +14,7 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from magmatch.geometry import perturbation, rotation_matrix, skew
+from magmatch.geometry import perturbation, product, rotation_matrix, skew
 from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
@@ -139,7 +139,7 @@ class PosePrior:
         A, v, _ = self.rows(T, center)
         alone = np.linalg.inv(np.linalg.inv(covariance) - A)
         alone = (alone + alone.T) / 2
-        return T * perturbation(alone @ v, center), alone
+        return product(T, perturbation(alone @ v, center)), alone
 
     def rows(self, T: RigidTransform, center: Vector3) -> tuple[Matrix, np.ndarray, float]:
         """Information of the prior on the perturbation ``T Exp(xi)`` about a centre (m), the middle of the target.
@@ -216,7 +216,7 @@ class PosePrior:
         power, axes = np.linalg.eigh(self.covariance)
         xi = rng.standard_normal((n, 6)) * np.sqrt(np.maximum(power, 0.0)) @ axes.T
         xi[:1] = 0.0
-        R = (self.T_base_target.rotation * Rotation.from_rotvec(xi[:, :3])).as_matrix()
+        R = rotation_matrix(self.T_base_target) @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
         return R, self.T_base_target.apply(center + xi[:, 3:])
 
     def _n_drawn(self, slack: tuple[float, float]) -> int:
@@ -228,16 +228,30 @@ class PosePrior:
         places = len(power) * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
-    def narrow(
-        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
-    ) -> Hypotheses:
-        """Remove hypotheses that the prior rules out, and add poses about a rough one, at the same anchors.
+    def admitted(self, poses: Hypotheses, center: Vector3, slack: tuple[float, float]) -> Hypotheses:
+        """Hypotheses without those that the prior rules out.
 
         ``slack`` (rad, m): standard deviations of the poses themselves.
         """
         if self.is_flat:
             return poses
-        kept = poses.subset(np.flatnonzero(self.admits(poses.rotations, poses.carry(center), center, slack)))
+        return poses.subset(np.flatnonzero(self.admits(poses.rotations, poses.carry(center), center, slack)))
+
+    def covering(self, center: Vector3, slack: tuple[float, float], rng: np.random.Generator) -> Hypotheses | None:
+        """Hypotheses that cover a rough pose's spread as densely as a search resolves; None if that takes too many."""
+        n = self._n_drawn(slack)
+        if not 0 < n < MOST_DRAWN:
+            return None
+        R, moved = self.draw(n, center, rng)
+        return Hypotheses(R, moved, np.zeros(n, dtype=np.int64), center[None])
+
+    def narrow(
+        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
+    ) -> Hypotheses:
+        """`admitted` hypotheses, and poses about a rough one, at the same anchors."""
+        if self.is_flat:
+            return poses
+        kept = self.admitted(poses, center, slack)
         drawn, moved = self.draw(self._n_drawn(slack), center, rng)
         rows = np.arange(len(drawn), dtype=np.int64) % len(poses.anchors_target)
         anchors = moved + np.einsum("nij,nj->ni", drawn, poses.anchors_target[rows] - center)
@@ -262,10 +276,10 @@ def pose_prior(
     height = float(T_target_model.translation[2] - T_base_model.translation[2]) if config.is_planar else None
     return PosePrior(
         volume=volume,
-        T_base_target=None if T is None else T_base_model.inv() * T * T_target_model,
+        T_base_target=None if T is None else product(T_base_model.inv(), T, T_target_model),
         covariance=None if T is None else np.diag(np.repeat([config.sd_rotation**2, config.sd_translation**2], 3)),
-        up_base=T_base_model.rotation.inv().apply(UP) if is_aligned else None,
-        up_target=T_target_model.rotation.inv().apply(UP) if is_aligned else None,
+        up_base=UP @ rotation_matrix(T_base_model) if is_aligned else None,
+        up_target=UP @ rotation_matrix(T_target_model) if is_aligned else None,
         gravity_sd=config.gravity_sd,
         height=height,
         height_sd=config.height_sd,

@@ -76,21 +76,20 @@ def weigh_walk(
     prior: PosePrior,
     config: LineConfig,
     bending: np.ndarray | None = None,
-    around: tuple[Vector3, float] | None = None,
+    null: UnrelatedWalk | None = None,
 ) -> list[LineEvidence]:
     """Refine poses of a walk, from starts between its frame and the base's, and order them by evidence, best first.
 
     ``length``: the base's correlation length, m. ``bending`` (n, 6, m): how m independent errors of unit variance
     turn (rad) and shift (m) each bin of a walk whose shape is known by dead reckoning alone, about its own place,
-    walk's axes; takes the place of the noise's drift. ``around``: mean of the field wherever the walk may be (T),
-    walk's axes, and variance of a component about it (T^2): where the heading is known, Earth's field speaks for no
-    place. Without it, any mean is as likely.
+    walk's axes; takes the place of the noise's drift. ``null``: the walk's null model, if it is known already; else any
+    mean of its field is as likely.
     """
     if not starts or len(walk) < MIN_BINS:
         return []
     distance = cdist(walk.positions, walk.positions)
     squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
-    null = UnrelatedWalk.most_likely(walk, distance, noise, length, around)
+    null = null or UnrelatedWalk.most_likely(walk, distance, noise, length)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))

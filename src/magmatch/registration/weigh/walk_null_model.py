@@ -39,7 +39,11 @@ class UnrelatedWalk:
         length: float,
         around: tuple[Vector3, float] | None = None,
     ) -> "UnrelatedWalk":
-        """Try lengthscales and strengths: the most likely ones make its covariance, all of them its likelihood."""
+        """Try lengthscales and strengths: the most likely ones make its covariance, all of them its likelihood.
+
+        ``around``: mean of the field wherever the walk may be (T), walk's axes, and variance of a component about it
+        (T^2): where the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
+        """
         some = even_choice(len(walk), FEW_POINTS)
         d2 = distance[np.ix_(some, some)] ** 2
         spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
