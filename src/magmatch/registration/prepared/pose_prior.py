@@ -159,7 +159,7 @@ class PosePrior:
             r = (self.up_target - seen) / self.gravity_sd
             J = -skew(seen) / self.gravity_sd
             A[:, :3, :3] += np.swapaxes(J, 1, 2) @ J
-            v[:, :3] += np.einsum("hij,hi->hj", J, r)
+            v[:, :3] += (r[:, None] @ J)[:, 0]
             chi2 += (r**2).sum(axis=1)
             if self.height is not None:
                 off = (moved @ self.up_base - center @ self.up_target - self.height) / self.height_sd
@@ -168,18 +168,18 @@ class PosePrior:
                 v += slope * off[:, None]
                 chi2 += off**2
         if self.T_base_target is not None and self.covariance is not None:
-            R0, p0 = rotation_matrix(self.T_base_target), self.T_base_target.apply(center)
-            difference = R0.T @ R
+            R0 = rotation_matrix(self.T_base_target)
+            p0, difference = self.T_base_target.translation + R0 @ center, R0.T @ R
             turn = Rotation.from_matrix(difference, assume_valid=True).as_rotvec()
             J = np.zeros((h, 6, 6))
             # Of log(R Exp(theta)) to first order in the angle already there.
             J[:, :3, :3] = np.eye(3) + 0.5 * skew(turn)
             J[:, 3:, 3:] = difference
             r, P = np.concatenate([turn, (moved - p0) @ R0], axis=1), np.linalg.inv(self.covariance)
-            PJ = P @ J
-            A += np.swapaxes(J, 1, 2) @ PJ
-            v += np.einsum("hij,hi->hj", PJ, r)
-            chi2 += np.einsum("hi,ij,hj->h", r, P, r)
+            Pr = r @ P
+            A += np.swapaxes(J, 1, 2) @ P @ J
+            v += (Pr[:, None] @ J)[:, 0]
+            chi2 += (r * Pr).sum(axis=1)
         return A, v, chi2
 
     def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:

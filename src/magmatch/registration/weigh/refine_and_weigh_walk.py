@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
-from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -203,8 +202,8 @@ class _LeastSquares:
         def errors_after(xi: Matrix) -> Matrix:
             assert moved is not None
             left = z + np.einsum("hki,hi->hk", JW, xi)
-            fitted = np.stack([solve_triangular(a, r, lower=True, trans=1) for a, r in zip(L, left, strict=True)])
-            return np.asarray(np.einsum("hkm,hk->hm", moved.reshape(n_poses, 3 * n, -1), fitted))
+            fitted = np.linalg.solve(np.swapaxes(L, 1, 2), left[:, :, None])
+            return np.asarray((np.swapaxes(moved.reshape(n_poses, 3 * n, -1), 1, 2) @ fitted)[:, :, 0])
 
         fits = _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det)
         return fits, v, errors_after
@@ -305,7 +304,7 @@ def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix, Matrix]:
     n_alike = 3 * n // C.shape[1]
     flat = rows.reshape(h, C.shape[1], n_alike * k)
     L = np.linalg.cholesky(C)
-    white = np.stack([solve_triangular(a, b, lower=True, check_finite=False) for a, b in zip(L, flat, strict=True)])
+    white = np.linalg.solve(L, flat)
     half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
     return white.reshape(h, 3 * n, k), half_log_det, variance, np.asarray(L)

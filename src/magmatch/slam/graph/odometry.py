@@ -74,7 +74,7 @@ def covariance_beside(path: Path, node: int, T_node_other: RigidTransform, confi
     """
     k = node - path.first_node
     rows = np.flatnonzero(path.number == k)
-    apart = path.survey.positions[rows] - path.centers[k] - T_node_other.translation
+    apart = path.survey.positions[rows] - path.windows[k].center - T_node_other.translation
     beside = int(rows[np.argmin(np.linalg.norm(apart, axis=1))])
     shift, loads, _ = _between(path, int(path.middles[k]), beside, config)
     loads = adjoint(T_node_other.inv() * RigidTransform.from_translation(shift)) @ loads

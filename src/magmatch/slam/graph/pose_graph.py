@@ -48,7 +48,7 @@ class PoseGraph:
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
     _factor: BlockCholesky | None = None
     _own: np.ndarray | None = None
-    _with: tuple[int, np.ndarray] | None = None
+    _with: dict[int, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.start, self.level = self.p.copy(), self.p[:, 2].copy()
@@ -158,7 +158,7 @@ class PoseGraph:
 
     def factor(self, H: bsr_array) -> BlockCholesky:
         """Keep the information of all poses, from which their covariances follow."""
-        self._own, self._with, self._factor = None, None, BlockCholesky.of(H)
+        self._own, self._with, self._factor = None, {}, BlockCholesky.of(H)
         return self._factor
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
@@ -206,13 +206,15 @@ class PoseGraph:
         return {int(name): np.flatnonzero(frames == name) for name in np.unique(frames) if name not in fixed}
 
     def _covariances_with(self, node: int) -> np.ndarray:
-        """Covariance of each node with one: (n, 6, 6). One window's are asked for several times in a row."""
-        if self._with is None or self._with[0] != node:
+        """Covariance of each node with one: (n, 6, 6). Of windows that are weighed together."""
+        if node not in self._with:
             assert self._factor is not None
             unit = np.zeros((SIDE, len(self.p) + len(self.lasting), SIDE))
             unit[:, node] = np.eye(SIDE)
-            self._with = node, np.moveaxis(self._factor.solve(unit)[:, : len(self.p)], 0, 2)
-        return self._with[1]
+            self._with[node] = np.moveaxis(self._factor.solve(unit)[:, : len(self.p)], 0, 2)
+            if len(self._with) > 2 * self.config.run_length:
+                del self._with[next(iter(self._with))]
+        return self._with[node]
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
