@@ -13,7 +13,7 @@ from magmatch.slam import loop_closure
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
-from magmatch.slam.tie import Searched
+from magmatch.slam.tie import Searched, near_candidates
 
 
 def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_begin_from(lone, monkeypatch):
@@ -123,6 +123,28 @@ def test_what_the_graph_predicts_is_not_in_what_the_field_alone_says(near):
     np.testing.assert_allclose(np.linalg.solve(C, D), np.eye(len(drifts)), atol=0.4)
 
 
+def test_a_pose_that_the_graph_knows_well_is_refined_without_a_search(lone, near, monkeypatch):
+    places = lone.session._now
+    sure = Rough(near.rough.T_base_log, near.rough.covariance * 0.3**2)
+    assert sure.is_narrow(near.window.length)
+    assert not near.rough.is_narrow(near.window.length)
+    a, nodes = near.node, np.array([near.node])
+
+    def look(rough):
+        graph = places.graph
+        return near_candidates(near.window, {a: nodes}, {a: rough}, {}, (), graph, lambda _: near.base)
+
+    searched = look(near.rough)
+    monkeypatch.setattr(loop_closure, "pair_search", None)
+    (found,) = look(sure)
+    assert found.node == near.node
+    poses = [c.match.T_base_log.apply(near.window.center) for c in (found, *searched)]
+    assert np.linalg.norm(poses[0] - poses[1:], axis=1).min() < 0.05
+    # What lies beside other nodes is refined by their stretch.
+    ahead = RigidTransform.from_translation([2 * near.window.path_length, 0.0, 0.0])
+    assert not look(Rough(ahead * sure.T_base_log, sure.covariance))
+
+
 def test_poses_that_are_known_need_no_search(near):
     searched = matches(near.window, near.base, near.rough)
     known = [m.T_base_log for m in searched]
@@ -145,17 +167,18 @@ def of_node(near, node):
 
 def test_what_was_searched_holds_what_is_expected_there_more_closely_but_not_elsewhere_or_anywhere(near):
     T, C, node = near.rough.T_base_log, near.rough.covariance, near.window.T_log_node
-    searched = Searched(near.rough, near.rough, [])
-    assert searched.holds(near.rough, near.window)
-    assert searched.holds(Rough(T, C / 4), near.window)
+    searched = Searched(np.array([near.node]), near.rough, near.rough, [])
+    assert searched.holds(near.rough, searched.nodes, near.window)
+    assert searched.holds(Rough(T, C / 4), searched.nodes, near.window)
     for moved in (RigidTransform.from_translation([0.7, 0, 0]), pose([0, 0, 0.4], [0, 0, 0])):
-        assert not searched.holds(Rough(T * node * moved * node.inv(), C / 4), near.window)
-    assert not searched.holds(Rough(T, 4 * C), near.window)
+        assert not searched.holds(Rough(T * node * moved * node.inv(), C / 4), searched.nodes, near.window)
+    assert not searched.holds(Rough(T, 4 * C), searched.nodes, near.window)
+    assert not searched.holds(near.rough, np.array([near.node, near.node + 1]), near.window)
 
 
 def test_what_was_weighed_stands_where_the_graph_expects_it_as_it_did(near):
     T, C, node = near.rough.T_base_log, near.rough.covariance, near.window.T_log_node
-    searched = Searched(near.rough, near.rough, [])
+    searched = Searched(np.array([near.node]), near.rough, near.rough, [])
 
     def stands(moved, C):
         return searched.stands(Rough(T * node * moved * node.inv(), C), near.window)
@@ -166,7 +189,7 @@ def test_what_was_weighed_stands_where_the_graph_expects_it_as_it_did(near):
     assert not stands(pose([0, 0, 0], [sd, 0, 0]), C)
     assert not stands(pose([0, 0, 0], [0, 0, 0]), 2 * C)
     assert not stands(pose([0, 0, 0], [0, 0, 0]), C / 2)
-    assert not Searched(near.rough, None, []).stands(near.rough, near.window)
+    assert not Searched(np.array([near.node]), near.rough, None, []).stands(near.rough, near.window)
 
 
 FREE, ALIGNED, PLANAR = (

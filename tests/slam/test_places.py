@@ -8,8 +8,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.atlas.retrieval import shortlist
+from magmatch.slam import places as places_module
+from magmatch.slam.bases import TOGETHER
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
+from magmatch.slam.places import MOST_PASSES
 from magmatch.slam.tie import tie
 
 # Log densities of a prior that knows a place to some hundred metres.
@@ -34,6 +37,37 @@ def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(clo
         assert set(voted) <= set(nodes)
         hits += np.abs(voted - c.first).min() <= 1
     assert hits >= 0.8 * len(closures)
+
+
+def test_each_node_has_one_stretch_that_ends_before_the_window(lone):
+    places = lone.session._now
+    window = places.paths[0].windows[7]
+    nodes = np.arange(7)
+    found = places.stretches(nodes, window)
+    assert sorted(np.concatenate(list(found.values())).tolist()) == list(range(6))
+    for a, some in found.items():
+        assert set(some) <= set(range(a, a + TOGETHER))
+        inside = places.stretch(a).node
+        assert {max(a - 1, 0), a + TOGETHER} <= set(inside.tolist()) < set(range(window.node))
+        assert all(places.stretch(int(node)) is places.stretch(a) for node in some)
+
+
+def test_a_window_is_compared_with_few_passes(lone, monkeypatch):
+    places = lone.session.places.copied()
+    window, nodes = places.paths[0].windows[7], np.arange(6)
+    monkeypatch.setattr(places_module, "MOST_PASSES", 2)
+    monkeypatch.setattr(places_module, "nearby", lambda *_: nodes)
+    places.at(window, nodes)
+    assert len(places.searched[window.node]) == 2 < len(places.stretches(nodes, window))
+
+
+def test_what_has_enough_closures_is_not_compared_any_more(lone):
+    places = lone.session.places.copied()
+    closure = next(c for c in places.graph.closures if c.is_kept)
+    window = places.window(closure.second)
+    places.graph.closures = [closure] * MOST_PASSES
+    assert places.near(window) == []
+    assert not places.searched[window.node]
 
 
 def confirm(places, closures):

@@ -68,7 +68,7 @@ class BaseMaker:
     _whole: dict[int, tuple[int, Base]] = field(default_factory=dict, init=False)
 
     def stretch(self, path: Path, node: int) -> Base:
-        """The stretch that was made for a node's window and others, with one more on either side, odometry's frame."""
+        """The stretch made for a node's window and others, with one more on either side, odometry's frame."""
         node -= (node - path.first_node) % TOGETHER
         with _keeping:
             base = self._made.pop(node, None)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logit
 
-from magmatch.atlas.retrieval import MAX_SHORTLIST, count_votes, shortlist
+from magmatch.atlas.retrieval import count_votes, shortlist
 from magmatch.data.checks import extent
 from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
@@ -58,6 +58,9 @@ SURE_ODDS = float(logit(SURE))
 ENOUGH = 9 * PRIOR_STRETCHES
 # Of the noise what a base itself states: closures' poses were fitted to the same residuals, mostly near its path.
 MAPS_OWN = ("map_factor", "map_length")
+# Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
+# what one tells (`counted`): four tell four fifths of all.
+MOST_PASSES = 4
 NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
@@ -181,6 +184,8 @@ class Places:
     def near(self, window: Window) -> list[Candidate]:
         """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
         nodes = self.known_to(window)
+        if sum(c.second == window.node for c in self.graph.closures) >= MOST_PASSES:
+            nodes = nodes[:0]
         found = self.looked[window.node] = self.at(window, nodes[~self.graph.is_tied(nodes, window.node)])
         return found
 
@@ -188,18 +193,21 @@ class Places:
         """Where a window may lie near some nodes, of those before it, as the graph predicts."""
         nodes = nearby(window, nodes, self.graph)
         stretches = self.stretches(nodes, window)
-        if len(stretches) > MAX_SHORTLIST:
+        if len(stretches) > MOST_PASSES:
             listed = list(stretches)
-            stretches = {listed[k]: stretches[listed[k]] for k in shortlist(self.votes(window, listed))}
+            likely = shortlist(self.votes(window, listed))[:MOST_PASSES]
+            stretches = {listed[k]: stretches[listed[k]] for k in likely}
         expected = expected_beside(window, np.array(list(stretches), np.int64), self.graph)
         known = self.searched.setdefault(window.node, {})
-        before = {a: known[a] for a, rough in expected.items() if a in known and known[a].holds(rough, window)}
+        before = {a: known[a] for a in expected if a in known and known[a].holds(expected[a], stretches[a], window)}
         standing = {a for a, searched in before.items() if searched.stands(expected[a], window)}
-        found = self._step(lambda: near_candidates(window, stretches, expected, before, standing, self.graph, self.stretch))
+        found = self._step(
+            lambda: near_candidates(window, stretches, expected, before, standing, self.graph, self.stretch)
+        )
         for a, rough in expected.items():
-            here = [c for c in found if c.node == a]
+            here = [c for c in found if c.node in stretches[a]]
             if a not in before:
-                known[a] = Searched(rough, rough, here)
+                known[a] = Searched(stretches[a], rough, rough, here)
             elif a not in standing:
                 known[a] = replace(before[a], weighed=rough, found=here)
         return found

@@ -81,12 +81,15 @@ def of_numbers(rows: Matrix) -> list[Candidate]:
 class Searched:
     """A stretch that was searched for a window."""
 
+    nodes: Indices  # near which
     expected: Rough  # where
     weighed: Rough | None  # where it was expected when what was found was weighed last; None to weigh it anew
     found: list[Candidate]
 
-    def holds(self, now: Rough, window: Window) -> bool:
-        """Whether the pose expected now is within what was searched, but for a tail."""
+    def holds(self, now: Rough, nodes: Indices, window: Window) -> bool:
+        """Whether the pose expected now, near some nodes, is within what was searched, but for a tail."""
+        if not np.isin(nodes, self.nodes).all():
+            return False
         moved = np.linalg.norm(np.split(_moved(self.expected, now, window), 2), axis=1)
         return bool(np.all(moved + (REACH - 1) * now.largest_sds <= REACH * self.expected.largest_sds))
 
@@ -152,8 +155,8 @@ def near_candidates(
 ) -> list[Candidate]:
     """Where a window may lie near some nodes of each of some stretches; ``stretch`` gives the base.
 
-    What was searched before, or is known well, is not searched again, and where what was found is still ``standing`` it
-    is not weighed either.
+    What was searched before, or is known well, is not searched again, and where what was found is still ``standing``
+    it is not weighed either.
     """
 
     def look(a: int) -> list[Candidate]:
@@ -220,13 +223,7 @@ def tie(
     config = graph.config
     least = config.min_probability if least is None else least
     candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
-    placed = [
-        [
-            Placed(product(graph.pose(c.node), c.T_node_window), c.match.covariance, c.match.log_odds, c.match.log_prior)
-            for c in found
-        ]
-        for found in candidates
-    ]
+    placed = [[_placed(c, graph) for c in found] for found in candidates]
     steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
     component = graph.component()
     revisits = [
@@ -244,6 +241,11 @@ def tie(
             one_a_pass = _one_a_pass([found[k] for k in same], graph)
             closures += [_closure(c, window.node, paths[graph.log[c.node]], odds, config) for c in one_a_pass]
     return closures
+
+
+def _placed(c: Candidate, graph: PoseGraph) -> Placed:
+    T = product(graph.pose(c.node), c.T_node_window)
+    return Placed(T, c.match.covariance, c.match.log_odds, c.match.log_prior)
 
 
 def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:

@@ -228,30 +228,16 @@ class PosePrior:
         places = len(power) * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
-    def admitted(self, poses: Hypotheses, center: Vector3, slack: tuple[float, float]) -> Hypotheses:
-        """Hypotheses without those that the prior rules out.
+    def narrow(
+        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
+    ) -> Hypotheses:
+        """Remove hypotheses that the prior rules out, and add poses about a rough one, at the same anchors.
 
         ``slack`` (rad, m): standard deviations of the poses themselves.
         """
         if self.is_flat:
             return poses
-        return poses.subset(np.flatnonzero(self.admits(poses.rotations, poses.carry(center), center, slack)))
-
-    def covering(self, center: Vector3, slack: tuple[float, float], rng: np.random.Generator) -> Hypotheses | None:
-        """Hypotheses that cover a rough pose's spread as densely as a search resolves; None if that takes too many."""
-        n = self._n_drawn(slack)
-        if not 0 < n < MOST_DRAWN:
-            return None
-        R, moved = self.draw(n, center, rng)
-        return Hypotheses(R, moved, np.zeros(n, dtype=np.int64), center[None])
-
-    def narrow(
-        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
-    ) -> Hypotheses:
-        """`admitted` hypotheses, and poses about a rough one, at the same anchors."""
-        if self.is_flat:
-            return poses
-        kept = self.admitted(poses, center, slack)
+        kept = poses.subset(np.flatnonzero(self.admits(poses.rotations, poses.carry(center), center, slack)))
         drawn, moved = self.draw(self._n_drawn(slack), center, rng)
         rows = np.arange(len(drawn), dtype=np.int64) % len(poses.anchors_target)
         anchors = moved + np.einsum("nij,nj->ni", drawn, poses.anchors_target[rows] - center)

@@ -88,21 +88,18 @@ def pair_search(
     rng: np.random.Generator,
 ) -> SearchResult:
     """Find the poses under which the base's field explains a walk best."""
+    i, j = choose_pairs(walk, table, config, rng)
+    if not len(i) or not len(table.first):
+        return SearchResult()
     center, sd, same = walk.positions.mean(axis=0), pose_inaccuracy(table.length), same_pose(table.length)
-    # Where draws cover what a prior admits, pairs propose nothing else.
-    poses = prior.covering(center, sd, rng)
-    if poses is None:
-        i, j = choose_pairs(walk, table, config, rng)
-        if not len(i) or not len(table.first):
-            return SearchResult()
-        n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
-        similar, _ = table.nearest(invariants_of(walk, i, j), n_neighbours)
-        poses = prior.admitted(hypotheses(table, walk, i, j, similar), center, sd)
-    n_tried = len(poses.rotations)
-    if not n_tried:
+    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    similar, _ = table.nearest(invariants_of(walk, i, j), n_neighbours)
+    found = hypotheses(table, walk, i, j, similar)
+    poses = prior.narrow(found, center, sd, rng)
+    if not len(poses.rotations):
         return SearchResult()
     evidence = weigh_bins(base, table, walk)
-    rows = np.tile(even_choice(len(walk), FEW_POINTS), (len(poses.anchors_target), 1))
+    rows = np.tile(even_choice(len(walk), FEW_POINTS), (len(i), 1))
     tell(f"scoring {len(poses.rotations)} hypotheses")
     scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
     # So that one corridor does not fill the list.
@@ -111,7 +108,7 @@ def pair_search(
     return SearchResult(
         best_admitted(poses, scores, prior, center, table.length),
         n_keypoints=len(table.positions) + len(walk),
-        n_correspondences=n_tried,
+        n_correspondences=len(found.rotations),
     )
 
 

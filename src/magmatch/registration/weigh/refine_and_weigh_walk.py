@@ -81,8 +81,8 @@ def weigh_walk(
 
     ``length``: the base's correlation length, m. ``bending`` (n, 6, m): how m independent errors of unit variance
     turn (rad) and shift (m) each bin of a walk whose shape is known by dead reckoning alone, about its own place,
-    walk's axes; takes the place of the noise's drift. ``null``: the walk's null model, if it is known already; else any
-    mean of its field is as likely.
+    walk's axes; takes the place of the noise's drift. ``null``: the walk's null model, if it is known; else any mean
+    of its field is as likely.
     """
     if not starts or len(walk) < MIN_BINS:
         return []
