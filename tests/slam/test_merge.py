@@ -110,7 +110,10 @@ def test_a_registration_that_the_others_contradict_is_voted_out():
         error = exp_se3(np.linalg.cholesky(C) @ rng.normal(size=6))
         if (a, b) == (1, 3):
             error = exp_se3(np.array([0.0, 0.0, 0.4, 1.0, -0.5, 0.2]))
-        graph.closures.append(Closure(a, b, T[a].inv() * T[b] * error, C, 8.0 if (a, b) == (1, 3) else 7.0))
+        graph.closures = [
+            *graph.closures,
+            Closure(a, b, T[a].inv() * T[b] * error, C, 8.0 if (a, b) == (1, 3) else 7.0),
+        ]
     merging._lay_out(graph)
     solve(graph)
     weights = {(c.first, c.second): c.weight for c in graph.closures}

@@ -19,7 +19,8 @@ from magmatch.viz.pages.session_page import write_session_report
 def session():
     """A walk twice round whose last closure the graph is made to reject."""
     session = slam(drifting_walk(Place(1), 1, name="<walk>.csv")[0])
-    session.graph.closures[-1] = replace(session.graph.closures[-1], weight=0.01)
+    *others, last = session.graph.closures
+    session.graph.closures = [*others, replace(last, weight=0.01)]
     return session
 
 

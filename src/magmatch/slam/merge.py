@@ -3,7 +3,6 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -22,7 +21,7 @@ from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.factors import MOST_ODDS, Closure
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
@@ -149,7 +148,7 @@ def _lay_out(graph: PoseGraph) -> None:
     is chosen. Starting from a compromise between right and wrong closures, all would seem wrong.
     """
     rng, n = np.random.default_rng(0), len(graph.p)
-    odds = np.array([min(c.log_odds, MOST_ODDS) for c in graph.closures])
+    odds = graph.ties.odds
     best, most = None, -np.inf
     for k in range(N_TREES if n > 2 else 1):
         order = np.argsort(-odds if k == 0 else rng.permutation(len(odds)), kind="stable")
@@ -161,7 +160,7 @@ def _lay_out(graph: PoseGraph) -> None:
     if best is not None and graph.closures:
         poses, doubted = best
         graph.R, graph.p = np.stack([rotation_matrix(T) for T in poses]), np.stack([T.translation for T in poses])
-        graph.closures = [replace(c, weight=float(w)) for c, w in zip(graph.closures, expit(doubted), strict=True)]
+        graph.weigh_closures(expit(doubted))
 
 
 def _squares(closures: Sequence[Closure], poses: Sequence[RigidTransform]) -> np.ndarray:

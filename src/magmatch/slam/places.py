@@ -166,7 +166,7 @@ class Places:
         ``log_prior``: for each window that proposes a closure, the density of the prior that it was found with.
         """
         before, self.graph = self.graph, self.graph.copied()
-        self.graph.closures += closures
+        self.graph.closures = [*self.graph.closures, *closures]
         solve(self.graph)
         near = [self.at(w, nodes) for w in windows]
         known = np.concatenate([self._moved(path, np.isin(path.nodes, nodes)[path.number]) for path in self.paths])
@@ -184,7 +184,7 @@ class Places:
     def near(self, window: Window) -> list[Candidate]:
         """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
         nodes = self.known_to(window)
-        if sum(c.second == window.node for c in self.graph.closures) >= MOST_PASSES:
+        if (self.graph.ties.second == window.node).sum() >= MOST_PASSES:
             nodes = nodes[:0]
         found = self.looked[window.node] = self.at(window, nodes[~self.graph.is_tied(nodes, window.node)])
         return found
@@ -260,7 +260,7 @@ class Places:
         ]
         lost = [c for c in closures if self.is_lost(c)]
         closures = [c for c in closures if c not in lost]
-        self.graph.closures += closures
+        self.graph.closures = [*self.graph.closures, *closures]
         if closures:
             solve(self.graph)
         return len(closures) + self.find_lost(path, candidates, lost)
@@ -312,7 +312,7 @@ class Places:
         A closure that few others spoke for when it was found is believed again, with those found since.
         """
         assert self.maker is not None
-        self.graph.closures = [replace(c, weight=1.0) for c in self.graph.closures]
+        self.graph.weigh_closures(np.ones(len(self.graph.closures)))
         self.solve()
         config = learned_drift(self.graph, self.paths, self.stated)
         self.maker.config = self.graph.config = config

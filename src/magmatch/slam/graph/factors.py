@@ -8,12 +8,14 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.typing import Covariance6, Indices, Points, Scalars, Tensors
+from magmatch.typing import Covariance6, Indices, Mask, Points, Scalars, Tensors
 
 # Lasting errors of a log's odometry: scale and turn rate.
 N_LASTING = 2
 # Largest log odds of a closure, nats: with more, it could never be rejected.
 MOST_ODDS = 12.0
+# Probability above which a closure is kept.
+LEAST_KEPT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ class Closure:
     @property
     def is_kept(self) -> bool:
         """Whether the graph keeps it, which is also required to connect two logs."""
-        return self.weight > 0.5
+        return self.weight > LEAST_KEPT
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,14 +85,26 @@ class Ties:
     R: Tensors  # (c, 3, 3), and t (c, 3), m: of the second node in the first's axes
     t: Points
     information: Tensors  # (c, 6, 6): rotation in the second node's axes, translation in the first's
+    odds: Scalars  # (c,): log odds from the field alone, as far as they count
+    weight: Scalars  # (c,), and the share of the covariance that is one window's own
+    common: Scalars
 
     @classmethod
     def of(cls, closures: Sequence[Closure]) -> "Ties":
-        """Of some closures, whatever their weights."""
+        """Of some closures."""
         Z = np.array([c.T_first_second.as_matrix() for c in closures]).reshape(-1, 4, 4)
         R, C = Z[:, :3, :3], np.array([c.covariance for c in closures]).reshape(-1, 6, 6)
         # A closure's covariance is stated in the second node's axes.
         turn = np.zeros((len(Z), 6, 6))
         turn[:, :3, :3], turn[:, 3:, 3:] = np.eye(3), R
         first, second = (np.array([getattr(c, name) for c in closures], np.int64) for name in ("first", "second"))
-        return cls(first, second, R, Z[:, :3, 3], np.linalg.inv(turn @ C @ np.swapaxes(turn, 1, 2)))
+        information = np.linalg.inv(turn @ C @ np.swapaxes(turn, 1, 2))
+        odds, weight, common = (
+            np.array([getattr(c, name) for c in closures]) for name in ("log_odds", "weight", "common")
+        )
+        return cls(first, second, R, Z[:, :3, 3], information, np.minimum(odds, MOST_ODDS), weight, common)
+
+    @property
+    def is_kept(self) -> Mask:
+        """As of `Closure`: (c,)."""
+        return np.asarray(self.weight > LEAST_KEPT)

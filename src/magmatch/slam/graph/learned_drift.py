@@ -9,7 +9,6 @@ from scipy.optimize import fmin
 
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.factors import Ties
 from magmatch.slam.graph.normal_equations import LEAST_LASTING, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
@@ -35,13 +34,13 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     # Covariances are sums of a part of each.
     of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
     of_neither = SURE**2 * np.eye(6)
-    trial, ties = graph.copied(), Ties.of(graph.closures)
+    trial = graph.copied()
 
     def cost(logs: Scalars) -> float:
         a, b = np.exp(2 * logs)
         Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
         trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
-        return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial, ties)
+        return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
 
     simplex = STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     near = SAME_FACTOR * STATED_SPREAD
@@ -49,9 +48,9 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     return _with_factors(stated, np.exp(found))
 
 
-def log_evidence(graph: PoseGraph, ties: Ties) -> float:
+def log_evidence(graph: PoseGraph) -> float:
     """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
-    H, v, chi2 = normal_equations(graph, ties)
+    H, v, chi2 = normal_equations(graph)
     factor = graph.factor(H)
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
     log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.geometry import skew
 from magmatch.slam.graph.block_cholesky import SIDE, sum_of_blocks
-from magmatch.slam.graph.factors import N_LASTING, Ties
+from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
@@ -21,13 +21,10 @@ LEAST_LASTING = 1e-9
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def normal_equations(graph: PoseGraph, ties: Ties) -> tuple[bsr_array, np.ndarray, float]:
-    """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2.
-
-    ``ties`` are those of the graph's closures.
-    """
+def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
+    """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2."""
     n = len(graph.p) + len(graph.lasting)
-    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph, ties)]
+    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph)]
     rows, columns, values, v, chi2 = [], [], [], np.zeros((n, SIDE)), 0.0
     for blocks, J, P, r in parts:
         e, k = blocks.shape
@@ -60,8 +57,9 @@ def _odometry(graph: PoseGraph) -> list[Part]:
     return [(np.column_stack([e.first, e.second, len(graph.p) + e.log]), J, e.information, r)]
 
 
-def _closures(graph: PoseGraph, ties: Ties) -> list[Part]:
-    if not graph.closures:
+def _closures(graph: PoseGraph) -> list[Part]:
+    ties = graph.ties
+    if not len(ties.first):
         return []
     r, Ji, Jj = residual_between(graph, ties.first, ties.second, ties.R, ties.t)
     # What ties two components no more pulls at neither.
@@ -92,11 +90,10 @@ def counted(graph: PoseGraph) -> Scalars:
     Where n windows are all tied to one another, covariances that are larger by (n - 2) times their common share give
     all relative poses the covariance that is exact.
     """
-    first, second = (np.array([getattr(c, name) for c in graph.closures], np.int64) for name in ("first", "second"))
-    weight, common = (np.array([getattr(c, name) for c in graph.closures]) for name in ("weight", "common"))
-    ties = np.bincount(first, weight, len(graph.p)) + np.bincount(second, weight, len(graph.p))
-    others = np.maximum((ties[first] + ties[second]) / 2 - 1, 0.0)
-    return np.asarray(weight / (1 + common * others))
+    ties, n = graph.ties, len(graph.p)
+    at_node = np.bincount(ties.first, ties.weight, n) + np.bincount(ties.second, ties.weight, n)
+    others = np.maximum((at_node[ties.first] + at_node[ties.second]) / 2 - 1, 0.0)
+    return np.asarray(ties.weight / (1 + ties.common * others))
 
 
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:

@@ -4,8 +4,9 @@
 Odometry predicts the next node, up to a random walk and two constant errors per log, scale and turn rate.
 """
 
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import bsr_array, coo_array
@@ -15,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.block_cholesky import SIDE, BlockCholesky
-from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints
+from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints, Ties
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
@@ -42,10 +43,11 @@ class PoseGraph:
     p: Points = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3)
     log: Indices = field(default_factory=lambda: np.zeros(0, np.int64))  # (n,): of each node
     edges: Edges = field(default_factory=Edges.none)
-    closures: list[Closure] = field(default_factory=list)
     # (logs, 2): estimated log of the scale of each log's odometry, and its turn rate (rad/m)
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
+    _closures: tuple[Closure, ...] = ()
+    _ties: Ties | None = None
     _factor: BlockCholesky | None = None
     _own: np.ndarray | None = None
     _with: dict[int, np.ndarray] = field(default_factory=dict)
@@ -59,8 +61,29 @@ class PoseGraph:
         """A copy to try something on: what is then moved or tied is not moved or tied here."""
         other = copy(self)
         other.R, other.p, other.level = self.R.copy(), self.p.copy(), self.level.copy()
-        other.closures = list(self.closures)
         return other
+
+    @property
+    def closures(self) -> tuple[Closure, ...]:
+        """Closures between nodes; they are set all at once."""
+        return self._closures
+
+    @closures.setter
+    def closures(self, closures: Sequence[Closure]) -> None:
+        self._closures, self._ties = tuple(closures), None
+
+    @property
+    def ties(self) -> Ties:
+        """The closures as arrays."""
+        if self._ties is None:
+            self._ties = Ties.of(self._closures)
+        return self._ties
+
+    def weigh_closures(self, weight: Scalars) -> None:
+        """Give each closure another weight."""
+        ties, pairs = self.ties, zip(self._closures, weight.tolist(), strict=True)
+        self.closures = [c if c.weight == w else replace(c, weight=w) for c, w in pairs]
+        self._ties = replace(ties, weight=weight)
 
     def grow(self, centers: Points, logs: Indices, edges: Edges) -> None:
         """Add nodes at the end: where odometry leads from those before, or in a frame of their own."""
@@ -93,14 +116,13 @@ class PoseGraph:
 
     def is_tied(self, nodes: Indices, second: int) -> Mask:
         """Whether a closure ties a node to each of some others, or to one beside it on the same pass."""
-        firsts = np.array([c.first for c in self.closures if c.second == second], dtype=np.int64)
+        firsts = self.ties.first[self.ties.second == second]
         return np.asarray(self.is_one_pass(nodes[:, None], firsts).any(axis=1))
 
     def tied(self) -> Indices:
         """For each log, the first log that closures connect it to."""
-        n = len(self.lasting)
-        ties = [(c.first, c.second) for c in self.closures if c.is_kept]
-        one, other = self.log[np.array(ties, np.int64).reshape(-1, 2)].T
+        n, kept = len(self.lasting), np.flatnonzero(self.ties.is_kept)
+        one, other = self.log[self.ties.first[kept]], self.log[self.ties.second[kept]]
         group = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(n, n)), directed=False)[1]
         return np.asarray(np.unique(group, return_index=True)[1][group])
 

@@ -5,12 +5,11 @@ This depends on a closure's own probability and on how far the rest of the graph
 and wrong closures, fitted by expectation-maximisation.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import expit
 
-from magmatch.slam.graph.factors import MOST_ODDS, N_LASTING, Ties
+from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.normal_equations import normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 
@@ -23,9 +22,9 @@ MOST_TURN = 0.3
 def solve(graph: PoseGraph) -> None:
     """Most likely poses; closures that the rest contradicts lose their weight."""
     _bring_to_fixed(graph)
-    is_doubted, ties = not graph.closures, Ties.of(graph.closures)
+    is_doubted = not graph.closures
     for _ in range(MOST_STEPS):
-        H, v, _ = normal_equations(graph, ties)
+        H, v, _ = normal_equations(graph)
         xi = -graph.factor(H).solve(v[None])[0]
         n = len(graph.p)
         xi *= min(1.0, MOST_TURN / max(np.abs(xi[:n, :3]).max(), 1e-300))
@@ -38,14 +37,14 @@ def solve(graph: PoseGraph) -> None:
             break
         # Of poses that still move, a contradiction may disappear.
         if moved < NEAR:
-            _doubt(graph, ties)
+            _doubt(graph)
             is_doubted = True
     _bring_home(graph)
 
 
 def forget_closures(graph: PoseGraph) -> None:
     """Back to odometry alone."""
-    graph.closures.clear()
+    graph.closures = ()
     graph.level = graph.start[:, 2].copy()
     graph.p, graph.R = graph.start.copy(), np.tile(np.eye(3), (len(graph.p), 1, 1))
     graph.lasting = np.zeros_like(graph.lasting)
@@ -74,15 +73,12 @@ def _bring_to_fixed(graph: PoseGraph) -> None:
         graph.level[mine] = graph.start[mine, 2] + np.mean(graph.p[mine, 2] - graph.start[mine, 2])
 
 
-def _doubt(graph: PoseGraph, ties: Ties) -> None:
+def _doubt(graph: PoseGraph) -> None:
     """Weigh closures by how likely they are right, now that all poses are known."""
-    if not graph.closures:
-        return
+    ties = graph.ties
     r = residual_between(graph, ties.first, ties.second, ties.R, ties.t)[0]
     chi2 = np.einsum("ei,eij,ej->e", r, ties.information, r)
-    for k, c in enumerate(graph.closures):
-        odds = min(c.log_odds, MOST_ODDS) - 0.5 * max(chi2[k] - 6.0, 0.0)
-        graph.closures[k] = replace(c, weight=float(1 / (1 + np.exp(-np.clip(odds, -60, 60)))))
+    graph.weigh_closures(expit(ties.odds - 0.5 * np.maximum(chi2 - 6.0, 0.0)))
 
 
 def _bring_home(graph: PoseGraph) -> None:
