@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, field, replace
 from threading import Lock
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -20,7 +21,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.windows import Path
-from magmatch.typing import Indices, Points, Vector3
+from magmatch.typing import Indices, Mask, Points
 
 # Windows that a stretch is made for. It holds one more on either side, so that a window beside them lies inside.
 TOGETHER = 2
@@ -28,8 +29,15 @@ TOGETHER = 2
 N_DRAWS = 6
 # Stretches kept in memory as bases, at about a megabyte each.
 MOST_BASES = 2048
+N = TypeVar("N", int, Indices)
 # Held by the thread that changes what is kept: stretches are made in parallel.
 _keeping = Lock()
+
+
+def stretch_of(node: N, first: N) -> N:
+    """First node of the stretch that is made for a node's window, where the log's first node is given; or of each."""
+    found: N = node - (node - first) % TOGETHER
+    return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,9 +57,9 @@ class Base:
         """Nodes whose windows lie nearest to some points (k, 3) of the base's frame: (k,)."""
         return np.asarray(self.node[cdist(points, self.survey.positions).argmin(axis=1)])
 
-    def is_near(self, point: Vector3, nodes: Indices) -> bool:
-        """Whether one of some nodes is the one whose window lies nearest to a point."""
-        return bool(np.isin(self.nodes_near(point[None]), nodes)[0])
+    def are_near(self, points: Points, nodes: Indices) -> Mask:
+        """Whether each point (k, 3) lies nearest to the window of one of some nodes."""
+        return np.isin(self.nodes_near(points), nodes)
 
 
 @dataclass(eq=False, slots=True)
@@ -69,7 +77,7 @@ class BaseMaker:
 
     def stretch(self, path: Path, node: int) -> Base:
         """The stretch made for a node's window and others, with one more on either side, odometry's frame."""
-        node -= (node - path.first_node) % TOGETHER
+        node = stretch_of(node, path.first_node)
         with _keeping:
             base = self._made.pop(node, None)
         if base is None:
@@ -86,7 +94,7 @@ class BaseMaker:
 
     def table(self, path: Path, node: int) -> PairTable:
         """Pairs of points of the stretch of a node."""
-        node -= (node - path.first_node) % TOGETHER
+        node = stretch_of(node, path.first_node)
         if node not in self._tables:
             self.stretch(path, node)
         return self._tables[node]

@@ -95,7 +95,7 @@ def matches(
     starts += [] if prior.T_base_target is None else [prior.T_base_target]
     if nodes is not None and starts:
         at = np.array([T.apply(T_walk_node.translation) for T in starts])
-        is_here = np.isin(base.nodes_near(T_base.apply(at)), nodes)
+        is_here = base.are_near(T_base.apply(at), nodes)
         starts = [starts[k] for k in np.flatnonzero(is_here)]
     null = _unrelated(window, index.noise, is_predicted=isinstance(expected, Rough)) if starts else None
     weighed = weigh_walk(

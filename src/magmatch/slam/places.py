@@ -16,7 +16,7 @@ from magmatch.progress import counted, tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
-from magmatch.slam.bases import TOGETHER, Base, BaseMaker
+from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.factors import Closure
@@ -215,7 +215,7 @@ class Places:
     def stretches(self, nodes: Indices, window: Window) -> dict[int, Indices]:
         """Nodes by the stretch that was made for them, which the first of these names, if it ends before a window."""
         logs = self.graph.log[nodes]
-        firsts = nodes - (nodes - np.array([path.first_node for path in self.paths])[logs]) % TOGETHER
+        firsts = stretch_of(nodes, np.array([path.first_node for path in self.paths])[logs])
         ends_before = (logs != window.log) | (firsts + TOGETHER < window.node)
         return {a: nodes[firsts == a] for a in np.unique(firsts[ends_before]).tolist()}
 

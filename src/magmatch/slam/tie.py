@@ -165,7 +165,7 @@ def near_candidates(
         base, rough, known = stretch(a), expected[a], None
         if a in searched or rough.is_narrow(window.length):
             known = [c.match.T_base_log for c in searched[a].found] if a in searched else []
-            if not known and not base.is_near(rough.T_base_log.apply(window.center), nodes[a]):
+            if not known and not base.are_near(rough.T_base_log.apply(window.center)[None], nodes[a])[0]:
                 return []
         return _candidates(window, base, rough, graph.center, known, nodes[a])
 
