@@ -157,6 +157,17 @@ def off_truth(session: mm.Session, p: np.ndarray, turned: Rotation) -> list[floa
     return [float(np.linalg.norm(shift[:2])) for shift in shifts]
 
 
+def survivors(session: mm.Session, off: list[float]) -> tuple[int, int]:
+    """How many closures are wrong, and how many of those the graph keeps."""
+    half = session.paths[0].windows[0].length / 2
+    wrong = [
+        closure
+        for apart, closure in zip(off, session.graph.closures, strict=True)
+        if apart > max(half, 3 * float(np.sqrt(np.trace(closure.covariance[3:5, 3:5]))))
+    ]
+    return len(wrong), sum(bool(closure.is_kept) for closure in wrong)
+
+
 def work(name: str) -> dict[str, object]:
     kind, passes, percent, seed = name.split(" ")
     rng = np.random.default_rng([PLACES.index(kind), int(seed)])
@@ -166,11 +177,7 @@ def work(name: str) -> dict[str, object]:
     field_length, ahead = session.paths[0].windows[0].length, upright(heading_along(path))
     p, turned = at_nodes(session, path)
     off = off_truth(session, p, turned)
-    is_wrong = [
-        apart > max(field_length / 2, 3 * float(np.sqrt(np.trace(c.covariance[3:5, 3:5]))))
-        for apart, c in zip(off, session.graph.closures, strict=True)
-    ]
-    survive = sum(bool(c.is_kept) for c, wrong in zip(session.graph.closures, is_wrong, strict=True) if wrong)
+    wrong, survive = survivors(session, off)
     after, nees = session.trajectories[0], nees_of(session, p, turned)
     return {
         "name": name, "length": float(path_walked(path)[-1]), "field_length": field_length,
@@ -178,7 +185,7 @@ def work(name: str) -> dict[str, object]:
         "after": aligned_rms(after.positions[:, :2], path[:, :2]),
         "heading": [heading_error(log, ahead), heading_error(after, ahead)], "nees": nees,
         "ceiling": aligned_rms(ceiling(session, p, turned).positions[:, :2], path[:, :2]),
-        "closures": len(off), "off": off, "wrong": sum(is_wrong), "survive": survive, "seconds": seconds,
+        "closures": len(off), "off": off, "wrong": wrong, "survive": survive, "seconds": seconds,
         "processor": processor,
     }  # fmt: skip
 

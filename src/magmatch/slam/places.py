@@ -108,22 +108,26 @@ class Places:
 
     def close(self, paths: Sequence[Path]) -> None:
         """Search for closures of some logs until none is found, each time with the drift that those so far show."""
-        for _ in range(MOST_ROUNDS):
-            if not (self.close_near(paths) + self.close_far(paths)):
+        for k in range(MOST_ROUNDS):
+            if not (self.close_near(paths, at_once=k > 0) + self.close_far(paths)):
                 break
             self.learn_drift()
 
-    def close_near(self, paths: Sequence[Path], enough: float = np.inf, least: float | None = None) -> int:
+    def close_near(
+        self, paths: Sequence[Path], enough: float = np.inf, least: float | None = None, *, at_once: bool = False
+    ) -> int:
         """Search for closures where the graph predicts them, until there are enough; returns how many were found.
 
         With ``least``, such a probability or more counts instead of `SlamConfig.min_probability`.
 
         A few windows at a time: what they close is known when the graph predicts those that follow. Windows long past
-        were weighed by what the graph knew then, so they have no more say.
+        were weighed by what the graph knew then, so they have no more say. Or all of a log ``at_once``: where it was
+        searched before, the graph predicts all of them, and is solved once.
         """
-        found, n = 0, self.graph.config.run_length
+        found = 0
         for path in paths:
             candidates: list[list[Candidate]] = []
+            n = len(path.windows) if at_once else self.graph.config.run_length
             for w in counted(f"looking for closures of {path.survey.name}", path.windows):
                 candidates.append(self.near(w))
                 if len(candidates) % n == 0 or w is path.windows[-1]:

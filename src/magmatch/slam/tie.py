@@ -130,8 +130,12 @@ def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
     if not len(firsts) or not window.keeps_shape:
         return firsts[:0]
     apart = np.linalg.norm(graph.p[firsts] - graph.p[window.node], axis=1)
-    near = window.path_length / 2 + window.length + REACH * graph.sds_of_place(firsts, window.node)
-    return np.asarray(firsts[apart <= near])
+    beyond = (apart - window.path_length / 2 - window.length) / REACH
+    # A bound that costs little first: of a long log most are far away.
+    for sds in (graph.most_sds_of_place, graph.sds_of_place):
+        is_near = beyond <= sds(firsts, window.node)
+        firsts, beyond = firsts[is_near], beyond[is_near]
+    return np.asarray(firsts)
 
 
 def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:

@@ -207,6 +207,17 @@ def test_the_first_node_of_a_component_stays_where_it_was(config):
     np.testing.assert_allclose(graph.R[12:], np.tile(T.rotation.inv().as_matrix(), (12, 1, 1)), atol=0.02)
 
 
+@pytest.mark.parametrize("n_closures", [0, 1, 6])
+def test_a_node_is_no_less_known_beside_another_than_both_are_and_the_turn_between(n_closures):
+    true = ring(48, laps=2)
+    graph = graph_of(true, looseness=0.05)
+    graph.closures = [between(true, 3 * k, 24 + 3 * k) for k in range(n_closures)]
+    solve(graph)
+    for second in (5, 30, 47):
+        firsts = np.setdiff1d(np.arange(len(true)), [second])
+        assert (graph.sds_of_place(firsts, second) <= graph.most_sds_of_place(firsts, second)).all()
+
+
 def test_a_closure_that_lost_its_weight_ties_no_logs():
     graph = graph_of(ring(8), logs=np.repeat([0, 1], 4))
     graph.closures = [replace(between(graph.p, 1, 5), weight=0.2)]

@@ -11,7 +11,7 @@ from scipy.sparse import bsr_array, coo_array, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from magmatch.compiled import compiled
-from magmatch.typing import Indices
+from magmatch.typing import Indices, Mask
 
 SIDE = 6
 # Of each node of the network to the ground, over that of a tie: small, so that currents reach far.
@@ -31,17 +31,25 @@ def sum_of_blocks(rows: Indices, columns: Indices, blocks: np.ndarray, n: int) -
 class BlockCholesky:
     """``A = L L^T`` in an order that keeps L sparse."""
 
+    pattern: Indices  # (2, b): row and column of each block of A
     position: Indices  # (n,): place of each block of unknowns in that order
     starts: Indices  # (n + 1,): where each column of L begins, the diagonal first
     rows: Indices  # (m,): row of each block, ascending in a column
     L: np.ndarray  # (m, 6, 6)
 
     @classmethod
-    def of(cls, A: bsr_array) -> "BlockCholesky":
-        """Factor a positive definite matrix, of which the lower half is given."""
+    def of(cls, A: bsr_array, before: "BlockCholesky | None" = None) -> "BlockCholesky":
+        """Factor a positive definite matrix, of which the lower half is given.
+
+        One that was factored ``before`` gives the order, if it has the same blocks.
+        """
         n = A.shape[0] // SIDE
         i, j = np.repeat(np.arange(n), np.diff(A.indptr)), A.indices.astype(np.int64)
-        position, starts, rows = _order(i, j, n)
+        pattern = np.stack([i, j])
+        if before is not None and np.array_equal(before.pattern, pattern):
+            position, starts, rows = before.position, before.starts, before.rows
+        else:
+            position, starts, rows = _order(i, j, n)
         one, other = position[i], position[j]
         below, right = np.maximum(one, other), np.minimum(one, other)
         L = np.zeros((len(rows), SIDE, SIDE))
@@ -51,7 +59,7 @@ class BlockCholesky:
         if not _factor(starts, rows, L, np.zeros((SIDE, SIDE))):
             msg = "the graph does not determine all poses"
             raise np.linalg.LinAlgError(msg)
-        return cls(position, starts, rows, L)
+        return cls(pattern, position, starts, rows, L)
 
     @property
     def log_determinant(self) -> float:
@@ -60,11 +68,20 @@ class BlockCholesky:
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """``A^-1 rhs`` for right-hand sides (k, n, 6)."""
-        y = np.empty(rhs.shape)
+        y, is_asked = np.empty(rhs.shape), np.ones(len(self.position), np.bool_)
         y[:, self.position] = rhs
         for one in y:
-            _solve(self.starts, self.rows, self.L, one)
+            _solve(self.starts, self.rows, self.L, one, is_asked)
         return np.asarray(y[:, self.position])
+
+    def inverse_in_column(self, rows: Indices, column: int) -> np.ndarray:
+        """Blocks of some rows in one column of ``A^-1``: (k, 6, 6). Others are found as far as these need them."""
+        y, places, place = np.zeros((SIDE, len(self.position), SIDE)), self.position[rows], self.position[column]
+        y[:, place] = np.eye(SIDE)
+        is_asked = _with_ancestors(self.starts, self.rows, np.append(places, place))
+        for one in y:
+            _solve(self.starts, self.rows, self.L, one, is_asked)
+        return np.moveaxis(y[:, places], 0, 2)
 
     def inverse_blocks(self) -> np.ndarray:
         """Blocks along the diagonal of ``A^-1``: (n, 6, 6)."""
@@ -155,30 +172,54 @@ def _subtract(A: np.ndarray, at: int, X: np.ndarray, r: int, Y: np.ndarray) -> N
 
 
 @compiled
-def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray) -> None:
-    """Overwrite y (n, 6) by ``L^-T L^-1 y``."""
-    for j in range(len(starts) - 1):
-        d, largest = starts[j], 0.0
+def _with_ancestors(starts: Indices, rows: Indices, places: Indices) -> Mask:
+    """Some rows and those that come into them when a system is solved: up the tree of eliminations, (n,)."""
+    found = np.zeros(len(starts) - 1, np.bool_)
+    for place in places:
+        j = place
+        while not found[j]:
+            found[j] = True
+            # The first row below a column's diagonal is its parent.
+            if starts[j] + 1 < starts[j + 1]:
+                j = rows[starts[j] + 1]
+    return found
+
+
+@compiled
+def _solve_column(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int) -> None:
+    """Solve for row j with column j of L, and take what it explains from the rows below."""
+    for a in range(SIDE):
+        for c in range(a):
+            y[j, a] -= L[d, a, c] * y[j, c]
+        y[j, a] /= L[d, a, a]
+    for q in range(d + 1, end):
         for a in range(SIDE):
-            for c in range(a):
-                y[j, a] -= L[d, a, c] * y[j, c]
-            y[j, a] /= L[d, a, a]
-            largest = max(largest, abs(y[j, a]))
-        # Most of a right-hand side for one node's covariances is zero.
-        for q in range(d + 1, starts[j + 1] if largest > 0 else d + 1):
-            for a in range(SIDE):
-                for c in range(SIDE):
-                    y[rows[q], a] -= L[q, a, c] * y[j, c]
-    for j in range(len(starts) - 2, -1, -1):
-        d = starts[j]
-        for q in range(d + 1, starts[j + 1]):
             for c in range(SIDE):
-                for a in range(SIDE):
-                    y[j, a] -= L[q, c, a] * y[rows[q], c]
-        for a in range(SIDE - 1, -1, -1):
-            for c in range(a + 1, SIDE):
-                y[j, a] -= L[d, c, a] * y[j, c]
-            y[j, a] /= L[d, a, a]
+                y[rows[q], a] -= L[q, a, c] * y[j, c]
+
+
+@compiled
+def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int) -> None:
+    """Solve for row j with row j of L^T, where the rows below are known."""
+    for q in range(d + 1, end):
+        for c in range(SIDE):
+            for a in range(SIDE):
+                y[j, a] -= L[q, c, a] * y[rows[q], c]
+    for a in range(SIDE - 1, -1, -1):
+        for c in range(a + 1, SIDE):
+            y[j, a] -= L[d, c, a] * y[j, c]
+        y[j, a] /= L[d, a, a]
+
+
+@compiled
+def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, is_asked: Mask) -> None:
+    """Overwrite y (n, 6) by ``L^-T L^-1 y`` where it is asked for, ancestors included; elsewhere it must be zero."""
+    for j in range(len(starts) - 1):
+        if is_asked[j]:
+            _solve_column(starts[j], starts[j + 1], rows, L, y, j)
+    for j in range(len(starts) - 2, -1, -1):
+        if is_asked[j]:
+            _solve_row(starts[j], starts[j + 1], rows, L, y, j)
 
 
 @compiled

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.block_cholesky import SIDE, BlockCholesky
+from magmatch.slam.graph.block_cholesky import BlockCholesky
 from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints, Ties
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
@@ -50,7 +50,6 @@ class PoseGraph:
     _ties: Ties | None = None
     _factor: BlockCholesky | None = None
     _own: np.ndarray | None = None
-    _with: dict[int, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.start, self.level = self.p.copy(), self.p[:, 2].copy()
@@ -180,25 +179,32 @@ class PoseGraph:
 
     def factor(self, H: bsr_array) -> BlockCholesky:
         """Keep the information of all poses, from which their covariances follow."""
-        self._own, self._with, self._factor = None, {}, BlockCholesky.of(H)
+        self._own, self._factor = None, BlockCholesky.of(H, self._factor)
         return self._factor
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
         """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6), odometry's unit."""
-        C_as = self._covariances_with(second)
+        assert self._factor is not None
+        C_as, own = self._factor.inverse_in_column(firsts, second), self.marginals()
         # How a perturbation of each first node moves the second, in the second's axes: the adjoint of where it is.
         R = self.R[second].T @ self.R[firsts]
         A = np.zeros((len(firsts), 6, 6))
         A[:, :3, :3] = A[:, 3:, 3:] = R
         A[:, 3:, :3] = skew((self.p[firsts] - self.p[second]) @ self.R[second]) @ R
-        AC = A @ C_as[firsts]
-        found = C_as[second] + A @ self.marginals()[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
+        AC = A @ C_as
+        found = own[second] + A @ own[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
 
     def sds_of_place(self, firsts: Indices, second: int) -> Scalars:
         """Standard deviation of a node's place relative to each of some others, in the direction least known."""
         C = self.relative_covariances(firsts, second)[:, 3:, 3:]
         return np.asarray(np.sqrt(np.linalg.eigvalsh(C)[:, -1]))
+
+    def most_sds_of_place(self, firsts: Indices, second: int) -> Scalars:
+        """What `sds_of_place` cannot exceed: both nodes' own, and the first's turn over how far they are apart."""
+        own, apart = self.marginals(), np.linalg.norm(self.p[firsts] - self.p[second], axis=1)
+        places, turns = (np.sqrt(np.trace(own[:, k : k + 3, k : k + 3], axis1=1, axis2=2)) for k in (3, 0))
+        return np.asarray(places[second] + places[firsts] + apart * turns[firsts])
 
     def covariances(self, nodes: Indices) -> np.ndarray:
         """Of nodes (k,), in metres, with how well their scale is known: (k, 6, 6).
@@ -226,17 +232,6 @@ class PoseGraph:
         frames = self.frames()
         fixed = self.fixed_by(frames)
         return {int(name): np.flatnonzero(frames == name) for name in np.unique(frames) if name not in fixed}
-
-    def _covariances_with(self, node: int) -> np.ndarray:
-        """Covariance of each node with one: (n, 6, 6). Of windows that are weighed together."""
-        if node not in self._with:
-            assert self._factor is not None
-            unit = np.zeros((SIDE, len(self.p) + len(self.lasting), SIDE))
-            unit[:, node] = np.eye(SIDE)
-            self._with[node] = np.moveaxis(self._factor.solve(unit)[:, : len(self.p)], 0, 2)
-            if len(self._with) > 2 * self.config.run_length:
-                del self._with[next(iter(self._with))]
-        return self._with[node]
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
