@@ -17,6 +17,7 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of
+from magmatch.slam.candidates import Candidate, numbers_of, of_numbers
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.factors import Closure
@@ -32,7 +33,6 @@ from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps
 from magmatch.slam.tie import (
     SURE,
-    Candidate,
     Searched,
     earlier_passes,
     expected_beside,
@@ -40,8 +40,6 @@ from magmatch.slam.tie import (
     is_known,
     near_candidates,
     nearby,
-    numbers_of,
-    of_numbers,
     tie,
 )
 from magmatch.slam.windows import Path, Window, cut

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import is_one_pose, product, transform_from_matrix, transform_of
+from magmatch.geometry import is_one_pose, product, transform_of
 from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.slam.answer import by_pass, closure_beside, same_answer
 from magmatch.slam.bases import Base
+from magmatch.slam.candidates import Candidate
 from magmatch.slam.chain import Placed, smooth
-from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure
-from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
 from magmatch.slam.loop_closure import (
     NODE_COVARIANCE,
@@ -21,7 +21,6 @@ from magmatch.slam.loop_closure import (
     SAME_SHIFT,
     SAME_TURN,
     Expected,
-    Match,
     Rough,
     log_density,
     matches,
@@ -32,49 +31,10 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
-# Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
-# simulated closures correlate by so much where they share a window.
-COMMON = 1 / 3
 # Probability that a registration needs. So sure is the graph of a place that it knows.
 SURE = DecisionConfig().min_probability
-# Of a candidate as it is kept.
-N_NUMBERS = 123
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
 SAME_PRIOR = 0.1
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Candidate:
-    """A node near which a window may lie, and the relative pose."""
-
-    node: int
-    T_node_window: RigidTransform
-    match: Match
-
-
-def numbers_of(candidates: Sequence[Candidate]) -> Matrix:
-    """Candidates as rows of numbers, as they are kept."""
-    rows = [
-        np.concatenate([
-            [c.node, c.match.log_odds, c.match.log_prior], c.T_node_window.as_matrix().ravel(),
-            c.match.T_base_log.as_matrix().ravel(), c.match.covariance.ravel(),
-            c.match.T_node_alone.as_matrix().ravel(), c.match.covariance_alone.ravel(),
-        ])
-        for c in candidates
-    ]  # fmt: skip
-    return np.array(rows).reshape(-1, N_NUMBERS)
-
-
-def of_numbers(rows: Matrix) -> list[Candidate]:
-    """Candidates of such rows."""
-    found = []
-    for row in rows.reshape(-1, N_NUMBERS):
-        poses = (row[3:19], row[19:35], row[71:87])
-        T_node_window, T_base_log, T_node_alone = (transform_from_matrix(part.reshape(4, 4)) for part in poses)
-        C, alone = (part.reshape(6, 6) for part in (row[35:71], row[87:]))
-        match = Match(T_base_log, C, float(row[1]), float(row[2]), T_node_alone, alone)
-        found.append(Candidate(int(row[0]), T_node_window, match))
-    return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -237,13 +197,12 @@ def tie(
     shares = smooth(placed, steps, revisits, config.keeps_on)
     closures = []
     for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
-        # A third pass of a place is near both earlier passes: two nodes, but one answer.
-        same = _same_answer(at, p, window.length)
+        same = same_answer([one.T for one in at], p, window)
         probability = float(p[same].sum())
         if probability >= least:
             odds = float(np.log(probability / max(1 - probability, 1e-12)))
-            one_a_pass = _one_a_pass([found[k] for k in same], graph)
-            closures += [_closure(c, window.node, paths[graph.log[c.node]], odds, config) for c in one_a_pass]
+            for passed in by_pass([found[k] for k in same], p[same], graph):
+                closures.append(closure_beside(passed, window.node, paths, odds, graph))
     return closures
 
 
@@ -255,35 +214,6 @@ def _placed(c: Candidate, graph: PoseGraph) -> Placed:
 def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
     """Probability that a window lies on stretches of its component where candidates were found."""
     return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
-
-
-def _closure(c: Candidate, node: int, path: Path, odds: float, config: SlamConfig) -> Closure:
-    """A candidate as a factor of the graph: its node and the path beside it are apart by some odometry.
-
-    The field sees how far a body leans or is above the floor, where the graph has a node upright and level.
-    """
-    off_level = np.diag(np.diag(NODE_COVARIANCE))
-    off_level[config.drifts, config.drifts] = 0.0
-    covariance = c.match.covariance_alone + covariance_beside(path, c.node, c.T_node_window, config) + 2 * off_level
-    return Closure(c.node, node, product(c.T_node_window, c.match.T_node_alone), covariance, odds, common=COMMON)
-
-
-def _same_answer(placed: list[Placed], shares: Scalars, length: float) -> Indices:
-    """Candidates that put a window where the most probable one does, most probable first."""
-    order = np.argsort(-shares, kind="stable")
-    if not len(order):
-        return order
-    T_best, same = placed[order[0]].T, (SAME_SHIFT * length, SAME_TURN)
-    return order[[is_one_pose(placed[k].T, T_best, np.zeros(3), same) for k in order]]
-
-
-def _one_a_pass(candidates: list[Candidate], graph: PoseGraph) -> list[Candidate]:
-    """The first candidate, and of each other pass the first, unless that pass speaks against the place."""
-    kept: list[Candidate] = []
-    for c in candidates:
-        if not kept or (c.match.log_odds > 0 and not any(graph.is_one_pass(c.node, k.node) for k in kept)):
-            kept.append(c)
-    return kept
 
 
 def _log_transition(

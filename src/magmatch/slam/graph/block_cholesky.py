@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Cholesky factor of a sparse matrix of 6 x 6 blocks, and the diagonal blocks of its inverse (Takahashi).
+"""Cholesky factor of a sparse matrix of 6 x 6 blocks, and blocks of its inverse (Takahashi).
 
 Unknowns of a pose are coupled to those of another all together, so blocks are ordered and stored instead of numbers.
 """
@@ -53,9 +53,9 @@ class BlockCholesky:
         one, other = position[i], position[j]
         below, right = np.maximum(one, other), np.minimum(one, other)
         L = np.zeros((len(rows), SIDE, SIDE))
-        keys = np.repeat(np.arange(n), np.diff(starts)) * n + rows
         upside_down = (one < other)[:, None, None]
-        L[np.searchsorted(keys, right * n + below)] = np.where(upside_down, np.swapaxes(A.data, 1, 2), A.data)
+        at = _find(starts, rows, below, right)
+        L[at] = np.where(upside_down, np.swapaxes(A.data, 1, 2), A.data)
         if not _factor(starts, rows, L, np.zeros((SIDE, SIDE))):
             msg = "the graph does not determine all poses"
             raise np.linalg.LinAlgError(msg)
@@ -83,11 +83,36 @@ class BlockCholesky:
             _solve(self.starts, self.rows, self.L, one, is_asked)
         return np.moveaxis(y[:, places], 0, 2)
 
-    def inverse_blocks(self) -> np.ndarray:
-        """Blocks along the diagonal of ``A^-1``: (n, 6, 6)."""
+    def inverse(self) -> "SelectedInverse":
+        """Blocks of ``A^-1`` where L has some."""
         Z = np.zeros_like(self.L)
         _invert(self.starts, self.rows, self.L.copy(), Z, np.zeros((1, SIDE, SIDE)))
-        return np.asarray(Z[self.starts[:-1]][self.position])
+        return SelectedInverse(self, Z)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SelectedInverse:
+    """Blocks of ``A^-1`` along its diagonal, and where A has some."""
+
+    factor: BlockCholesky
+    Z: np.ndarray  # (m, 6, 6)
+
+    def diagonal(self) -> np.ndarray:
+        """Blocks along the diagonal: (n, 6, 6)."""
+        return np.asarray(self.Z[self.factor.starts[:-1]][self.factor.position])
+
+    def between(self, rows: Indices, columns: Indices) -> np.ndarray:
+        """Blocks of coupled unknowns: (k, 6, 6)."""
+        f = self.factor
+        one, other = f.position[rows], f.position[columns]
+        found = self.Z[_find(f.starts, f.rows, np.maximum(one, other), np.minimum(one, other))]
+        return np.asarray(np.where((one < other)[:, None, None], np.swapaxes(found, 1, 2), found))
+
+
+def _find(starts: Indices, rows: Indices, below: Indices, right: Indices) -> Indices:
+    """Where blocks of L stand, by their rows and columns."""
+    n = len(starts) - 1
+    return np.asarray(np.searchsorted(np.repeat(np.arange(n), np.diff(starts)) * n + rows, right * n + below))
 
 
 def _order(i: Indices, j: Indices, n: int) -> tuple[Indices, Indices, Indices]:

@@ -69,6 +69,8 @@ class Closure:
     log_odds: float  # that it is right, from the field alone
     weight: float = 1.0  # probability that it is right, given the graph
     common: float = 0.0  # share of the covariance that is one window's own, so that its other closures have it too
+    # Squared residual against what the graph predicted when it was found: its odds have paid for that.
+    paid: float = 0.0
 
     @property
     def is_kept(self) -> bool:
@@ -86,8 +88,9 @@ class Ties:
     t: Points
     information: Tensors  # (c, 6, 6): rotation in the second node's axes, translation in the first's
     odds: Scalars  # (c,): log odds from the field alone, as far as they count
-    weight: Scalars  # (c,), and the share of the covariance that is one window's own
+    weight: Scalars  # (c,), the share of the covariance that is one window's own, and what the odds have paid for
     common: Scalars
+    paid: Scalars
 
     @classmethod
     def of(cls, closures: Sequence[Closure]) -> "Ties":
@@ -99,10 +102,10 @@ class Ties:
         turn[:, :3, :3], turn[:, 3:, 3:] = np.eye(3), R
         first, second = (np.array([getattr(c, name) for c in closures], np.int64) for name in ("first", "second"))
         information = np.linalg.inv(turn @ C @ np.swapaxes(turn, 1, 2))
-        odds, weight, common = (
-            np.array([getattr(c, name) for c in closures]) for name in ("log_odds", "weight", "common")
+        odds, weight, common, paid = (
+            np.array([getattr(c, name) for c in closures]) for name in ("log_odds", "weight", "common", "paid")
         )
-        return cls(first, second, R, Z[:, :3, 3], information, np.minimum(odds, MOST_ODDS), weight, common)
+        return cls(first, second, R, Z[:, :3, 3], information, np.minimum(odds, MOST_ODDS), weight, common, paid)
 
     @property
     def is_kept(self) -> Mask:

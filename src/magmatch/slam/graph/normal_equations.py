@@ -85,7 +85,12 @@ def _scale_held(graph: PoseGraph) -> list[Part]:
 
 
 def counted(graph: PoseGraph) -> Scalars:
-    """How much of each closure's information counts: its weight, less what closures of its windows have in common.
+    """How much of each closure's information counts: its weight, less what closures of its windows have in common."""
+    return np.asarray(graph.ties.weight / shared(graph))
+
+
+def shared(graph: PoseGraph) -> Scalars:
+    """By how much the covariance of each closure is larger, as closures of its windows have a part in common.
 
     Where n windows are all tied to one another, covariances that are larger by (n - 2) times their common share give
     all relative poses the covariance that is exact.
@@ -93,7 +98,7 @@ def counted(graph: PoseGraph) -> Scalars:
     ties, n = graph.ties, len(graph.p)
     at_node = np.bincount(ties.first, ties.weight, n) + np.bincount(ties.second, ties.weight, n)
     others = np.maximum((at_node[ties.first] + at_node[ties.second]) / 2 - 1, 0.0)
-    return np.asarray(ties.weight / (1 + ties.common * others))
+    return np.asarray(1 + ties.common * others)
 
 
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.block_cholesky import BlockCholesky
+from magmatch.slam.graph.block_cholesky import BlockCholesky, SelectedInverse
 from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints, Ties
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
@@ -49,7 +49,7 @@ class PoseGraph:
     _closures: tuple[Closure, ...] = ()
     _ties: Ties | None = None
     _factor: BlockCholesky | None = None
-    _own: np.ndarray | None = None
+    _inverse: SelectedInverse | None = None
 
     def __post_init__(self) -> None:
         self.start, self.level = self.p.copy(), self.p[:, 2].copy()
@@ -179,20 +179,30 @@ class PoseGraph:
 
     def factor(self, H: bsr_array) -> BlockCholesky:
         """Keep the information of all poses, from which their covariances follow."""
-        self._own, self._factor = None, BlockCholesky.of(H, self._factor)
+        self._inverse, self._factor = None, BlockCholesky.of(H, self._factor)
         return self._factor
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
         """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6), odometry's unit."""
         assert self._factor is not None
-        C_as, own = self._factor.inverse_in_column(firsts, second), self.marginals()
+        seconds = np.full(len(firsts), second)
+        return self._relative(firsts, seconds, self._factor.inverse_in_column(firsts, second))
+
+    def relative_covariances_of_ties(self) -> np.ndarray:
+        """The same of each closure's two nodes: (c, 6, 6)."""
+        firsts, seconds = self.ties.first, self.ties.second
+        return self._relative(firsts, seconds, self._selected().between(firsts, seconds))
+
+    def _relative(self, firsts: Indices, seconds: Indices, between: np.ndarray) -> np.ndarray:
+        own = self.marginals()
         # How a perturbation of each first node moves the second, in the second's axes: the adjoint of where it is.
-        R = self.R[second].T @ self.R[firsts]
+        back = np.swapaxes(self.R[seconds], 1, 2)
+        R = back @ self.R[firsts]
         A = np.zeros((len(firsts), 6, 6))
         A[:, :3, :3] = A[:, 3:, 3:] = R
-        A[:, 3:, :3] = skew((self.p[firsts] - self.p[second]) @ self.R[second]) @ R
-        AC = A @ C_as
-        found = own[second] + A @ own[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
+        A[:, 3:, :3] = skew((back @ (self.p[firsts] - self.p[seconds])[:, :, None])[:, :, 0]) @ R
+        AC = A @ between
+        found = own[seconds] + A @ own[firsts] @ np.swapaxes(A, 1, 2) - AC - np.swapaxes(AC, 1, 2)
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
 
     def sds_of_place(self, firsts: Indices, second: int) -> Scalars:
@@ -235,7 +245,10 @@ class PoseGraph:
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
-        if self._own is None:
+        return self._selected().diagonal()[: len(self.p)]
+
+    def _selected(self) -> SelectedInverse:
+        if self._inverse is None:
             assert self._factor is not None
-            self._own = self._factor.inverse_blocks()[: len(self.p)]
-        return self._own
+            self._inverse = self._factor.inverse()
+        return self._inverse

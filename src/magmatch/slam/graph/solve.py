@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Most likely poses by Gauss-Newton, with closures weighted by the probability that they are right.
 
-This depends on a closure's own probability and on how far the rest of the graph contradicts it: a mixture of right
-and wrong closures, fitted by expectation-maximisation.
+Poses and weights are found in turn, as a mixture of right and wrong closures is by expectation-maximisation.
 """
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.special import expit
 
+from magmatch.slam.graph.doubt import probabilities
 from magmatch.slam.graph.factors import N_LASTING
-from magmatch.slam.graph.normal_equations import normal_equations, residual_between
+from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
 
 # Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
 MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
+# Change of a closure's weight that ends it.
+SETTLED = 1e-2
 # Largest turn of a step, rad: beyond it, equations are not linear.
 MOST_TURN = 0.3
 
@@ -22,7 +23,7 @@ MOST_TURN = 0.3
 def solve(graph: PoseGraph) -> None:
     """Most likely poses; closures that the rest contradicts lose their weight."""
     _bring_to_fixed(graph)
-    is_doubted = not graph.closures
+    at_first = True
     for _ in range(MOST_STEPS):
         H, v, _ = normal_equations(graph)
         xi = -graph.factor(H).solve(v[None])[0]
@@ -32,13 +33,14 @@ def solve(graph: PoseGraph) -> None:
         graph.p = graph.p + np.einsum("nij,nj->ni", graph.R, shifts)
         graph.R = graph.R @ Rotation.from_rotvec(turns).as_matrix()
         graph.lasting = graph.lasting + xi[n:, :N_LASTING]
-        moved = np.abs(xi).max()
-        if is_doubted and moved < SMALL:
-            break
+        moved, changed = np.abs(xi).max(), 0.0
         # Of poses that still move, a contradiction may disappear.
-        if moved < NEAR:
-            _doubt(graph)
-            is_doubted = True
+        if moved < NEAR and graph.closures:
+            before = graph.ties.weight
+            graph.weigh_closures(probabilities(graph, at_first=at_first))
+            at_first, changed = False, np.abs(graph.ties.weight - before).max()
+        if moved < SMALL and changed < SETTLED:
+            break
     _bring_home(graph)
 
 
@@ -71,14 +73,6 @@ def _bring_to_fixed(graph: PoseGraph) -> None:
         mine = root[graph.log] == r
         graph.R[mine], graph.p[mine] = R @ graph.R[mine], (graph.p[mine] - a) @ R.T + b
         graph.level[mine] = graph.start[mine, 2] + np.mean(graph.p[mine, 2] - graph.start[mine, 2])
-
-
-def _doubt(graph: PoseGraph) -> None:
-    """Weigh closures by how likely they are right, now that all poses are known."""
-    ties = graph.ties
-    r = residual_between(graph, ties.first, ties.second, ties.R, ties.t)[0]
-    chi2 = np.einsum("ei,eij,ej->e", r, ties.information, r)
-    graph.weigh_closures(expit(ties.odds - 0.5 * np.maximum(chi2 - 6.0, 0.0)))
 
 
 def _bring_home(graph: PoseGraph) -> None:

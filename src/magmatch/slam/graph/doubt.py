@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How probable each closure is: by its own odds, and by how far the rest of the graph contradicts it."""
+
+import numpy as np
+from scipy.special import expit
+
+from magmatch.slam.graph.factors import LEAST_KEPT, Closure, Ties
+from magmatch.slam.graph.normal_equations import residual_between, shared
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.typing import Scalars
+
+# What a right closure's squared residual is expected to be.
+EXPECTED = 6.0
+# Share of what the graph knows of a pair, beyond which it knows it from the closure itself.
+ITS_OWN = 0.99
+
+
+def probabilities(graph: PoseGraph, *, at_first: bool) -> Scalars:
+    """Weight of each closure, where all poses are solved for: the probability that it is right, (c,).
+
+    A wrong one makes those beside it look wrong, too. So of those to be rejected only the more surprising half of the
+    scale is, before the others are asked again; and one that is rejected is asked again at first only, for a solution
+    with new closures.
+    """
+    ties, component = graph.ties, graph.component()
+    surprise, left = surprises(graph)
+    # It is contradicted by what the graph has learned since it was found, or by itself, however far the graph bends.
+    more = np.maximum(surprise - np.maximum(ties.paid, EXPECTED), np.maximum(left - EXPECTED, 0.0))
+    right = expit(ties.odds - 0.5 * more)
+    is_out, was_in = right <= LEAST_KEPT, ties.is_kept
+    waits = is_out & was_in & (more < more[is_out & was_in].max(initial=0.0) / 2)
+    stays = ~is_out & ~was_in & (not at_first)
+    # What ties two components no more, nothing contradicts; nothing speaks for it either.
+    is_apart = component[ties.first] != component[ties.second]
+    return np.asarray(np.where(waits | stays | is_apart, ties.weight, right))
+
+
+def surprises(graph: PoseGraph) -> tuple[Scalars, Scalars]:
+    """Squared residual of each closure against what the rest of the graph predicts; and if it were believed, (c,)."""
+    ties = graph.ties
+    return _surprises(graph, ties, graph.relative_covariances_of_ties(), ties.weight / shared(graph))
+
+
+def surprise_before(graph: PoseGraph, closure: Closure) -> float:
+    """Squared residual of a closure that the graph does not have yet; 0 if the graph predicts nothing."""
+    first, second = closure.first, closure.second
+    component = graph.component()
+    if component[first] != component[second]:
+        return 0.0
+    S = graph.relative_covariances(np.array([first]), second)
+    return float(_surprises(graph, Ties.of([closure]), S, np.zeros(1))[0][0])
+
+
+def _surprises(graph: PoseGraph, ties: Ties, S: np.ndarray, counts: Scalars) -> tuple[Scalars, Scalars]:
+    """``r' (C + S)^-1 r`` and ``q' C^-1 q`` with ``q = C (C + S)^-1 r``, where closures have no part in r and S.
+
+    C is a closure's covariance, r its residual, S the covariance of its pair. With r = C^(1/2) U z and
+    C^(-1/2) S C^(-1/2) = U diag(s) U' where a share c of its information counts, both z and s grow by 1 / (1 - c s)
+    without it.
+    """
+    r = residual_between(graph, ties.first, ties.second, ties.R, ties.t)[0]
+    # A residual's shift is in the axes of the first node.
+    axes = np.zeros((len(r), 6, 6))
+    axes[:, :3, :3] = np.eye(3)
+    axes[:, 3:, 3:] = np.swapaxes(graph.R[ties.first], 1, 2) @ graph.R[ties.second]
+    root = np.linalg.cholesky(ties.information)
+    mine = np.swapaxes(root, 1, 2) @ axes
+    s, U = np.linalg.eigh(mine @ S @ np.swapaxes(mine, 1, 2))
+    z = np.einsum("eij,ej->ei", np.swapaxes(root @ U, 1, 2), r)
+    s = np.maximum(s, 0.0)
+    without = 1 - np.minimum(counts[:, None] * s, ITS_OWN)
+    believed = without + s
+    return (z**2 / (without * believed)).sum(axis=1), (z**2 / believed**2).sum(axis=1)
