@@ -238,6 +238,10 @@ def main() -> None:
         "map", "odometry", "n", "first right, m", "never", "wrong (1 m)", "error, m", "share stated", "late", "NEES",
     )  # fmt: skip
     lines = [[*label, *of_places(some)] for label, some in groups.items()]
+    if asked.table == "starts":
+        steps = [one for (_, level), some in groups.items() if level == "steps" for one in some]
+        others = [row for row in found if row not in steps]
+        lines += [["all", "0.5 to 3%", *of_places(others)], ["all", "steps", *of_places(steps)]]
     show(columns, [*lines, ["all", "", *of_places(found)]], asked.save)
 
 

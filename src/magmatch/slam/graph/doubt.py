@@ -5,7 +5,7 @@ import numpy as np
 from scipy.special import expit
 
 from magmatch.slam.graph.factors import LEAST_KEPT, Closure, Ties
-from magmatch.slam.graph.normal_equations import residual_between, shared
+from magmatch.slam.graph.normal_equations import counted, residual_between
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.typing import Scalars
 
@@ -38,7 +38,7 @@ def probabilities(graph: PoseGraph, *, at_first: bool) -> Scalars:
 def surprises(graph: PoseGraph) -> tuple[Scalars, Scalars]:
     """Squared residual of each closure against what the rest of the graph predicts; and if it were believed, (c,)."""
     ties = graph.ties
-    return _surprises(graph, ties, graph.relative_covariances_of_ties(), ties.weight / shared(graph))
+    return _surprises(graph, ties, graph.relative_covariances_of_ties(), counted(graph))
 
 
 def surprise_before(graph: PoseGraph, closure: Closure) -> float:
