@@ -239,9 +239,9 @@ def main() -> None:
     )  # fmt: skip
     lines = [[*label, *of_places(some)] for label, some in groups.items()]
     if asked.table == "starts":
-        steps = [one for (_, level), some in groups.items() if level == "steps" for one in some]
-        others = [row for row in found if row not in steps]
-        lines += [["all", "0.5 to 3%", *of_places(others)], ["all", "steps", *of_places(steps)]]
+        for label, levels in (("0.5 to 3%", LEVELS[:3]), ("steps", LEVELS[3:])):
+            some = [row for (_, level), rows in groups.items() if level in levels for row in rows]
+            lines.append(["all", label, *of_places(some)])
     show(columns, [*lines, ["all", "", *of_places(found)]], asked.save)
 
 

@@ -177,6 +177,11 @@ def log_se3(T: RigidTransform) -> np.ndarray:
     return np.asarray(T.as_exp_coords(), dtype=np.float64)
 
 
+def turn_and_shift(T: RigidTransform) -> np.ndarray:
+    """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, `log_se3`."""
+    return np.concatenate([T.rotation.as_rotvec(), T.translation], axis=-1)
+
+
 def adjoint(T: RigidTransform) -> Matrix:
     """Takes xi of one frame to that of another, rotation first: ``T Exp(xi) T^-1 = Exp(Ad xi)``; (6, 6)."""
     R, M = rotation_matrix(T), np.zeros((6, 6))

@@ -9,7 +9,7 @@ from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.places import begin
+from magmatch.slam.find_places import begin
 
 
 def log_ratios(seed: int, beside: float) -> list[float]:

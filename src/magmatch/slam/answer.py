@@ -2,15 +2,13 @@
 """What a window answers: the candidates that say the same, and the closures that they make, one a pass."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.geometry import is_one_pose, product
+from magmatch.geometry import is_one_pose, product, turn_and_shift
 from magmatch.slam.candidates import Candidate
-from magmatch.slam.graph.doubt import surprise_before
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -71,23 +69,20 @@ def closure_beside(
     off_level[config.drifts, config.drifts] = 0.0
     T, covariance = _mean(passed, graph)
     beside = covariance_beside(paths[graph.log[c.node]], c.node, c.T_node_window, config)
-    closure = Closure(c.node, node, T, covariance + beside + 2 * off_level, log_odds, common=COMMON)
-    return replace(closure, paid=surprise_before(graph, closure))
+    return Closure(c.node, node, T, covariance + beside + 2 * off_level, log_odds, common=COMMON)
 
 
 def _mean(passed: Sequence[Weighted], graph: PoseGraph) -> tuple[RigidTransform, Covariance6]:
     """Mean of what the field alone says, from the first one's node, and covariance of the mixture."""
-    nodes = [one.candidate.node for one in passed]
     poses = [
         product(graph.center(one.candidate.node), one.candidate.T_node_window, one.candidate.match.T_node_alone)
         for one in passed
     ]
-    off = [product(poses[0].inv(), T) for T in poses]
-    xi = np.array([np.concatenate([T.rotation.as_rotvec(), T.translation]) for T in off])
+    xi = np.array([turn_and_shift(product(poses[0].inv(), T)) for T in poses])
     w = np.array([one.probability for one in passed])
     mean = w @ xi / w.sum()
     C = np.array([one.candidate.match.covariance_alone for one in passed])
     C += (xi - mean)[:, :, None] * (xi - mean)[:, None, :]
     T_mean = RigidTransform.from_components(mean[3:], Rotation.from_rotvec(mean[:3]))
-    T = product(graph.center(nodes[0]).inv(), poses[0], T_mean)
+    T = product(graph.center(passed[0].candidate.node).inv(), poses[0], T_mean)
     return T, np.einsum("k,kij->ij", w / w.sum(), C)

@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import adjoint, product
+from magmatch.geometry import adjoint, product, turn_and_shift
 from magmatch.registration.decide.posterior import distinct, log_odds
 from magmatch.registration.prepared.hypotheses import pose_inaccuracy
 from magmatch.registration.prepared.path_noise import PathNoise, Stretch
@@ -134,7 +134,7 @@ def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) ->
     Gravity and the floor hold each window by itself, so its own evidence has them; a neighbour predicts the others.
     One pose with its covariance (6, 6), or h of them with theirs (h, 6, 6).
     """
-    r = np.concatenate([off.rotation.as_rotvec(), off.translation], axis=-1)[..., drifts]
+    r = turn_and_shift(off)[..., drifts]
     S = covariance[..., drifts[:, None], drifts]
     chi2 = (r * np.linalg.solve(S, r[..., None])[..., 0]).sum(axis=-1)
     return np.asarray(-0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1]))

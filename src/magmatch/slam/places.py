@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The method on one page: hyperparameters that logs share, windows, and rounds of search for loop closures."""
+"""Windows of logs and their graph, and rounds of search for loop closures."""
 
 import logging
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -9,27 +9,24 @@ import numpy as np
 from scipy.special import logit
 
 from magmatch.atlas.retrieval import count_votes, shortlist
-from magmatch.data.checks import extent
-from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
-from magmatch.progress import counted, tell
-from magmatch.registration.clock import Clock
+from magmatch.progress import counted
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of
 from magmatch.slam.candidates import Candidate, numbers_of, of_numbers
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
+from magmatch.slam.graph.doubt import surprise_before
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.learned_drift import learned_drift
-from magmatch.slam.graph.odometry import follow, lie_level, odometry_graph
+from magmatch.slam.graph.odometry import follow, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.graph.solve import forget_closures, solve
+from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import moved
 from magmatch.slam.loop_closure import residuals
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame_odds import log_odds_shared
-from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps
 from magmatch.slam.tie import (
     SURE,
@@ -43,7 +40,7 @@ from magmatch.slam.tie import (
     tie,
 )
 from magmatch.slam.windows import Path, Window, cut
-from magmatch.threads import one_blas_thread, side_by_side
+from magmatch.threads import side_by_side
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vector3
 
 log = logging.getLogger(__name__)
@@ -52,14 +49,11 @@ log = logging.getLogger(__name__)
 MOST_ROUNDS = 4
 # So sure must be what teaches noise, and that logs share a frame.
 SURE_ODDS = float(logit(SURE))
-# Closures that noise is learned from before the search proper: a tenth is left to what was guessed.
-ENOUGH = 9 * PRIOR_STRETCHES
 # Of the noise what a base itself states: closures' poses were fitted to the same residuals, mostly near its path.
 MAPS_OWN = ("map_factor", "map_length")
 # Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
 # what one tells (`counted`): four tell four fifths of all.
 MOST_PASSES = 4
-NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
 @dataclass(eq=False, slots=True)
@@ -260,6 +254,7 @@ class Places:
             for c in tie(path, candidates, self.graph, self.paths, least)
             if c.second not in but and not self.graph.is_tied(np.array([c.first]), c.second).any()
         ]
+        closures = [replace(c, paid=surprise_before(self.graph, c)) for c in closures]
         lost = [c for c in closures if self.is_lost(c)]
         closures = [c for c in closures if c not in lost]
         self.graph.closures = [*self.graph.closures, *closures]
@@ -348,61 +343,3 @@ def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Cl
     """Of each window that proposes a closure, the density of the prior at its pose."""
     found = {c.second: candidates[c.second - path.first_node] for c in closures}
     return {c.second: next(k.match.log_prior for k in found[c.second] if k.node == c.first) for c in closures}
-
-
-def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
-    """Settings with what the logs show of themselves: whether they lie level."""
-    if not config.is_gravity_aligned or config.is_planar or not lie_level(given):
-        return config
-    log.info("all poses lie at one height: taken as planar")
-    return config.model_copy(update={"is_planar": True})
-
-
-def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
-    """Logs cut into windows, as odometry has them, and the numbers of the field that they share."""
-    if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
-        # Nothing tells places apart, and the field has no length.
-        paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
-        return Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given))
-    tell("learning how the field changes")
-    numbers, length = shared_numbers(given)
-    biases = [sensor_bias(survey, numbers, config) for survey in given]
-    paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
-    n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
-    log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
-    maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
-    return Places(paths, odometry_graph(paths, config), config, maker, biases)
-
-
-def find(
-    given: Sequence[Survey], config: SlamConfig, anchors: list[tuple[Anchor, int]], steps: Steps, clock: Clock
-) -> Places:
-    """All logs at once: the noise is learned from the most certain closures; then all are searched again with it."""
-    with one_blas_thread():
-        with clock("numbers"):
-            places = begin(given, config)
-        places.steps, places.anchors = steps, anchors
-        places.solve()
-        if places.maker is not None:
-            with clock("noise"):
-                places.close_near(places.paths, ENOUGH, SURE)
-                places.learn_noise()
-                forget_closures(places.graph)
-            with clock("closures"):
-                places.close(places.paths)
-    return places
-
-
-def go_on(
-    earlier: Places, logs: Sequence[Survey], anchors: Sequence[tuple[Anchor, int]], steps: Steps, clock: Clock
-) -> Places:
-    """Add logs with the known hyperparameters; closures between earlier logs are kept."""
-    places = earlier.copied()
-    places.steps, places.anchors = steps, [*places.anchors, *anchors]
-    with one_blas_thread(), clock("closures"):
-        places.solve()
-        for survey in logs:
-            if places.graph.config.is_planar and not lie_level([survey]):
-                log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
-            places.close([places.add(survey)])
-    return places

@@ -23,12 +23,13 @@ from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.settings import Settings
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
-from magmatch.slam.places import Places, find, go_on, settled
+from magmatch.slam.places import Places
 from magmatch.slam.result import AnchorResult, LogResult, Odometry, SlamResult, SlamStatus
 from magmatch.slam.statement import explain, state_closure, state_odometry
 from magmatch.slam.steps import Steps

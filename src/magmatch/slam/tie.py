@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import is_one_pose, product, transform_of
+from magmatch.geometry import is_one_pose, product, transform_of, turn_and_shift
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.answer import by_pass, closure_beside, same_answer
 from magmatch.slam.bases import Base
@@ -70,8 +70,7 @@ class Searched:
 def _moved(before: Rough, now: Rough, window: Window) -> Scalars:
     """By how much the expected pose of a window's node has moved: rotation vector and shift."""
     T_log_node = window.T_log_node
-    off = product(T_log_node.inv(), before.T_base_log.inv(), now.T_base_log, T_log_node)
-    return np.concatenate([off.rotation.as_rotvec(), off.translation])
+    return turn_and_shift(product(T_log_node.inv(), before.T_base_log.inv(), now.T_base_log, T_log_node))
 
 
 def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:

@@ -37,7 +37,7 @@ def test_solutions_determinant_and_blocks_of_the_inverse_are_those_of_the_dense_
     np.testing.assert_allclose(factor.solve(rhs).reshape(3, -1), rhs.reshape(3, -1) @ inverse, atol=1e-9 * scale)
     assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
     own = inverse.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n)]
-    np.testing.assert_allclose(factor.inverse().diagonal(), own, atol=1e-9 * scale)
+    np.testing.assert_allclose(factor.inverse().diagonal, own, atol=1e-9 * scale)
     rows, column = rng.choice(n, 5, replace=False), int(rng.integers(n))
     found = factor.inverse_in_column(rows, column)
     np.testing.assert_allclose(found, inverse.reshape(n, 6, n, 6)[rows, :, column], atol=1e-9 * scale)

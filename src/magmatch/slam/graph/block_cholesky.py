@@ -5,6 +5,7 @@ Unknowns of a pose are coupled to those of another all together, so blocks are o
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import bsr_array, coo_array, csc_array, diags_array
@@ -50,12 +51,9 @@ class BlockCholesky:
             position, starts, rows = before.position, before.starts, before.rows
         else:
             position, starts, rows = _order(i, j, n)
-        one, other = position[i], position[j]
-        below, right = np.maximum(one, other), np.minimum(one, other)
         L = np.zeros((len(rows), SIDE, SIDE))
-        upside_down = (one < other)[:, None, None]
-        at = _find(starts, rows, below, right)
-        L[at] = np.where(upside_down, np.swapaxes(A.data, 1, 2), A.data)
+        at, is_above = _find(starts, rows, position[i], position[j])
+        L[at] = _flipped(A.data, is_above)
         if not _factor(starts, rows, L, np.zeros((SIDE, SIDE))):
             msg = "the graph does not determine all poses"
             raise np.linalg.LinAlgError(msg)
@@ -90,13 +88,14 @@ class BlockCholesky:
         return SelectedInverse(self, Z)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class SelectedInverse:
     """Blocks of ``A^-1`` along its diagonal, and where A has some."""
 
     factor: BlockCholesky
     Z: np.ndarray  # (m, 6, 6)
 
+    @cached_property
     def diagonal(self) -> np.ndarray:
         """Blocks along the diagonal: (n, 6, 6)."""
         return np.asarray(self.Z[self.factor.starts[:-1]][self.factor.position])
@@ -104,15 +103,20 @@ class SelectedInverse:
     def between(self, rows: Indices, columns: Indices) -> np.ndarray:
         """Blocks of coupled unknowns: (k, 6, 6)."""
         f = self.factor
-        one, other = f.position[rows], f.position[columns]
-        found = self.Z[_find(f.starts, f.rows, np.maximum(one, other), np.minimum(one, other))]
-        return np.asarray(np.where((one < other)[:, None, None], np.swapaxes(found, 1, 2), found))
+        at, is_above = _find(f.starts, f.rows, f.position[rows], f.position[columns])
+        return _flipped(self.Z[at], is_above)
 
 
-def _find(starts: Indices, rows: Indices, below: Indices, right: Indices) -> Indices:
-    """Where blocks of L stand, by their rows and columns."""
+def _find(starts: Indices, rows: Indices, one: Indices, other: Indices) -> tuple[Indices, Mask]:
+    """Where blocks stand in L, by their rows and columns in its order; and which lie above its diagonal."""
     n = len(starts) - 1
-    return np.asarray(np.searchsorted(np.repeat(np.arange(n), np.diff(starts)) * n + rows, right * n + below))
+    keys = np.repeat(np.arange(n), np.diff(starts)) * n + rows
+    return np.searchsorted(keys, np.minimum(one, other) * n + np.maximum(one, other)), one < other
+
+
+def _flipped(blocks: np.ndarray, is_above: Mask) -> np.ndarray:
+    """Blocks (k, 6, 6), those above the diagonal transposed."""
+    return np.where(is_above[:, None, None], np.swapaxes(blocks, 1, 2), blocks)
 
 
 def _order(i: Indices, j: Indices, n: int) -> tuple[Indices, Indices, Indices]:

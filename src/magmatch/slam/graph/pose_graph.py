@@ -212,9 +212,12 @@ class PoseGraph:
 
     def most_sds_of_place(self, firsts: Indices, second: int) -> Scalars:
         """What `sds_of_place` cannot exceed: both nodes' own, and the first's turn over how far they are apart."""
-        own, apart = self.marginals(), np.linalg.norm(self.p[firsts] - self.p[second], axis=1)
+        own, apart = (
+            self.marginals()[np.append(firsts, second)],
+            np.linalg.norm(self.p[firsts] - self.p[second], axis=1),
+        )
         places, turns = (np.sqrt(np.trace(own[:, k : k + 3, k : k + 3], axis1=1, axis2=2)) for k in (3, 0))
-        return np.asarray(places[second] + places[firsts] + apart * turns[firsts])
+        return np.asarray(places[-1] + places[:-1] + apart * turns[:-1])
 
     def covariances(self, nodes: Indices) -> np.ndarray:
         """Of nodes (k,), in metres, with how well their scale is known: (k, 6, 6).
@@ -245,7 +248,7 @@ class PoseGraph:
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
-        return self._selected().diagonal()[: len(self.p)]
+        return self._selected().diagonal[: len(self.p)]
 
     def _selected(self) -> SelectedInverse:
         if self._inverse is None:

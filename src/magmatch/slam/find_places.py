@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The method on one page: hyperparameters that logs share, windows, and rounds of search for loop closures."""
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from magmatch.data.checks import extent
+from magmatch.data.diagnoses import CONSTANT_FIELD
+from magmatch.data.survey import Survey
+from magmatch.progress import tell
+from magmatch.registration.clock import Clock
+from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
+from magmatch.slam.bases import BaseMaker
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.anchors import Anchor
+from magmatch.slam.graph.odometry import lie_level, odometry_graph
+from magmatch.slam.graph.solve import forget_closures
+from magmatch.slam.places import Places
+from magmatch.slam.sensor_bias import sensor_bias, without_bias
+from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
+from magmatch.slam.steps import Steps
+from magmatch.slam.tie import SURE
+from magmatch.slam.windows import cut
+from magmatch.threads import one_blas_thread
+
+log = logging.getLogger(__name__)
+
+# Closures that noise is learned from before the search proper: a tenth is left to what was guessed.
+ENOUGH = 9 * PRIOR_STRETCHES
+NO_BIAS = (np.zeros(3), np.zeros(3))
+
+
+def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
+    """Settings with what the logs show of themselves: whether they lie level."""
+    if not config.is_gravity_aligned or config.is_planar or not lie_level(given):
+        return config
+    log.info("all poses lie at one height: taken as planar")
+    return config.model_copy(update={"is_planar": True})
+
+
+def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
+    """Logs cut into windows, as odometry has them, and the numbers of the field that they share."""
+    if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
+        # Nothing tells places apart, and the field has no length.
+        paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
+        return Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given))
+    tell("learning how the field changes")
+    numbers, length = shared_numbers(given)
+    biases = [sensor_bias(survey, numbers, config) for survey in given]
+    paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
+    n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
+    log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
+    maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
+    return Places(paths, odometry_graph(paths, config), config, maker, biases)
+
+
+def find(
+    given: Sequence[Survey], config: SlamConfig, anchors: list[tuple[Anchor, int]], steps: Steps, clock: Clock
+) -> Places:
+    """All logs at once: the noise is learned from the most certain closures; then all are searched again with it."""
+    with one_blas_thread():
+        with clock("numbers"):
+            places = begin(given, config)
+        places.steps, places.anchors = steps, anchors
+        places.solve()
+        if places.maker is not None:
+            with clock("noise"):
+                places.close_near(places.paths, ENOUGH, SURE)
+                places.learn_noise()
+                forget_closures(places.graph)
+            with clock("closures"):
+                places.close(places.paths)
+    return places
+
+
+def go_on(
+    earlier: Places, logs: Sequence[Survey], anchors: Sequence[tuple[Anchor, int]], steps: Steps, clock: Clock
+) -> Places:
+    """Add logs with the known hyperparameters; closures between earlier logs are kept."""
+    places = earlier.copied()
+    places.steps, places.anchors = steps, [*places.anchors, *anchors]
+    with one_blas_thread(), clock("closures"):
+        places.solve()
+        for survey in logs:
+            if places.graph.config.is_planar and not lie_level([survey]):
+                log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
+            places.close([places.add(survey)])
+    return places
