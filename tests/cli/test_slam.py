@@ -90,6 +90,7 @@ def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path)
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "robot:1,2"], "name of a log"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--planar", "--no-gravity"], "--no-gravity"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--field-unit", "uT"], "uT"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--scheduler", "there"], "an address such as tcp://"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(run, logs, tmp_path, words, said):

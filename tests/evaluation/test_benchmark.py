@@ -166,6 +166,6 @@ def test_workers_of_a_scheduler_give_the_same_table(tmp_path):
 )
 def test_scheduler_that_is_none_is_named(tmp_path, monkeypatch, address, words):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("magmatch.field.tiles.distributed.CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr("magmatch.workers.CONNECT_SECONDS", 0.3)
     with pytest.raises(ConfigurationError, match=words):
         evaluate(toy.toy_plan(), tmp_path, scheduler=address)

@@ -10,10 +10,10 @@ from scipy.stats import multivariate_normal
 
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam import loop_closure
+from magmatch.slam.comparison import Comparison, Searched, compare
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
-from magmatch.slam.tie import Searched, near_candidates
 
 
 def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_begin_from(lone, monkeypatch):
@@ -128,17 +128,15 @@ def test_a_pose_that_the_graph_knows_well_is_refined_without_a_search(lone, near
     sure = Rough(near.rough.T_base_log, near.rough.covariance * 0.3**2)
     assert sure.is_narrow(near.window.length)
     assert not near.rough.is_narrow(near.window.length)
-    a, nodes = near.node, np.array([near.node])
 
     def look(rough):
-        graph = places.graph
-        return near_candidates(near.window, {a: nodes}, {a: rough}, {}, (), graph, lambda _: near.base)
+        return compare(Comparison(near.window, near.base, rough, places.maker.noise, nodes=np.array([near.node])))
 
     searched = look(near.rough)
     monkeypatch.setattr(loop_closure, "pair_search", None)
-    (found,) = look(sure)
-    assert found.node == near.node
-    poses = [c.match.T_base_log.apply(near.window.center) for c in (found, *searched)]
+    ((node, found),) = look(sure)
+    assert node == near.node
+    poses = [match.T_base_log.apply(near.window.center) for match in (found, *(match for _, match in searched))]
     assert np.linalg.norm(poses[0] - poses[1:], axis=1).min() < 0.05
     # What lies beside other nodes is refined by their stretch.
     ahead = RigidTransform.from_translation([2 * near.window.path_length, 0.0, 0.0])

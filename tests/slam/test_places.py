@@ -33,7 +33,11 @@ def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(clo
     windows, hits = places.paths[0].windows, 0
     for c in closures:
         nodes = places.known_to(windows[c.second])
-        voted = nodes[shortlist(places.votes(windows[c.second], nodes.tolist()))]
+        places.voted.clear()
+        places.vote({windows[c.second]: nodes.tolist()})
+        votes = places.voted[c.second]
+        assert list(votes) == nodes.tolist()
+        voted = nodes[shortlist(np.array(list(votes.values())))]
         assert set(voted) <= set(nodes)
         hits += np.abs(voted - c.first).min() <= 1
     assert hits >= 0.8 * len(closures)
@@ -57,7 +61,7 @@ def test_a_window_is_compared_with_few_passes(lone, monkeypatch):
     window, nodes = places.paths[0].windows[7], np.arange(6)
     monkeypatch.setattr(places_module, "MOST_PASSES", 2)
     monkeypatch.setattr(places_module, "nearby", lambda *_: nodes)
-    places.at(window, nodes)
+    places.at([window], [nodes])
     assert len(places.searched[window.node]) == 2 < len(places.stretches(nodes, window))
 
 
@@ -66,7 +70,7 @@ def test_what_has_enough_closures_is_not_compared_any_more(lone):
     closure = next(c for c in places.graph.closures if c.is_kept)
     window = places.window(closure.second)
     places.graph.closures = [closure] * MOST_PASSES
-    assert places.near(window) == []
+    assert places.near([window]) == [[]]
     assert not places.searched[window.node]
 
 
@@ -119,7 +123,7 @@ def test_a_window_whose_place_the_graph_knows_needs_less_evidence_than_one_that_
     places, closures = closed
     best = max(closures, key=lambda c: c.log_odds)
     window = places.paths[0].windows[best.second]
-    found = [c for c in places.near(window) if c.node == best.first]
+    found = [c for c in places.near([window])[0] if c.node == best.first]
     weak = [replace(c, match=replace(c.match, log_odds=-2.0)) for c in found[:1]]
     path = places.paths[0].only(slice(best.second, best.second + 1))
     assert not tie(path, [weak], places.graph, places.paths)

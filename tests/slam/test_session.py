@@ -219,7 +219,7 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     ]
     others = np.flatnonzero(graph.log == graph.log[closure.second])
     assert not graph.is_tied(others, window.node).any()
-    assert not {c.node for c in places.near(window)} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
+    assert not {c.node for c in places.near([window])[0]} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
 
 
 def test_a_pass_ties_a_window_once(three):

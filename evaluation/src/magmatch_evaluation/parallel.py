@@ -10,8 +10,8 @@ from itertools import islice
 from typing import TypeVar
 
 from magmatch.errors import ConfigurationError, TaskError
-from magmatch.field.tiles.distributed import DaskRunner
 from magmatch.threads import on_one_core
+from magmatch.workers import DaskRunner
 
 A = TypeVar("A")
 T = TypeVar("T")

@@ -4,7 +4,6 @@
 import logging
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +14,7 @@ from magmatch.cli.inputs import read_map, read_samples
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
+from magmatch.cli.processes import processes
 from magmatch.cli.settings import merged
 from magmatch.data.units import field_text
 
@@ -82,8 +82,8 @@ def build(
     # A map that grows may take its own place: it is replaced in one step, once the new one is whole.
     check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], config], page=report)
     if is_addition:
-        with runner(jobs, scheduler) as run:
-            grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
+        with processes(jobs, scheduler) as run:
+            grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run or map)
         draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
         return
     settings = merged(FieldConfig(prior="auto"), config, "field")
@@ -92,8 +92,8 @@ def build(
         stated["domain"] = parse_domain(domain)
     settings = FieldConfig.model_validate(settings.model_dump() | stated)
     samples = [read_samples(path, layouts) for path in surveys]
-    with runner(jobs, scheduler) as run:
-        field_map = build_map(samples, settings, run)
+    with processes(jobs, scheduler) as run:
+        field_map = build_map(samples, settings, run or map)
     field_map.save(out)
     h, errors = field_map.hyperparameters, field_map.config.comparison
     if errors:
@@ -105,20 +105,6 @@ def build(
     )
     _warn_of_sensors(samples, field_map)
     draw(report, field_map, samples, command_again(surveys, layouts, out))
-
-
-@contextmanager
-def runner(jobs: int, scheduler: str | None) -> "Iterator[Runner]":
-    """Give the runner for the tasks of a tiled map: this process, others on this machine, or a cluster."""
-    if jobs == 1 and scheduler is None:
-        yield map
-        return
-    from magmatch.field.tiles.distributed import DaskRunner
-
-    if scheduler is not None and "://" not in scheduler:
-        refuse("--scheduler", "an address such as tcp://10.0.0.1:8786", scheduler)
-    with DaskRunner(jobs, scheduler) as run:
-        yield run
 
 
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:

@@ -11,6 +11,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
+from magmatch.cli.processes import processes
 from magmatch.cli.sessions import deliver, require_pictures
 from magmatch.cli.settings import merged
 from magmatch.cli.walks import read_walk
@@ -25,6 +26,7 @@ EXAMPLES = (
     "magmatch slam robot.csv phone.csv --odometry-sd 0.1,1 --odometry-sd phone:0.5,8 --out hall",
     "magmatch slam phone.csv --field-frame sensor --field-unit uT --planar --out floor",
     "magmatch slam robot.csv --anchors points.csv --out hall",
+    "magmatch slam monday.mcap tuesday.mcap friday.mcap --jobs 4 --out building",
     "magmatch slam monday.mcap tuesday.mcap friday.mcap --continue --out building",
     "magmatch slam drone.bag --no-gravity --json --out room > room.json",
 )
@@ -63,6 +65,10 @@ def slam(
         ),
     ] = False,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that map and compare stretches of path.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler whose workers do so instead, tcp://HOST:PORT.")
+    ] = None,
     rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
@@ -101,7 +107,8 @@ def slam(
     require_folder(out, surveys, [path for path in (*logs, config, anchors) if path], may_be_more=is_more)
     poses = [read_poses_of(path, layouts) for path in logs]
     session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
-    session.add_logs(new, fixed, keep=unfinished(out))
+    with processes(jobs, scheduler, ahead=2) as run:
+        session.add_logs(new, fixed, run, keep=unfinished(out))
     # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
     words = ["slam", *map(str, logs), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]

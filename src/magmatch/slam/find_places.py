@@ -12,16 +12,16 @@ from magmatch.data.survey import Survey
 from magmatch.progress import tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
-from magmatch.slam.bases import BaseMaker
+from magmatch.slam.bases import BaseMaker, Run
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.odometry import lie_level, odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.places import Places
+from magmatch.slam.predicted import SURE
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps
-from magmatch.slam.tie import SURE
 from magmatch.slam.windows import cut
 from magmatch.threads import one_blas_thread
 
@@ -57,7 +57,12 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
 
 
 def find(
-    given: Sequence[Survey], config: SlamConfig, anchors: list[tuple[Anchor, int]], steps: Steps, clock: Clock
+    given: Sequence[Survey],
+    config: SlamConfig,
+    anchors: list[tuple[Anchor, int]],
+    steps: Steps,
+    run: Run | None,
+    clock: Clock,
 ) -> Places:
     """All logs at once: the noise is learned from the most certain closures; then all are searched again with it."""
     with one_blas_thread():
@@ -66,25 +71,35 @@ def find(
         places.steps, places.anchors = steps, anchors
         places.solve()
         if places.maker is not None:
+            places.maker.run = run
             with clock("noise"):
                 places.close_near(places.paths, ENOUGH, SURE)
                 places.learn_noise()
                 forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
+            places.maker.run = None
     return places
 
 
 def go_on(
-    earlier: Places, logs: Sequence[Survey], anchors: Sequence[tuple[Anchor, int]], steps: Steps, clock: Clock
+    earlier: Places,
+    logs: Sequence[Survey],
+    anchors: Sequence[tuple[Anchor, int]],
+    steps: Steps,
+    run: Run | None,
+    clock: Clock,
 ) -> Places:
     """Add logs with the known hyperparameters; closures between earlier logs are kept."""
     places = earlier.copied()
     places.steps, places.anchors = steps, [*places.anchors, *anchors]
+    assert places.maker is not None
+    places.maker.run = run
     with one_blas_thread(), clock("closures"):
         places.solve()
         for survey in logs:
             if places.graph.config.is_planar and not lie_level([survey]):
                 log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
             places.close([places.add(survey)])
+    places.maker.run = None
     return places

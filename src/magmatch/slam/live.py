@@ -157,10 +157,10 @@ class LiveLog:
         last = path.only(slice(-n, None))
         window = path.windows[-1]
         tied = {c.second for c in places.graph.closures}
-        self._near = [*self._near, places.near(window)][-n:]
+        self._near = [*self._near, *places.near([window])][-n:]
         places.tie(last, [[]] * (n - len(self._near)) + self._near, tied)
         if places.others(path):
-            self._far = [*self._far, places.anywhere(window, path)][-n:]
+            self._far = [*self._far, *places.anywhere([window], path)][-n:]
             places.connect(last, [[]] * (n - len(self._far)) + self._far, path)
         if len(places.graph.closures) >= self._next_learning:
             places.learn_noise()

@@ -4,6 +4,7 @@
 import logging
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 
 import numpy as np
 from scipy.special import logit
@@ -13,8 +14,10 @@ from magmatch.data.survey import Survey
 from magmatch.progress import counted
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
-from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of
+from magmatch.registration.search.pair_search import PairTable
+from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of, volume_of
 from magmatch.slam.candidates import Candidate, numbers_of, of_numbers
+from magmatch.slam.comparison import Comparison, Search, Searched, candidate, compare
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.doubt import surprise_before
@@ -24,24 +27,14 @@ from magmatch.slam.graph.odometry import follow, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import moved
-from magmatch.slam.loop_closure import residuals
+from magmatch.slam.loop_closure import Match, residuals
+from magmatch.slam.predicted import SURE, earlier_passes, is_known, nearby
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame_odds import log_odds_shared
 from magmatch.slam.steps import Steps
-from magmatch.slam.tie import (
-    SURE,
-    Searched,
-    earlier_passes,
-    expected_beside,
-    far_candidates,
-    is_known,
-    near_candidates,
-    nearby,
-    tie,
-)
+from magmatch.slam.tie import tie
 from magmatch.slam.windows import Path, Window, cut
-from magmatch.threads import side_by_side
-from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vector3
+from magmatch.typing import Indices, Mask, Matrix, Points, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +70,7 @@ class Places:
 
     def copied(self) -> "Places":
         """A copy, to continue from without changing this one."""
-        maker = None if self.maker is None else replace(self.maker)
+        maker = None if self.maker is None else replace(self.maker, run=None)
         return Places(list(self.paths), self.graph.copied(), self.stated, maker, list(self.biases), self.anchors)
 
     def add(self, survey: Survey) -> Path:
@@ -116,17 +109,17 @@ class Places:
         were weighed by what the graph knew then, so they have no more say. Or all of a log ``at_once``: where it was
         searched before, the graph predicts all of them, and is solved once.
         """
-        found = 0
+        found, few = 0, self.graph.config.run_length
         for path in paths:
             candidates: list[list[Candidate]] = []
-            n = len(path.windows) if at_once else self.graph.config.run_length
-            for w in counted(f"looking for closures of {path.survey.name}", path.windows):
-                candidates.append(self.near(w))
-                if len(candidates) % n == 0 or w is path.windows[-1]:
-                    last = path.only(slice(max(len(candidates) - 2 * n, 0), len(candidates)))
-                    found += self.tie(last, candidates[-2 * n :], least=least)
-                    if found >= enough:
-                        return found
+            for some in counted(f"looking for closures of {path.survey.name}", _runs(path.windows, few)):
+                candidates += self.near(some)
+                if at_once and len(candidates) < len(path.windows):
+                    continue
+                first = 0 if at_once else max(len(candidates) - 2 * few, 0)
+                found += self.tie(path.only(slice(first, len(candidates))), candidates[first:], least=least)
+                if found >= enough:
+                    return found
         return found
 
     def close_far(self, paths: Sequence[Path]) -> int:
@@ -135,8 +128,9 @@ class Places:
         for path in paths:
             # Whoever came first is the base; a log that was tied since is corrected as the graph has it.
             if self.others(path):
+                runs = _runs(path.windows, self.graph.config.run_length)
                 what = f"looking for {path.survey.name} in other logs"
-                found += self.connect(path, [self.anywhere(w, path) for w in counted(what, path.windows)])
+                found += self.connect(path, [c for some in counted(what, runs) for c in self.anywhere(some, path)])
         return found
 
     def connect(self, path: Path, candidates: list[list[Candidate]], whole: Path | None = None) -> int:
@@ -164,7 +158,7 @@ class Places:
         before, self.graph = self.graph, self.graph.copied()
         self.graph.closures = [*self.graph.closures, *closures]
         solve(self.graph)
-        near = [self.at(w, nodes) for w in windows]
+        near = self.at(windows, [nodes] * len(windows))
         known = np.concatenate([self._moved(path, np.isin(path.nodes, nodes)[path.number]) for path in self.paths])
         odds = log_odds_shared(windows, known, near, log_prior, self.graph)
         log.info("windows %d to %d on known path: log odds %.1f", windows[0].node, windows[-1].node, odds)
@@ -177,35 +171,49 @@ class Places:
         """Some samples' positions, as the graph has them."""
         return moved(path, self.graph, path.walked[rows], path.survey.positions[rows])
 
-    def near(self, window: Window) -> list[Candidate]:
-        """Where a window may lie on earlier path, as the graph predicts, except on passes that it is tied to."""
-        nodes = self.known_to(window)
-        if (self.graph.ties.second == window.node).sum() >= MOST_PASSES:
-            nodes = nodes[:0]
-        found = self.looked[window.node] = self.at(window, nodes[~self.graph.is_tied(nodes, window.node)])
+    def near(self, windows: Sequence[Window]) -> list[list[Candidate]]:
+        """Where windows may lie on earlier path, as the graph predicts, except on passes that they are tied to."""
+        asked = []
+        for window in windows:
+            nodes = self.known_to(window)
+            if (self.graph.ties.second == window.node).sum() >= MOST_PASSES:
+                nodes = nodes[:0]
+            asked.append(nodes[~self.graph.is_tied(nodes, window.node)])
+        found = self.at(windows, asked)
+        self.looked.update(zip((window.node for window in windows), found, strict=True))
         return found
 
-    def at(self, window: Window, nodes: Indices) -> list[Candidate]:
-        """Where a window may lie near some nodes, of those before it, as the graph predicts."""
-        nodes = nearby(window, nodes, self.graph)
-        stretches = self.stretches(nodes, window)
-        if len(stretches) > MOST_PASSES:
-            listed = list(stretches)
-            likely = shortlist(self.votes(window, listed))[:MOST_PASSES]
-            stretches = {listed[k]: stretches[listed[k]] for k in likely}
-        expected = expected_beside(window, np.array(list(stretches), np.int64), self.graph)
-        known = self.searched.setdefault(window.node, {})
-        before = {a: known[a] for a in expected if a in known and known[a].holds(expected[a], stretches[a], window)}
-        standing = {a for a, searched in before.items() if searched.stands(expected[a], window)}
-        found = self._step(
-            lambda: near_candidates(window, stretches, expected, before, standing, self.graph, self.stretch)
-        )
-        for a, rough in expected.items():
-            here = [c for c in found if c.node in stretches[a]]
-            if a not in before:
-                known[a] = Searched(stretches[a], rough, rough, here)
-            elif a not in standing:
-                known[a] = replace(before[a], weighed=rough, found=here)
+    def at(self, windows: Sequence[Window], nodes: Sequence[Indices]) -> list[list[Candidate]]:
+        """Where each window may lie near some nodes, of those before it, as the graph predicts.
+
+        None of them waits for what is found of another, so all are compared at once.
+        """
+        near = [self.stretches(nearby(w, some, self.graph), w) for w, some in zip(windows, nodes, strict=True)]
+        self.vote({w: list(some) for w, some in zip(windows, near, strict=True) if len(some) > MOST_PASSES})
+        searches = [
+            Search.of(w, few, self.searched.setdefault(w.node, {}), self.graph)
+            for w, few in zip(windows, map(self.most_voted, windows, near), strict=True)
+        ]
+
+        @cache
+        def compared() -> list[dict[int, list[tuple[int, Match]]]]:
+            assert self.maker is not None
+            pairs = [(k, a) for k, search in enumerate(searches) for a in search.open]
+            given = self.maker.given([(self.path(a), a) for _, a in pairs])
+            asked = [
+                searches[k].comparison(a, one, self.maker.noise) for (k, a), one in zip(pairs, given, strict=True)
+            ]
+            by_search: list[dict[int, list[tuple[int, Match]]]] = [{} for _ in searches]
+            for (k, a), some in zip(pairs, self.maker.apply(compare, asked), strict=True):
+                by_search[k][a] = some
+            return by_search
+
+        def candidates(k: int) -> list[Candidate]:
+            return searches[k].candidates(compared()[k], self.graph)
+
+        found = [self._step(partial(candidates, k)) for k in range(len(searches))]
+        for search, some in zip(searches, found, strict=True):
+            self.searched[search.window.node].update(search.done(some))
         return found
 
     def stretches(self, nodes: Indices, window: Window) -> dict[int, Indices]:
@@ -215,19 +223,37 @@ class Places:
         ends_before = (logs != window.log) | (firsts + TOGETHER < window.node)
         return {a: nodes[firsts == a] for a in np.unique(firsts[ends_before]).tolist()}
 
-    def votes(self, window: Window, nodes: list[int]) -> Scalars:
-        """Share of a window's pairs of points that agree on one pose on the stretch about each of some nodes."""
-        assert self.maker is not None
-        known, maker = self.voted.setdefault(window.node, {}), self.maker
-        new = [node for node in nodes if node not in known]
+    def vote(self, asked: dict[Window, list[int]]) -> None:
+        """Let stretches vote for each window that may lie on them, by their nodes; none is asked twice.
 
-        def ask() -> Matrix:
-            tables = side_by_side(lambda node: maker.table(self.path(node), node), new)
-            return count_votes(tables, window.survey, self.graph.config.search, 0)[None]
+        A vote is the share of the window's pairs of points that agree on one pose there.
+        """
+        new = {
+            w: [node for node in some if node not in self.voted.setdefault(w.node, {})] for w, some in asked.items()
+        }
 
-        if new:
-            known.update(zip(new, self.steps(ask)[0].tolist(), strict=True))
-        return np.array([known[node] for node in nodes])
+        @cache
+        def tables() -> dict[int, PairTable]:
+            assert self.maker is not None
+            nodes = sorted({node for some in new.values() for node in some})
+            return dict(zip(nodes, self.maker.tables([(self.path(node), node) for node in nodes]), strict=True))
+
+        def ask(window: Window) -> Matrix:
+            listed = [tables()[node] for node in new[window]]
+            return count_votes(listed, window.survey, self.graph.config.search, 0)[None]
+
+        for window, some in new.items():
+            if some:
+                votes = self.steps(partial(ask, window))[0]
+                self.voted[window.node].update(zip(some, votes.tolist(), strict=True))
+
+    def most_voted(self, window: Window, stretches: dict[int, Indices]) -> dict[int, Indices]:
+        """The stretches that a window is compared with: of many, those with most votes."""
+        if len(stretches) <= MOST_PASSES:
+            return stretches
+        listed, votes = list(stretches), self.voted[window.node]
+        likely = shortlist(np.array([votes[a] for a in listed]))[:MOST_PASSES]
+        return {listed[k]: stretches[listed[k]] for k in likely}
 
     def others(self, path: Path) -> list[Path]:
         """Earlier logs that nothing ties to this one."""
@@ -235,11 +261,26 @@ class Places:
         earlier = [p for p in self.paths if p.first_node < path.first_node]
         return [p for p in earlier if component[p.first_node] != component[path.first_node]]
 
-    def anywhere(self, window: Window, path: Path) -> list[Candidate]:
-        """Where a window may lie on other logs, without a prior."""
-        assert self.maker is not None
-        whole, others = self.maker.whole, self.others(path)
-        return self._step(lambda: far_candidates(window, [whole(p, self.graph) for p in others], self.graph))
+    def anywhere(self, windows: Sequence[Window], path: Path) -> list[list[Candidate]]:
+        """Where windows of a log may lie on other logs, without a prior."""
+        others = self.others(path)
+
+        @cache
+        def compared() -> list[list[Candidate]]:
+            assert self.maker is not None
+            bases, noise = [self.maker.whole(p, self.graph) for p in others], self.maker.noise
+            volume = float(sum(self.maker.apply(volume_of, bases)))
+            pairs = [(k, base) for k, w in enumerate(windows) if w.keeps_shape for base in bases]
+            by_window: list[list[Candidate]] = [[] for _ in windows]
+            found = self.maker.apply(compare, [Comparison(windows[k], base, volume, noise) for k, base in pairs])
+            for (k, _), some in zip(pairs, found, strict=True):
+                by_window[k] += [candidate(windows[k], node, match, self.graph.pose(node)) for node, match in some]
+            return by_window
+
+        def candidates(k: int) -> list[Candidate]:
+            return compared()[k]
+
+        return [self._step(partial(candidates, k)) for k in range(len(windows))]
 
     def _step(self, look: Callable[[], list[Candidate]]) -> list[Candidate]:
         """What a search finds, or found before an interruption."""
@@ -343,3 +384,7 @@ def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Cl
     """Of each window that proposes a closure, the density of the prior at its pose."""
     found = {c.second: candidates[c.second - path.first_node] for c in closures}
     return {c.second: next(k.match.log_prior for k in found[c.second] if k.node == c.first) for c in closures}
+
+
+def _runs(windows: Sequence[Window], n: int) -> list[Sequence[Window]]:
+    return [windows[k : k + n] for k in range(0, len(windows), n)]

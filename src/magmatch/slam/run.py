@@ -8,6 +8,7 @@ from magmatch.arguments import expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.progress import Progress
+from magmatch.slam.bases import Run
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.session import Session
@@ -18,6 +19,7 @@ def slam(
     config: SlamConfig | None = None,
     *,
     anchors: Sequence[Anchor] | str | Path = (),
+    run: Run | None = None,
     progress: Progress | None = None,
     keep: str | Path | None = None,
 ) -> Session:
@@ -31,6 +33,9 @@ def slam(
     anchors : sequence of Anchor, or path, optional
         Fixed points, or a table of them (``log,t,x,y,z,sd``). If they determine the frame, the logs that they fix are
         in it.
+    run : callable, optional
+        Runs the mapping and comparing of stretches in other processes, such as `magmatch.workers.DaskRunner`; by
+        default this one does it, on the cores that are free. The result is the same bit for bit.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
     keep : path, optional
@@ -59,5 +64,5 @@ def slam(
         msg = "expected at least one log, got none"
         raise ValueError(msg)
     session = Session(config)
-    session.add_logs(given, anchors, progress=progress, keep=keep)
+    session.add_logs(given, anchors, run, progress=progress, keep=keep)
     return session

@@ -22,6 +22,7 @@ from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.settings import Settings
+from magmatch.slam.bases import Run
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
@@ -35,6 +36,7 @@ from magmatch.slam.statement import explain, state_closure, state_odometry
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Vector3
+from magmatch.workers import bit_for_bit
 
 
 @dataclass(eq=False)
@@ -78,6 +80,7 @@ class Session:
         self,
         logs: Sequence[Survey],
         anchors: Sequence[Anchor] | str | FilePath = (),
+        run: Run | None = None,
         *,
         progress: Progress | None = None,
         keep: str | FilePath | None = None,
@@ -88,7 +91,7 @@ class Session:
         ----------
         logs : sequence of Survey
             Each with positions from odometry, in its own frame.
-        anchors, progress, keep
+        anchors, run, progress, keep
             See `slam`.
         """
         config, clock, earlier = self._of_slam(), Clock(), self.places
@@ -114,10 +117,11 @@ class Session:
         )  # fmt: skip
         try:
             with followed(progress):
+                elsewhere = None if run is None else bit_for_bit(run)
                 if earlier is None or earlier.maker is None:
-                    places = find(given, config, fixed, steps, clock)
+                    places = find(given, config, fixed, steps, elsewhere, clock)
                 else:
-                    places = go_on(earlier, logs, fixed, steps, clock)
+                    places = go_on(earlier, logs, fixed, steps, elsewhere, clock)
         finally:
             steps.keep()
         self.config, self.given, self.places = config, given, places

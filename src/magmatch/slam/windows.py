@@ -2,7 +2,7 @@
 """A log divided into windows: stretches of path over which odometry is nearly rigid, each a node of the graph."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -33,6 +33,10 @@ class Window:
     # (vector, float): mean of the field along the whole log (T), odometry's frame, and variance of a component about
     # it (T^2)
     log_field: tuple[Vector3, float]
+
+    def __getstate__(self) -> dict[str, object]:
+        # What follows from these is computed again where it is needed.
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @property
     def path_length(self) -> float:

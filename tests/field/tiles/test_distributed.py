@@ -10,10 +10,10 @@ import pytest
 
 from magmatch.errors import ConfigurationError, MissingExtraError, TaskError
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.tiles.distributed import DaskRunner
 from magmatch.field.tiles.tile_fit import fit_weights
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
+from magmatch.workers import DaskRunner
 
 pytest.importorskip("distributed")
 H = Hyperparameters(0.6, 4e-6, 5e-7, 0.2, 300.0)
@@ -89,7 +89,7 @@ def test_few_tasks_are_on_their_way_at_any_time(workers, tasks):
 
 
 def test_scheduler_that_does_not_answer_is_named(tasks, monkeypatch):
-    monkeypatch.setattr("magmatch.field.tiles.distributed.CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr("magmatch.workers.CONNECT_SECONDS", 0.3)
     with (
         DaskRunner(scheduler="tcp://127.0.0.1:9") as run,
         pytest.raises(ConfigurationError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"),

@@ -40,7 +40,7 @@ def test_one_more_log_is_tied_and_nothing_is_looked_for_again(lone, folder, monk
     looked = []
     at = Places.at
     monkeypatch.setattr(
-        Places, "at", lambda self, window, nodes: looked.append(window.log) or at(self, window, nodes)
+        Places, "at", lambda self, windows, nodes: looked.extend(w.log for w in windows) or at(self, windows, nodes)
     )
     session, new = read_session(folder, [lone.log, OTHER])
     session.add_logs(new)

@@ -28,12 +28,7 @@ class Factors:
     @classmethod
     def gone(cls) -> "Factors":
         """None: who asks for one is told."""
-
-        def refuse(_: type[np.floating]) -> CholeskyFactor:
-            msg = "the factors of this posterior are not kept: only its mean can be evaluated"
-            raise RuntimeError(msg)
-
-        return cls(refuse)
+        return cls(_refuse)
 
     @property
     def full(self) -> CholeskyFactor:
@@ -60,3 +55,8 @@ class Factors:
         self._made[precision] = factor
         if factor.precision == np.float64:
             self._made[np.float64] = factor
+
+
+def _refuse(_: type[np.floating]) -> CholeskyFactor:
+    msg = "the factors of this posterior are not kept: only its mean can be evaluated"
+    raise RuntimeError(msg)

@@ -45,6 +45,11 @@ class TileTask:
     around: Points  # (n, 3), m: samples that shape the tile's cells
     parts: list[Samples]  # samples that inform it, as far as they lie in its box, less those of all further parts
 
+    @property
+    def name(self) -> str:
+        """In words."""
+        return "tile " + ".".join(map(str, self.index))
+
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""
         sizes = None if self.tiling is None else astuple(self.tiling)

@@ -48,6 +48,7 @@ class PoseGraph:
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
     _closures: tuple[Closure, ...] = ()
     _ties: Ties | None = None
+    _tied: Indices | None = None
     _factor: BlockCholesky | None = None
     _inverse: SelectedInverse | None = None
 
@@ -69,7 +70,7 @@ class PoseGraph:
 
     @closures.setter
     def closures(self, closures: Sequence[Closure]) -> None:
-        self._closures, self._ties = tuple(closures), None
+        self._closures, self._ties, self._tied = tuple(closures), None, None
 
     @property
     def ties(self) -> Ties:
@@ -86,7 +87,7 @@ class PoseGraph:
 
     def grow(self, centers: Points, logs: Indices, edges: Edges) -> None:
         """Add nodes at the end: where odometry leads from those before, or in a frame of their own."""
-        self.edges = self.edges.with_more(edges)
+        self.edges, self._tied = self.edges.with_more(edges), None
         self.log = np.concatenate([self.log, logs])
         self.start = np.concatenate([self.start, centers])
         self.p = np.concatenate([self.p, centers])
@@ -120,10 +121,13 @@ class PoseGraph:
 
     def tied(self) -> Indices:
         """For each log, the first log that closures connect it to."""
+        if self._tied is not None:
+            return self._tied.copy()
         n, kept = len(self.lasting), np.flatnonzero(self.ties.is_kept)
         one, other = self.log[self.ties.first[kept]], self.log[self.ties.second[kept]]
         group = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(n, n)), directed=False)[1]
-        return np.asarray(np.unique(group, return_index=True)[1][group])
+        self._tied = np.asarray(np.unique(group, return_index=True)[1][group])
+        return self._tied.copy()
 
     def fixed_by(self, root: Indices) -> dict[int, Indices]:
         """Fixed points of each group of logs that has any."""

@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tiles fitted by worker processes through Dask: on this machine, or on a cluster that is running already.
+"""Tasks done by worker processes through Dask: on this machine, or on a cluster that is running already.
 
-Each tile is a task that depends on its samples alone and runs one BLAS thread, so it gives the same bits wherever and
-however often it runs: a worker that dies in the middle costs time and nothing else. Few tasks are on their way at any
-time, so memory does not grow with the map.
+Each task depends on itself alone and runs one BLAS thread, so it gives the same bits wherever and however often it
+runs: a worker that dies in the middle costs time and nothing else. Few tasks are on their way at any time, so memory
+does not grow with their number.
 """
 
 import logging
+import pickle
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from functools import cached_property
+from functools import cached_property, partial
+from io import BytesIO
 from itertools import islice
 from queue import Empty, Queue
-from typing import Any, Self
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
+
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.errors import ConfigurationError, TaskError, import_extra
-from magmatch.field.tiles.tile_fit import TileTask
+from magmatch.geometry import transform_from_matrix
 from magmatch.threads import on_one_core
-from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)
 
@@ -30,18 +33,31 @@ CONNECT_SECONDS = 10
 LOOK_SECONDS, LONELY_SECONDS = 2, 120
 
 
+class Task(Protocol):
+    """What a worker is given; told by its name if it fails."""
+
+    @property
+    def name(self) -> str:
+        """In words."""
+
+
+T = TypeVar("T", bound=Task)
+R = TypeVar("R")
+
+
 class DaskRunner:
-    """Runs the tasks of tiles on Dask workers; a context manager that ends those it started.
+    """Runs tasks on Dask workers; a context manager that ends those it started.
 
     Examples
     --------
     ``with DaskRunner(jobs=4) as run: field_map = build_map(survey, run=run)``
     """
 
-    def __init__(self, jobs: int = 2, scheduler: str | None = None) -> None:
-        self.jobs, self.scheduler = jobs, scheduler
+    def __init__(self, jobs: int = 2, scheduler: str | None = None, ahead: int = 1) -> None:
+        # Short tasks had better wait at their workers: so many a thread are on their way.
+        self.jobs, self.scheduler, self.ahead = jobs, scheduler, ahead
         self._open = ExitStack()
-        import_extra("distributed", "fitting tiles in several processes", "distributed")
+        import_extra("distributed", "work in several processes", "distributed")
 
     def __enter__(self) -> Self:
         return self
@@ -49,19 +65,21 @@ class DaskRunner:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def __call__(self, fit: Callable[[TileTask], Scalars], tasks: Iterable[TileTask]) -> Iterator[Scalars]:
+    def __call__(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Apply a function to every task, results in the order of the tasks."""
         client, source = self.client, enumerate(tasks)
-        running: dict[Any, tuple[int, TileTask]] = {}
-        done: dict[int, Scalars] = {}
+        running: dict[Any, tuple[int, T]] = {}
+        done: dict[int, R] = {}
         finished: Queue[Any] = Queue()
         n_given = 0
         try:
             while True:
                 # One task per worker thread: of a worker that dies, only the task it ran is to blame.
-                n_idle = max(1, sum(client.nthreads().values())) - len(running)
+                workers = client.nthreads()
+                n_idle = self.ahead * max(1, sum(workers.values())) - len(running)
                 for number, task in islice(source, max(0, n_idle) if len(done) < MOST_WAITING else 0):
-                    future = client.submit(on_one_core, fit, task, pure=False)
+                    place = _place(task, sorted(workers))
+                    future = client.submit(on_one_core, function, task, pure=False, **place)
                     running[future] = number, task
                     future.add_done_callback(finished.put)
                 while n_given in done:
@@ -108,6 +126,14 @@ class DaskRunner:
         )  # fmt: skip
 
 
+def _place(task: Task, workers: list[str]) -> dict[str, Any]:
+    """The worker that a task is at home at, where it has a home: it has kept what earlier ones made."""
+    home = getattr(task, "home", None)
+    if home is None or not workers:
+        return {}
+    return {"workers": [workers[home % len(workers)]], "allow_other_workers": True}
+
+
 def _next(finished: "Queue[Any]", client: Any) -> Any:
     """Wait for a task that is done, as long as there is a worker to do it."""
     waited = 0
@@ -121,13 +147,13 @@ def _next(finished: "Queue[Any]", client: Any) -> Any:
                 raise TaskError(msg) from None
 
 
-def _result(task: TileTask, future: Any) -> Scalars:
-    """Weights of a tile, or what befell its task in one line."""
+def _result(task: Task, future: Any) -> Any:
+    """What a task gives, or what befell it in one line."""
     from distributed import CancelledError, KilledWorker
 
-    name = "tile " + ".".join(map(str, task.index))
+    name = task.name
     try:
-        weights: Scalars = future.result()
+        return future.result()
     except KilledWorker as error:
         msg = f"{name} took down several workers one after the other (out of memory?) and was given up"
         raise TaskError(msg) from error
@@ -138,4 +164,41 @@ def _result(task: TileTask, future: Any) -> Scalars:
         what = " ".join(str(error).split()) or type(error).__name__
         msg = f"{name} failed on a worker: {what}"
         raise TaskError(msg) from error
-    return weights
+
+
+class _Packed(NamedTuple):
+    """A task as bytes."""
+
+    name: str
+    home: int | None
+    content: bytes
+
+
+def bit_for_bit(run: Callable[..., Iterable[bytes]]) -> Callable[[Callable[[T], R], Iterable[T]], Iterator[R]]:
+    """Let a runner of other processes take tasks that hold rigid transforms, and give the very bits.
+
+    SciPy brings a transform to the nearest one whenever it is unpickled.
+    """
+
+    def run_packed(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        packed = (_Packed(task.name, getattr(task, "home", None), _pack(task)) for task in tasks)
+        yield from map(pickle.loads, run(partial(_unpacked, function), packed))
+
+    return run_packed
+
+
+class _Pickler(pickle.Pickler):
+    def reducer_override(self, one: Any) -> Any:
+        if isinstance(one, RigidTransform):
+            return transform_from_matrix, (one.as_matrix(),)
+        return NotImplemented
+
+
+def _pack(one: object) -> bytes:
+    content = BytesIO()
+    _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(one)
+    return content.getvalue()
+
+
+def _unpacked(function: Callable[[Any], Any], task: _Packed) -> bytes:
+    return _pack(function(pickle.loads(task.content)))

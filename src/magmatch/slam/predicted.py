@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where the graph predicts windows on earlier path."""
+
+import numpy as np
+
+from magmatch.geometry import transform_of
+from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.loop_closure import REACH, SAME_SHIFT, Rough
+from magmatch.slam.windows import Window
+from magmatch.typing import Indices
+
+# Probability that a registration needs. So sure is the graph of a place that it knows.
+SURE = DecisionConfig().min_probability
+
+
+def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
+    """Of some nodes those before a window that do not adjoin it."""
+    return np.asarray(nodes[(nodes < window.node) & ~graph.is_one_pass(nodes, window.node)])
+
+
+def is_known(window: Window, nodes: Indices, graph: PoseGraph) -> bool:
+    """Whether the graph knows where a window lies beside one of some nodes, as well as poses are told apart."""
+    return bool(graph.sds_of_place(nodes, window.node).min() < SAME_SHIFT * window.length)
+
+
+def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
+    """Which of some nodes, on earlier passes, the graph puts a window near."""
+    firsts = earlier_passes(window, nodes, graph)
+    if not len(firsts) or not window.keeps_shape:
+        return firsts[:0]
+    apart = np.linalg.norm(graph.p[firsts] - graph.p[window.node], axis=1)
+    beyond = (apart - window.path_length / 2 - window.length) / REACH
+    # A bound that costs little first: of a long log most are far away.
+    for sds in (graph.most_sds_of_place, graph.sds_of_place):
+        is_near = beyond <= sds(firsts, window.node)
+        firsts, beyond = firsts[is_near], beyond[is_near]
+    return np.asarray(firsts)
+
+
+def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:
+    """Where the graph expects a window, as each of some nodes has it."""
+    b, found = window.node, {}
+    for a, C in zip(nodes.tolist(), graph.relative_covariances(nodes, b), strict=True):
+        R = graph.R[a].T @ graph.R[b]
+        at = graph.start[a] + graph.R[a].T @ (graph.p[b] - graph.p[a])
+        found[a] = Rough(transform_of(R, at - R @ window.center), C)
+    return found
