@@ -19,8 +19,8 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.errors import ConfigurationError, TaskError, import_extra
-from magmatch.geometry import transform_from_matrix
 from magmatch.threads import on_one_core
+from magmatch.typing import Matrix
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,10 @@ class Task(Protocol):
     def name(self) -> str:
         """In words."""
 
+    @property
+    def home(self) -> int | None:
+        """Tasks of one home had better be done by one worker, which keeps what it made for others of them."""
+
 
 T = TypeVar("T", bound=Task)
 R = TypeVar("R")
@@ -54,7 +58,8 @@ class DaskRunner:
     """
 
     def __init__(self, jobs: int = 2, scheduler: str | None = None, ahead: int = 1) -> None:
-        # Short tasks had better wait at their workers: so many a thread are on their way.
+        # Tasks per thread of a worker that are on their way: more than one if they are short. Of a worker that dies,
+        # all of its tasks are to blame.
         self.jobs, self.scheduler, self.ahead = jobs, scheduler, ahead
         self._open = ExitStack()
         import_extra("distributed", "work in several processes", "distributed")
@@ -74,7 +79,6 @@ class DaskRunner:
         n_given = 0
         try:
             while True:
-                # One task per worker thread: of a worker that dies, only the task it ran is to blame.
                 workers = client.nthreads()
                 n_idle = self.ahead * max(1, sum(workers.values())) - len(running)
                 for number, task in islice(source, max(0, n_idle) if len(done) < MOST_WAITING else 0):
@@ -127,11 +131,10 @@ class DaskRunner:
 
 
 def _place(task: Task, workers: list[str]) -> dict[str, Any]:
-    """The worker that a task is at home at, where it has a home: it has kept what earlier ones made."""
-    home = getattr(task, "home", None)
-    if home is None or not workers:
+    """The worker that a task is at home at, while it is there."""
+    if task.home is None or not workers:
         return {}
-    return {"workers": [workers[home % len(workers)]], "allow_other_workers": True}
+    return {"workers": [workers[task.home % len(workers)]], "allow_other_workers": True}
 
 
 def _next(finished: "Queue[Any]", client: Any) -> Any:
@@ -181,7 +184,7 @@ def bit_for_bit(run: Callable[..., Iterable[bytes]]) -> Callable[[Callable[[T], 
     """
 
     def run_packed(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
-        packed = (_Packed(task.name, getattr(task, "home", None), _pack(task)) for task in tasks)
+        packed = (_Packed(task.name, task.home, _pack(task)) for task in tasks)
         yield from map(pickle.loads, run(partial(_unpacked, function), packed))
 
     return run_packed
@@ -190,8 +193,12 @@ def bit_for_bit(run: Callable[..., Iterable[bytes]]) -> Callable[[Callable[[T], 
 class _Pickler(pickle.Pickler):
     def reducer_override(self, one: Any) -> Any:
         if isinstance(one, RigidTransform):
-            return transform_from_matrix, (one.as_matrix(),)
+            return _transform, (one.as_matrix(),)
         return NotImplemented
+
+
+def _transform(matrix: Matrix) -> RigidTransform:
+    return RigidTransform(matrix, normalize=False)
 
 
 def _pack(one: object) -> bytes:

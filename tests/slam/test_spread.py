@@ -2,15 +2,18 @@
 """Stretches mapped and windows compared by workers: what is found is the same, to the bit."""
 
 import pickle
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from magmatch.geometry import product, random_transform
-from magmatch.slam import bases
+from magmatch.slam import bases, steps
 from magmatch.slam.bases import TOGETHER, base_of
+from magmatch.slam.candidates import N_NUMBERS
 from magmatch.slam.comparison import Comparison
+from magmatch.slam.predicted import nearby
 from magmatch.slam.run import slam
 from magmatch.workers import DaskRunner, bit_for_bit
 
@@ -48,7 +51,7 @@ def test_rigid_transforms_are_sent_as_they_are():
 
 
 class _Named:
-    name = "a transform"
+    name, home = "a transform", None
 
     def __init__(self, T):
         self.T = T
@@ -79,3 +82,41 @@ def test_a_stretch_has_one_home_and_a_whole_log_has_all(lone):
     assert homes == [node // TOGETHER for node in path.nodes.tolist()]
     whole = [Comparison(w, maker.task(path, 0), 100.0, maker.noise).home for w in path.windows]
     assert len(set(whole)) == len(whole)
+
+
+def test_what_is_read_back_still_tells_when_a_stretch_was_first_asked_for(lone):
+    """The noise that was known then tells which pairs of points are listed."""
+    places = lone.session.places.copied()
+    window, nodes = places.paths[0].windows[-1], np.arange(4)
+    asked = places.stretches(nearby(window, nodes, places.graph), window)
+    places.maker._tasks, places.steps = {}, lambda _: np.zeros((0, N_NUMBERS))
+    assert asked
+    places.at([window], [nodes])
+    assert places.maker._tasks.keys() == asked.keys()
+    assert not places.maker._made.keys() & asked.keys()
+
+
+@pytest.mark.parametrize("run", [None, map])
+def test_a_search_that_was_interrupted_ends_as_if_it_was_not(lone, tmp_path, monkeypatch, run):
+    """In the middle of the windows that are looked for together, before and after the noise was learned."""
+    monkeypatch.setattr(steps, "KEEP_EVERY_S", 0.0)
+    slam(lone.log, keep=tmp_path / "all")
+    kept = sorted((tmp_path / "all").iterdir(), key=lambda path: int(path.stem))
+    for share in (0.3, 0.7):
+        part = tmp_path / f"{share}"
+        part.mkdir()
+        for path in kept[: int(share * len(kept))]:
+            shutil.copy(path, part)
+        assert_same(slam(lone.log, run=run, keep=part), lone.session)
+
+
+def test_few_stretches_are_kept_and_all_that_are_asked_for_are_given(lone, monkeypatch):
+    monkeypatch.setattr(bases, "MOST_BASES", 2)
+    places = lone.session.places.copied()
+    path = places.paths[0]
+    nodes = path.nodes[: 3 * TOGETHER].tolist()
+    given = places.maker.given([(path, node) for node in nodes])
+    assert len({id(base) for base in given}) == 3
+    assert all(node in base.node for node, base in zip(nodes, given, strict=True))
+    assert places.stretch(0) is given[0]
+    assert {id(base) for base in places.maker._made.values()} <= {id(base) for base in given}

@@ -98,17 +98,17 @@ def slam(
     require_pictures(rerun)
     settings = merged(SlamConfig(), config).model_copy(update=switches)
     settings = with_odometry_sd(settings, odometry_sd or [], logs)
-    surveys = [read_walk(path, layouts) for path in logs]
-    if not any(":" not in text for text in odometry_sd or []):
-        stated = {path.name: read_drift(path, layouts.of()) for path in logs}
-        sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
-        settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
-    fixed = [] if anchors is None else read_anchors(anchors)
-    require_folder(out, surveys, [path for path in (*logs, config, anchors) if path], may_be_more=is_more)
-    poses = [read_poses_of(path, layouts) for path in logs]
-    session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
     with processes(jobs, scheduler, ahead=2) as run:
-        session.add_logs(new, fixed, run, keep=unfinished(out))
+        surveys = [read_walk(path, layouts) for path in logs]
+        if not any(":" not in text for text in odometry_sd or []):
+            stated = {path.name: read_drift(path, layouts.of()) for path in logs}
+            sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
+            settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
+        fixed = [] if anchors is None else read_anchors(anchors)
+        require_folder(out, surveys, [path for path in (*logs, config, anchors) if path], may_be_more=is_more)
+        poses = [read_poses_of(path, layouts) for path in logs]
+        session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
+        session.add_logs(new, fixed, run=run, keep=unfinished(out))
     # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
     words = ["slam", *map(str, logs), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]

@@ -4,6 +4,7 @@
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,11 +30,13 @@ from magmatch.typing import Indices, Mask, Points
 TOGETHER = 2
 # Posterior samples that give a base's spread.
 N_DRAWS = 6
-# Stretches kept in memory as bases, at about a megabyte each.
+# Stretches kept in memory as bases, at one to three megabytes each.
 MOST_BASES = 2048
-A = TypeVar("A")
-T = TypeVar("T")
+# Bases that a worker keeps of those that it made: by their samples, at about six kilobytes each.
+MOST_KEPT = 250_000
 N = TypeVar("N", int, Indices)
+A = TypeVar("A")
+R = TypeVar("R")
 # Applies a function to each of some tasks, which depend on themselves alone; results in the order of the tasks.
 Run = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -86,13 +89,15 @@ class BaseTask:
 
     @property
     def home(self) -> int:
-        """What all tasks of a stretch have in common, and neighbouring stretches have not."""
+        """What all tasks of a stretch have in common."""
         return int(self.node[0] + 1) // TOGETHER
 
     @property
     def key(self) -> bytes:
         """What tells it from all others."""
-        digest = hashlib.sha256(repr((self.numbers, self.noise, self.length, self.search)).encode())
+        digest = hashlib.sha256(
+            repr((self.numbers, self.noise, self.length, self.search, self.survey.pose_sd)).encode()
+        )
         for array in (self.survey.positions, self.survey.field, self.node):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.digest()
@@ -115,9 +120,9 @@ def make_base(task: BaseTask) -> Base:
     return Base(survey, task.node, WalkIndex(prepared, length, noise, noise, table))
 
 
-# Bases that this worker has made of tasks, at about three megabytes each.
-MOST_KEPT = 512
+# Bases that this worker has made of tasks, and who changes them.
 _kept: dict[bytes, Base] = {}
+_keeping = Lock()
 
 
 def base_of(given: Base | BaseTask, noise: PathNoise) -> Base:
@@ -125,9 +130,14 @@ def base_of(given: Base | BaseTask, noise: PathNoise) -> Base:
     if isinstance(given, Base):
         return given
     key = given.key
-    base = _kept[key] = _kept.pop(key) if key in _kept else make_base(given)
-    if len(_kept) > MOST_KEPT:
-        del _kept[next(iter(_kept))]
+    with _keeping:
+        base = _kept.pop(key, None)
+    base = base or make_base(given)
+    with _keeping:
+        # The one used last stands last.
+        _kept[key] = base
+        while len(_kept) > 1 and sum(len(one.node) for one in _kept.values()) > MOST_KEPT:
+            del _kept[next(iter(_kept))]
     return with_noise(base, noise)
 
 
@@ -155,49 +165,47 @@ class BaseMaker:
     length: float  # m: over which the field changes
     config: SlamConfig
     run: Run | None = None  # lets workers map stretches and compare windows with them; None: this process does
-    # By node, and the pairs of points of each that was ever made; whole logs with how many closures corrected them.
-    _made: dict[int, Base] = field(default_factory=dict, init=False)
-    _tables: dict[int, PairTable] = field(default_factory=dict, init=False)
+    # Of each stretch that was asked for, by its node: what makes it, its pairs of points, and the base, if it is kept
     _tasks: dict[int, BaseTask] = field(default_factory=dict, init=False)
-    _whole: dict[int, tuple[int, Base | BaseTask]] = field(default_factory=dict, init=False)
+    _tables: dict[int, PairTable] = field(default_factory=dict, init=False)
+    _made: dict[int, Base] = field(default_factory=dict, init=False)
+    # Whole logs, by their first node: how many closures corrected them, and volumes
+    _whole: dict[int, tuple[int, Base | BaseTask, float]] = field(default_factory=dict, init=False)
 
     def stretch(self, path: Path, node: int) -> Base:
         """The stretch made for a node's window and others, with one more on either side, odometry's frame."""
-        self.make([(path, node)])
-        node = stretch_of(node, path.first_node)
-        # The one used last stands last.
-        base = self._made[node] = self._made.pop(node)
-        return base
+        return self.make([(path, node)])[0]
 
-    def make(self, asked: Iterable[tuple[Path, int]]) -> None:
-        """Make the stretches of some nodes that are not made yet."""
-        tasks = {stretch_of(node, path.first_node): self.task(path, node) for path, node in asked}
-        new = {node: task for node, task in tasks.items() if node not in self._made}
+    def make(self, asked: Iterable[tuple[Path, int]]) -> list[Base]:
+        """Stretches of some nodes; those that are not kept are made."""
+        pairs = {stretch_of(node, path.first_node): (path, node) for path, node in asked}
+        new = {node: self.task(*pair) for node, pair in pairs.items() if node not in self._made}
         for node, base in zip(new, side_by_side(make_base, new.values()), strict=True):
             self._made[node], self._tables[node] = with_noise(base, self.noise), base.index.table
-        while len(self._made) > max(MOST_BASES, len(tasks)):
+        # Those used last stand last.
+        found = {node: self._made.pop(node) for node in pairs}
+        self._made.update(found)
+        while len(self._made) > max(MOST_BASES, len(found)):
             del self._made[next(iter(self._made))]
+        return [found[stretch_of(node, path.first_node)] for path, node in asked]
 
-    def apply(self, function: Callable[[A], T], tasks: Sequence[A]) -> Iterable[T]:
+    def apply(self, function: Callable[[A], R], tasks: Sequence[A]) -> Iterable[R]:
         """Apply a function to each of some tasks, wherever the work is done."""
-        return (self.run or side_by_side)(function, tasks)
+        return (self.run or side_by_side)(function, tasks) if tasks else ()
 
     def given(self, asked: Sequence[tuple[Path, int]]) -> Sequence[Base | BaseTask]:
         """Stretches of some nodes, as a comparison takes them: made, or for workers to make."""
-        if self.run is not None:
-            return [self.task(path, node) for path, node in asked]
-        self.make(asked)
-        return [self.stretch(path, node) for path, node in asked]
+        return self.make(asked) if self.run is None else [self.task(path, node) for path, node in asked]
 
     def tables(self, asked: Sequence[tuple[Path, int]]) -> list[PairTable]:
-        """Pairs of points of the stretches of some nodes, no two of one stretch."""
+        """Pairs of points of the stretches of some nodes."""
         nodes = [stretch_of(node, path.first_node) for path, node in asked]
         new = {node: pair for node, pair in zip(nodes, asked, strict=True) if node not in self._tables}
         if self.run is None:
-            self.make(new.values())
+            self.make(list(new.values()))
         else:
             self._tables.update(
-                zip(new, self.run(table_of, [self.task(*pair) for pair in new.values()]), strict=True)
+                zip(new, self.apply(table_of, [self.task(*pair) for pair in new.values()]), strict=True)
             )
         return [self._tables[node] for node in nodes]
 
@@ -210,20 +218,27 @@ class BaseMaker:
             self._tasks[node] = self._task_of(path.survey.subset(rows), path.nodes[path.number[rows]])
         return self._tasks[node]
 
-    def whole(self, path: Path, graph: PoseGraph) -> Base | BaseTask:
-        """A whole log, as the graph has it now: made, or for workers to make."""
-        n, base = self._whole.get(path.first_node, (-1, None))
-        if base is None or n != len(graph.closures):
-            task = self._task_of(corrected(path, graph), path.nodes[path.number])
-            base = make_base(task) if self.run is None else task
-            self._whole[path.first_node] = len(graph.closures), base
-        return base
+    def whole(self, paths: Sequence[Path], graph: PoseGraph) -> tuple[list[Base | BaseTask], float]:
+        """Whole logs, as the graph has them now, as a comparison takes them, and their volume together."""
+        n = len(graph.closures)
+        new = [path for path in paths if self._whole.get(path.first_node, (-1,))[0] != n]
+        tasks = [self._task_of(corrected(path, graph), path.nodes[path.number]) for path in new]
+        given: Sequence[Base | BaseTask] = side_by_side(make_base, tasks) if self.run is None else tasks
+        for path, one, volume in zip(new, given, self.apply(volume_of, given), strict=True):
+            self._whole[path.first_node] = n, one, volume
+        found = [self._whole[path.first_node] for path in paths]
+        return [one for _, one, _ in found], float(sum(volume for *_, volume in found))
 
     def learn(self, noise: PathNoise) -> None:
         """Take other noise of walks, for bases that were made too."""
         self.noise = noise
         self._made = {node: with_noise(base, noise) for node, base in self._made.items()}
+
+    def forget_whole(self) -> None:
+        """Whole logs are not where they were."""
         self._whole.clear()
 
     def _task_of(self, survey: Survey, node: Indices) -> BaseTask:
+        # Whatever else is known of them would be sent in vain.
+        survey = replace(survey, times=None, orientations=None)
         return BaseTask(survey, node, self.numbers, self.noise, self.length, self.config.search)

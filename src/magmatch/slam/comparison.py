@@ -27,6 +27,8 @@ from magmatch.slam.windows import Window
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Scalars
 
+# What a comparison finds: nodes of the base, and poses beside them.
+Found = list[tuple[int, Match]]
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
 SAME_PRIOR = 0.1
 
@@ -55,10 +57,11 @@ class Comparison:
 
 
 @single_threaded
-def compare(one: Comparison) -> list[tuple[int, Match]]:
+def compare(one: Comparison) -> Found:
     """Poses of a window in a base, most likely first, each with the node of the base in whose window it lies."""
     window, base, known, nodes = one.window, base_of(one.base, one.noise), one.known, one.nodes
-    if isinstance(one.expected, Rough) and nodes is not None:
+    if isinstance(one.expected, Rough):
+        assert nodes is not None
         # What is known well is not searched for.
         known = [] if known is None and one.expected.is_narrow(window.length) else known
         here = one.expected.T_base_log.apply(window.center)[None]
@@ -139,7 +142,7 @@ class Search:
         known = [c.match.T_base_log for c in self.searched[a].found] if a in self.searched else None
         return Comparison(self.window, base, self.expected[a], noise, known, self.nodes[a])
 
-    def candidates(self, compared: dict[int, list[tuple[int, Match]]], graph: PoseGraph) -> list[Candidate]:
+    def candidates(self, compared: dict[int, Found], graph: PoseGraph) -> list[Candidate]:
         """Of all stretches, where what was found on those that are open is given."""
         found: list[Candidate] = []
         for a in self.expected:

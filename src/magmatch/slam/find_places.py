@@ -78,7 +78,6 @@ def find(
                 forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
-            places.maker.run = None
     return places
 
 
@@ -101,5 +100,4 @@ def go_on(
             if places.graph.config.is_planar and not lie_level([survey]):
                 log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
             places.close([places.add(survey)])
-    places.maker.run = None
     return places

@@ -15,9 +15,9 @@ from magmatch.progress import counted
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.registration.search.pair_search import PairTable
-from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of, volume_of
+from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of
 from magmatch.slam.candidates import Candidate, numbers_of, of_numbers
-from magmatch.slam.comparison import Comparison, Search, Searched, candidate, compare
+from magmatch.slam.comparison import Comparison, Found, Search, Searched, candidate, compare
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.doubt import surprise_before
@@ -27,7 +27,7 @@ from magmatch.slam.graph.odometry import follow, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import moved
-from magmatch.slam.loop_closure import Match, residuals
+from magmatch.slam.loop_closure import residuals
 from magmatch.slam.predicted import SURE, earlier_passes, is_known, nearby
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_frame_odds import log_odds_shared
@@ -158,7 +158,8 @@ class Places:
         before, self.graph = self.graph, self.graph.copied()
         self.graph.closures = [*self.graph.closures, *closures]
         solve(self.graph)
-        near = self.at(windows, [nodes] * len(windows))
+        runs = _runs(windows, self.graph.config.run_length)
+        near = [found for some in runs for found in self.at(some, [nodes] * len(some))]
         known = np.concatenate([self._moved(path, np.isin(path.nodes, nodes)[path.number]) for path in self.paths])
         odds = log_odds_shared(windows, known, near, log_prior, self.graph)
         log.info("windows %d to %d on known path: log odds %.1f", windows[0].node, windows[-1].node, odds)
@@ -189,32 +190,35 @@ class Places:
         None of them waits for what is found of another, so all are compared at once.
         """
         near = [self.stretches(nearby(w, some, self.graph), w) for w, some in zip(windows, nodes, strict=True)]
+        self.ask_for({a for some in near for a in some})
         self.vote({w: list(some) for w, some in zip(windows, near, strict=True) if len(some) > MOST_PASSES})
         searches = [
             Search.of(w, few, self.searched.setdefault(w.node, {}), self.graph)
             for w, few in zip(windows, map(self.most_voted, windows, near), strict=True)
         ]
 
-        @cache
-        def compared() -> list[dict[int, list[tuple[int, Match]]]]:
+        def look() -> list[list[Candidate]]:
             assert self.maker is not None
             pairs = [(k, a) for k, search in enumerate(searches) for a in search.open]
-            given = self.maker.given([(self.path(a), a) for _, a in pairs])
+            bases = self.maker.given([(self.path(a), a) for _, a in pairs])
             asked = [
-                searches[k].comparison(a, one, self.maker.noise) for (k, a), one in zip(pairs, given, strict=True)
+                searches[k].comparison(a, base, self.maker.noise) for (k, a), base in zip(pairs, bases, strict=True)
             ]
-            by_search: list[dict[int, list[tuple[int, Match]]]] = [{} for _ in searches]
+            compared: list[dict[int, Found]] = [{} for _ in searches]
             for (k, a), some in zip(pairs, self.maker.apply(compare, asked), strict=True):
-                by_search[k][a] = some
-            return by_search
+                compared[k][a] = some
+            return [search.candidates(some, self.graph) for search, some in zip(searches, compared, strict=True)]
 
-        def candidates(k: int) -> list[Candidate]:
-            return searches[k].candidates(compared()[k], self.graph)
-
-        found = [self._step(partial(candidates, k)) for k in range(len(searches))]
+        found = self._steps(len(windows), look)
         for search, some in zip(searches, found, strict=True):
             self.searched[search.window.node].update(search.done(some))
         return found
+
+    def ask_for(self, nodes: Collection[int]) -> None:
+        """Tell what makes the stretches of some nodes, whether or not they need be made after an interruption."""
+        assert self.maker is not None
+        for node in nodes:
+            self.maker.task(self.path(node), node)
 
     def stretches(self, nodes: Indices, window: Window) -> dict[int, Indices]:
         """Nodes by the stretch that was made for them, which the first of these names, if it ends before a window."""
@@ -265,26 +269,22 @@ class Places:
         """Where windows of a log may lie on other logs, without a prior."""
         others = self.others(path)
 
-        @cache
-        def compared() -> list[list[Candidate]]:
+        def look() -> list[list[Candidate]]:
             assert self.maker is not None
-            bases, noise = [self.maker.whole(p, self.graph) for p in others], self.maker.noise
-            volume = float(sum(self.maker.apply(volume_of, bases)))
+            bases, volume = self.maker.whole(others, self.graph)
             pairs = [(k, base) for k, w in enumerate(windows) if w.keeps_shape for base in bases]
-            by_window: list[list[Candidate]] = [[] for _ in windows]
-            found = self.maker.apply(compare, [Comparison(windows[k], base, volume, noise) for k, base in pairs])
-            for (k, _), some in zip(pairs, found, strict=True):
-                by_window[k] += [candidate(windows[k], node, match, self.graph.pose(node)) for node, match in some]
-            return by_window
+            asked = [Comparison(windows[k], base, volume, self.maker.noise) for k, base in pairs]
+            found: list[list[Candidate]] = [[] for _ in windows]
+            for (k, _), some in zip(pairs, self.maker.apply(compare, asked), strict=True):
+                found[k] += [candidate(windows[k], node, match, self.graph.pose(node)) for node, match in some]
+            return found
 
-        def candidates(k: int) -> list[Candidate]:
-            return compared()[k]
+        return self._steps(len(windows), look)
 
-        return [self._step(partial(candidates, k)) for k in range(len(windows))]
-
-    def _step(self, look: Callable[[], list[Candidate]]) -> list[Candidate]:
-        """What a search finds, or found before an interruption."""
-        return of_numbers(self.steps(lambda: numbers_of(look())))
+    def _steps(self, n: int, look: Callable[[], list[list[Candidate]]]) -> list[list[Candidate]]:
+        """What a search finds for each of n windows, a step each, or found before an interruption."""
+        found = cache(look)
+        return [of_numbers(self.steps(partial(lambda k: numbers_of(found()[k]), k))) for k in range(n)]
 
     def tie(
         self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float | None = None
@@ -362,6 +362,8 @@ class Places:
 
     def _weigh_anew(self) -> None:
         """Weigh again what was searched, as noise or drift are known otherwise now."""
+        assert self.maker is not None
+        self.maker.forget_whole()
         self.searched = {
             node: {a: replace(s, weighed=None) for a, s in known.items()} for node, known in self.searched.items()
         }
@@ -374,10 +376,11 @@ class Places:
                 best = max(candidates, key=lambda c: c.match.log_odds)
                 if is_known(self.window(node), np.array([best.node]), self.graph):
                     pairs[best.node, node] = best.T_node_window
-        for (first, second), T in pairs.items():
+        assert self.maker is not None
+        bases = self.maker.make([(self.path(first), first) for first, _ in pairs])
+        for ((first, second), T), base in zip(pairs.items(), bases, strict=True):
             window = self.window(second)
-            T_base_log = self.graph.center(first) * T * window.T_log_node.inv()
-            yield residuals(window, self.stretch(first), T_base_log)
+            yield residuals(window, base, self.graph.center(first) * T * window.T_log_node.inv())
 
 
 def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Closure]) -> dict[int, float]:

@@ -34,8 +34,9 @@ def slam(
         Fixed points, or a table of them (``log,t,x,y,z,sd``). If they determine the frame, the logs that they fix are
         in it.
     run : callable, optional
-        Runs the mapping and comparing of stretches in other processes, such as `magmatch.workers.DaskRunner`; by
-        default this one does it, on the cores that are free. The result is the same bit for bit.
+        Lets other processes map and compare stretches, such as `magmatch.workers.DaskRunner`: called with a function
+        and tasks, which can be pickled, it gives the results in the tasks' order. By default this process does all
+        of it, on the cores that are free. The result is the same bit for bit.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
     keep : path, optional
@@ -64,5 +65,5 @@ def slam(
         msg = "expected at least one log, got none"
         raise ValueError(msg)
     session = Session(config)
-    session.add_logs(given, anchors, run, progress=progress, keep=keep)
+    session.add_logs(given, anchors, run=run, progress=progress, keep=keep)
     return session

@@ -80,8 +80,8 @@ class Session:
         self,
         logs: Sequence[Survey],
         anchors: Sequence[Anchor] | str | FilePath = (),
-        run: Run | None = None,
         *,
+        run: Run | None = None,
         progress: Progress | None = None,
         keep: str | FilePath | None = None,
     ) -> None:

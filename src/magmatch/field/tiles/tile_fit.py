@@ -50,6 +50,11 @@ class TileTask:
         """In words."""
         return "tile " + ".".join(map(str, self.index))
 
+    @property
+    def home(self) -> None:
+        """None: what is made for one tile serves no other."""
+        return
+
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""
         sizes = None if self.tiling is None else astuple(self.tiling)
