@@ -79,10 +79,10 @@ class DaskRunner:
         n_given = 0
         try:
             while True:
-                workers = client.nthreads()
+                workers = dict(sorted(client.nthreads().items()))
                 n_idle = self.ahead * max(1, sum(workers.values())) - len(running)
                 for number, task in islice(source, max(0, n_idle) if len(done) < MOST_WAITING else 0):
-                    place = _place(task, sorted(workers))
+                    place = _place(task, list(workers))
                     future = client.submit(on_one_core, function, task, pure=False, **place)
                     running[future] = number, task
                     future.add_done_callback(finished.put)

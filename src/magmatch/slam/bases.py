@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Stretches of path as bases for windows: a small map of each, prepared for the search."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from threading import Lock
@@ -10,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
@@ -76,9 +76,7 @@ class BaseTask:
     survey: Survey  # as of a `Base`
     node: Indices
     numbers: Hyperparameters
-    noise: (
-        PathNoise  # as it was known when the stretch was first asked for: it tells which pairs of points are listed
-    )
+    noise: PathNoise  # as known when the stretch was first asked for: it tells which pairs of points are listed
     length: float  # m: over which the field changes
     search: PairSearchConfig
 
@@ -93,14 +91,10 @@ class BaseTask:
         return int(self.node[0] + 1) // TOGETHER
 
     @property
-    def key(self) -> bytes:
+    def key(self) -> tuple[str, bytes, str]:
         """What tells it from all others."""
-        digest = hashlib.sha256(
-            repr((self.numbers, self.noise, self.length, self.search, self.survey.pose_sd)).encode()
-        )
-        for array in (self.survey.positions, self.survey.field, self.node):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.digest()
+        about = (self.numbers, self.noise, self.length, self.search)
+        return hash_survey(self.survey), self.node.tobytes(), repr(about)
 
 
 @single_threaded
@@ -121,12 +115,31 @@ def make_base(task: BaseTask) -> Base:
 
 
 # Bases that this worker has made of tasks, and who changes them.
-_kept: dict[bytes, Base] = {}
+_kept: dict[tuple[str, bytes, str], Base] = {}
 _keeping = Lock()
 
 
 def base_of(given: Base | BaseTask, noise: PathNoise) -> Base:
     """A base with the noise of walks as it is known now; that of a task is made and kept."""
+    return given if isinstance(given, Base) else with_noise(_made_of(given), noise)
+
+
+def table_of(given: Base | BaseTask) -> PairTable:
+    """Pairs of points of a base."""
+    return _made_of(given).index.table
+
+
+def volume_of(given: Base | BaseTask) -> float:
+    """Of the region that a base knows, m^3."""
+    return _made_of(given).volume
+
+
+def with_noise(base: Base, noise: PathNoise) -> Base:
+    """A base in which walks have other noise."""
+    return replace(base, index=replace(base.index, noise=noise))
+
+
+def _made_of(given: Base | BaseTask) -> Base:
     if isinstance(given, Base):
         return given
     key = given.key
@@ -138,22 +151,7 @@ def base_of(given: Base | BaseTask, noise: PathNoise) -> Base:
         _kept[key] = base
         while len(_kept) > 1 and sum(len(one.node) for one in _kept.values()) > MOST_KEPT:
             del _kept[next(iter(_kept))]
-    return with_noise(base, noise)
-
-
-def with_noise(base: Base, noise: PathNoise) -> Base:
-    """A base in which walks have other noise."""
-    return replace(base, index=replace(base.index, noise=noise))
-
-
-def table_of(task: BaseTask) -> PairTable:
-    """Pairs of points of a stretch."""
-    return base_of(task, task.noise).index.table
-
-
-def volume_of(given: Base | BaseTask) -> float:
-    """Of the region that a base knows, m^3."""
-    return (given if isinstance(given, Base) else base_of(given, given.noise)).volume
+    return base
 
 
 @dataclass(eq=False, slots=True)
@@ -176,12 +174,12 @@ class BaseMaker:
         """The stretch made for a node's window and others, with one more on either side, odometry's frame."""
         return self.make([(path, node)])[0]
 
-    def make(self, asked: Iterable[tuple[Path, int]]) -> list[Base]:
+    def make(self, asked: Sequence[tuple[Path, int]]) -> list[Base]:
         """Stretches of some nodes; those that are not kept are made."""
         pairs = {stretch_of(node, path.first_node): (path, node) for path, node in asked}
         new = {node: self.task(*pair) for node, pair in pairs.items() if node not in self._made}
         for node, base in zip(new, side_by_side(make_base, new.values()), strict=True):
-            self._made[node], self._tables[node] = with_noise(base, self.noise), base.index.table
+            self._made[node] = with_noise(base, self.noise)
         # Those used last stand last.
         found = {node: self._made.pop(node) for node in pairs}
         self._made.update(found)
@@ -201,12 +199,8 @@ class BaseMaker:
         """Pairs of points of the stretches of some nodes."""
         nodes = [stretch_of(node, path.first_node) for path, node in asked]
         new = {node: pair for node, pair in zip(nodes, asked, strict=True) if node not in self._tables}
-        if self.run is None:
-            self.make(list(new.values()))
-        else:
-            self._tables.update(
-                zip(new, self.apply(table_of, [self.task(*pair) for pair in new.values()]), strict=True)
-            )
+        given = self.given(list(new.values()))
+        self._tables.update(zip(new, self.apply(table_of, given), strict=True))
         return [self._tables[node] for node in nodes]
 
     def task(self, path: Path, node: int) -> BaseTask:

@@ -284,7 +284,11 @@ class Places:
     def _steps(self, n: int, look: Callable[[], list[list[Candidate]]]) -> list[list[Candidate]]:
         """What a search finds for each of n windows, a step each, or found before an interruption."""
         found = cache(look)
-        return [of_numbers(self.steps(partial(lambda k: numbers_of(found()[k]), k))) for k in range(n)]
+
+        def step(k: int) -> Matrix:
+            return numbers_of(found()[k])
+
+        return [of_numbers(self.steps(partial(step, k))) for k in range(n)]
 
     def tie(
         self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float | None = None
