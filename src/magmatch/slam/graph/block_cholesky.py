@@ -54,7 +54,7 @@ class BlockCholesky:
         L = np.zeros((len(rows), SIDE, SIDE))
         at, is_above = _find(starts, rows, position[i], position[j])
         L[at] = _flipped(A.data, is_above)
-        if not _factor(starts, rows, L, np.zeros((SIDE, SIDE))):
+        if not _factor(starts, rows, L, np.empty((1, SIDE, SIDE))):
             msg = "the graph does not determine all poses"
             raise np.linalg.LinAlgError(msg)
         return cls(pattern, position, starts, rows, L)
@@ -65,26 +65,24 @@ class BlockCholesky:
         return 2 * float(np.log(np.diagonal(self.L[self.starts[:-1]], axis1=1, axis2=2)).sum())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """``A^-1 rhs`` for right-hand sides (k, n, 6)."""
-        y, is_asked = np.empty(rhs.shape), np.ones(len(self.position), np.bool_)
-        y[:, self.position] = rhs
-        for one in y:
-            _solve(self.starts, self.rows, self.L, one, is_asked)
-        return np.asarray(y[:, self.position])
+        """``A^-1 rhs`` for as many right-hand sides as a block has columns, or fewer: (k, n, 6)."""
+        y, is_asked = np.zeros((len(self.position), SIDE, SIDE)), np.ones(len(self.position), np.bool_)
+        y[self.position, :, : len(rhs)] = np.moveaxis(rhs, 0, 2)
+        _solve(self.starts, self.rows, self.L, y, is_asked, np.empty((1, SIDE, SIDE)))
+        return np.moveaxis(y[self.position, :, : len(rhs)], 2, 0)
 
     def inverse_in_column(self, rows: Indices, column: int) -> np.ndarray:
         """Blocks of some rows in one column of ``A^-1``: (k, 6, 6). Others are found as far as these need them."""
-        y, places, place = np.zeros((SIDE, len(self.position), SIDE)), self.position[rows], self.position[column]
-        y[:, place] = np.eye(SIDE)
+        y, places, place = np.zeros((len(self.position), SIDE, SIDE)), self.position[rows], self.position[column]
+        y[place] = np.eye(SIDE)
         is_asked = _with_ancestors(self.starts, self.rows, np.append(places, place))
-        for one in y:
-            _solve(self.starts, self.rows, self.L, one, is_asked)
-        return np.moveaxis(y[:, places], 0, 2)
+        _solve(self.starts, self.rows, self.L, y, is_asked, np.empty((1, SIDE, SIDE)))
+        return np.asarray(y[places])
 
     def inverse(self) -> "SelectedInverse":
         """Blocks of ``A^-1`` where L has some."""
         Z = np.zeros_like(self.L)
-        _invert(self.starts, self.rows, self.L.copy(), Z, np.zeros((1, SIDE, SIDE)))
+        _invert(self.starts, self.rows, self.L.copy(), Z, np.empty((1, SIDE, SIDE)))
         return SelectedInverse(self, Z)
 
 
@@ -152,7 +150,7 @@ def _factor(starts: Indices, rows: Indices, L: np.ndarray, turned: np.ndarray) -
             for r in range(q, end):
                 while rows[at] < rows[r]:
                     at += 1
-                _subtract(L, at, L, r, turned)
+                _subtract(L, at, L, r, turned, 0)
     return True
 
 
@@ -187,17 +185,24 @@ def _divide(L: np.ndarray, q: int, d: int) -> None:
 def _transpose(A: np.ndarray, q: int, turned: np.ndarray) -> None:
     for a in range(SIDE):
         for b in range(SIDE):
-            turned[b, a] = A[q, a, b]
+            turned[0, b, a] = A[q, a, b]
 
 
 @compiled
-def _subtract(A: np.ndarray, at: int, X: np.ndarray, r: int, Y: np.ndarray) -> None:
-    """``A[at] -= X[r] Y``."""
+def _subtract(A: np.ndarray, at: int, X: np.ndarray, r: int, Y: np.ndarray, q: int) -> None:
+    """``A[at] -= X[r] Y[q]``."""
     for a in range(SIDE):
+        # A row at a time, each number by itself: so the compiler knows that nothing it reads is written meanwhile.
+        s0, s1, s2, s3, s4, s5 = A[at, a, 0], A[at, a, 1], A[at, a, 2], A[at, a, 3], A[at, a, 4], A[at, a, 5]
         for c in range(SIDE):
             x = X[r, a, c]
-            for b in range(SIDE):
-                A[at, a, b] -= x * Y[c, b]
+            s0 -= x * Y[q, c, 0]
+            s1 -= x * Y[q, c, 1]
+            s2 -= x * Y[q, c, 2]
+            s3 -= x * Y[q, c, 3]
+            s4 -= x * Y[q, c, 4]
+            s5 -= x * Y[q, c, 5]
+        A[at, a, 0], A[at, a, 1], A[at, a, 2], A[at, a, 3], A[at, a, 4], A[at, a, 5] = s0, s1, s2, s3, s4, s5
 
 
 @compiled
@@ -216,39 +221,43 @@ def _with_ancestors(starts: Indices, rows: Indices, places: Indices) -> Mask:
 
 @compiled
 def _solve_column(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int) -> None:
-    """Solve for row j with column j of L, and take what it explains from the rows below."""
+    """Solve for block j with column j of L, and take what it explains from the blocks below."""
     for a in range(SIDE):
         for c in range(a):
-            y[j, a] -= L[d, a, c] * y[j, c]
-        y[j, a] /= L[d, a, a]
+            for k in range(SIDE):
+                y[j, a, k] -= L[d, a, c] * y[j, c, k]
+        for k in range(SIDE):
+            y[j, a, k] /= L[d, a, a]
     for q in range(d + 1, end):
-        for a in range(SIDE):
-            for c in range(SIDE):
-                y[rows[q], a] -= L[q, a, c] * y[j, c]
+        _subtract(y, rows[q], L, q, y, j)
 
 
 @compiled
-def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int) -> None:
-    """Solve for row j with row j of L^T, where the rows below are known."""
+def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int, turned: np.ndarray) -> None:
+    """Solve for block j with row j of L^T, where the blocks below are known."""
     for q in range(d + 1, end):
-        for c in range(SIDE):
-            for a in range(SIDE):
-                y[j, a] -= L[q, c, a] * y[rows[q], c]
+        _transpose(L, q, turned)
+        _subtract(y, j, turned, 0, y, rows[q])
     for a in range(SIDE - 1, -1, -1):
         for c in range(a + 1, SIDE):
-            y[j, a] -= L[d, c, a] * y[j, c]
-        y[j, a] /= L[d, a, a]
+            for k in range(SIDE):
+                y[j, a, k] -= L[d, c, a] * y[j, c, k]
+        for k in range(SIDE):
+            y[j, a, k] /= L[d, a, a]
 
 
 @compiled
-def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, is_asked: Mask) -> None:
-    """Overwrite y (n, 6) by ``L^-T L^-1 y`` where it is asked for, ancestors included; elsewhere it must be zero."""
+def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, is_asked: Mask, turned: np.ndarray) -> None:
+    """Overwrite blocks y (n, 6, 6), of six right-hand sides, by ``L^-T L^-1 y`` where it is asked for.
+
+    Of what is asked for, ancestors are too; elsewhere y must be zero.
+    """
     for j in range(len(starts) - 1):
         if is_asked[j]:
             _solve_column(starts[j], starts[j + 1], rows, L, y, j)
     for j in range(len(starts) - 2, -1, -1):
         if is_asked[j]:
-            _solve_row(starts[j], starts[j + 1], rows, L, y, j)
+            _solve_row(starts[j], starts[j + 1], rows, L, y, j, turned)
 
 
 @compiled
@@ -265,14 +274,14 @@ def _invert(starts: Indices, rows: Indices, N: np.ndarray, Z: np.ndarray, turned
             for r in range(q, end):
                 while rows[at] < rows[r]:
                     at += 1
-                _subtract(Z, r, Z, at, N[q])
+                _subtract(Z, r, Z, at, N, q)
                 if r > q:
-                    _transpose(Z, at, turned[0])
-                    _subtract(Z, q, turned, 0, N[r])
+                    _transpose(Z, at, turned)
+                    _subtract(Z, q, turned, 0, N, r)
         for q in range(d + 1, end):
-            _transpose(N, q, turned[0])
-            _subtract(Z, d, turned, 0, Z[q])
-        _transpose(N, d, turned[0])
+            _transpose(N, q, turned)
+            _subtract(Z, d, turned, 0, Z, q)
+        _transpose(N, d, turned)
         for a in range(SIDE):
             for c in range(a, SIDE):
                 for b in range(c + 1):
