@@ -250,7 +250,8 @@ def test_the_mean_density_over_a_pose_s_spread_is_that_of_many_draws(kind):
     C = (M * sd) @ (M * sd).T
     draws = rng.multivariate_normal(np.zeros(6), C, 20_000)
     R = (T.rotation * Rotation.from_rotvec(draws[:, :3])).as_matrix()
-    at = prior.log_densities(R, T.apply(CENTER + draws[:, 3:]), CENTER)
+    information, _, chi2 = prior.rows_of_many(R, T.apply(CENTER + draws[:, 3:]), CENTER)
+    at = prior.log_densities(information, chi2)
     one_by_one = [prior.log_density(T * perturbation(xi, CENTER), CENTER) for xi in draws[:100]]
     np.testing.assert_allclose(at[:100], one_by_one, rtol=1e-9)
     assert prior.log_density(T, CENTER, C) == pytest.approx(np.log(np.mean(np.exp(at))), abs=0.1)

@@ -84,12 +84,17 @@ class PathNoise:
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""
-        x = (np.sqrt(3) if self.is_smooth else 1.0) * distance / self.misfit_length
-        C = self.misfit_sd**2 * ((1 + x) * np.exp(-x) if self.is_smooth else np.exp(-x)) + self.constant_sd**2
+        along, map_along = self.alike(distance)
         map_sd = self.map_factor * map_sd
-        C = C + map_sd[..., :, None] * map_sd[..., None, :] * np.exp(-0.5 * (distance / self.map_length) ** 2)
+        C = along + map_sd[..., :, None] * map_sd[..., None, :] * map_along
         C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
         return np.asarray(C)
+
+    def alike(self, distance: Matrix) -> tuple[Matrix, Matrix]:
+        """What distance tells, (n, n): covariance of a component's misfit, T^2; correlation of the map's error."""
+        x = (np.sqrt(3) if self.is_smooth else 1.0) * distance / self.misfit_length
+        along = self.misfit_sd**2 * ((1 + x) * np.exp(-x) if self.is_smooth else np.exp(-x)) + self.constant_sd**2
+        return along, np.exp(-0.5 * (distance / self.map_length) ** 2)
 
     def full(self, distance: Matrix, map_sd: Scalars, gradient: Tensors, field: Vectors) -> Matrix:
         """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2."""

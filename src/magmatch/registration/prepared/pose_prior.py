@@ -14,8 +14,9 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from magmatch.geometry import perturbation, product, rotation_matrix, skew
+from magmatch.geometry import perturbation, product, rotation_matrix
 from magmatch.registration.prepared.hypotheses import Hypotheses
+from magmatch.registration.prepared.prior_rows import add_height, add_pose, add_vertical, rule_out_far
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -105,10 +106,9 @@ class PosePrior:
             log_norm -= 0.5 * np.linalg.slogdet(spread)[1]
         return float(log_norm - 0.5 * chi2)
 
-    def log_densities(self, R: Tensors, moved: Points, center: Vector3) -> Scalars:
-        """`log_density` of many poses at once: rotations R (h, 3, 3), which put the centre at ``moved`` (h, 3)."""
-        A, _, chi2 = self.rows_of_many(R, moved, center)
-        return self._log_norms(A) - 0.5 * chi2
+    def log_densities(self, information: np.ndarray, chi2: Scalars) -> Scalars:
+        """`log_density` of many poses, of which `rows_of_many` gave the information (h, 6, 6) and chi^2 (h,)."""
+        return self._log_norms(information) - 0.5 * chi2
 
     def _log_norms(self, A: np.ndarray) -> Scalars:
         """Log density at the prior's mode, for information matrices (h, 6, 6)."""
@@ -152,35 +152,24 @@ class PosePrior:
 
     def rows_of_many(self, R: Tensors, moved: Points, center: Vector3) -> tuple[np.ndarray, Matrix, Scalars]:
         """`rows` of many poses at once: rotations R (h, 3, 3), which put the centre at ``moved`` (h, 3)."""
-        h = len(R)
+        R, moved, h = np.ascontiguousarray(R), np.ascontiguousarray(moved), len(R)
         A, v, chi2 = np.zeros((h, 6, 6)), np.zeros((h, 6)), np.zeros(h)
         if self.up_base is not None and self.up_target is not None:
-            seen = self.up_base @ R
-            r = (self.up_target - seen) / self.gravity_sd
-            J = -skew(seen) / self.gravity_sd
-            A[:, :3, :3] += np.swapaxes(J, 1, 2) @ J
-            v[:, :3] += (r[:, None] @ J)[:, 0]
-            chi2 += (r**2).sum(axis=1)
+            up = np.ascontiguousarray(self.up_base)
+            add_vertical(R, up, np.ascontiguousarray(self.up_target), self.gravity_sd, A, v, chi2)
             if self.height is not None:
-                off = (moved @ self.up_base - center @ self.up_target - self.height) / self.height_sd
-                slope = np.concatenate([np.zeros((h, 3)), seen], axis=1) / self.height_sd
-                A += slope[:, :, None] * slope[:, None, :]
-                v += slope * off[:, None]
-                chi2 += off**2
+                height = float(center @ self.up_target) + self.height
+                add_height(R, moved, up, height, self.height_sd, A, v, chi2)
         if self.T_base_target is not None and self.covariance is not None:
-            R0 = rotation_matrix(self.T_base_target)
-            p0, difference = self.T_base_target.translation + R0 @ center, R0.T @ R
-            turn = Rotation.from_matrix(difference, assume_valid=True).as_rotvec()
-            J = np.zeros((h, 6, 6))
-            # Of log(R Exp(theta)) to first order in the angle already there.
-            J[:, :3, :3] = np.eye(3) + 0.5 * skew(turn)
-            J[:, 3:, 3:] = difference
-            r, P = np.concatenate([turn, (moved - p0) @ R0], axis=1), np.linalg.inv(self.covariance)
-            Pr = r @ P
-            A += np.swapaxes(J, 1, 2) @ P @ J
-            v += (Pr[:, None] @ J)[:, 0]
-            chi2 += (r * Pr).sum(axis=1)
+            information = np.linalg.inv(self.covariance)
+            add_pose(R, moved, *self._rough(center), information, A, v, chi2, np.empty((16, 6)))
         return A, v, chi2
+
+    def _rough(self, center: Vector3) -> tuple[Matrix, Vector3]:
+        """Rotation of the rough pose, and where it puts the target's middle."""
+        assert self.T_base_target is not None
+        R = np.ascontiguousarray(rotation_matrix(self.T_base_target))
+        return R, self.T_base_target.translation + R @ center
 
     def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:
         """Whether the prior admits poses: rotations R (h, 3, 3) that put the target's middle at ``moved`` (h, 3), m.
@@ -195,15 +184,10 @@ class PosePrior:
                 off = np.abs(moved @ self.up_base - center @ self.up_target - self.height)
                 is_admitted &= off < np.sqrt(FAR2) * np.hypot(self.height_sd, slack[1])
         if self.T_base_target is not None and self.covariance is not None:
-            turned = rotation_matrix(self.T_base_target).T @ R
-            turn = Rotation.from_matrix(turned, assume_valid=True).as_rotvec()
-            shift = self.T_base_target.inv().apply(moved) - center
-            for off, C, own in (
-                (turn, self.covariance[:3, :3], slack[0]),
-                (shift, self.covariance[3:, 3:], slack[1]),
-            ):
-                wide = np.linalg.inv(C + own**2 * np.eye(3))
-                is_admitted &= np.einsum("hi,ij,hj->h", off, wide, off) < self.far2
+            own = np.square(slack)[:, None, None] * np.eye(3)
+            wide = np.linalg.inv(np.stack([self.covariance[:3, :3], self.covariance[3:, 3:]]) + own)
+            R, moved = np.ascontiguousarray(R), np.ascontiguousarray(moved)
+            rule_out_far(R, moved, *self._rough(center), wide, self.far2, is_admitted, np.empty((4, 6)))
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:

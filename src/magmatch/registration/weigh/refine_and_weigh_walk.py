@@ -7,6 +7,7 @@ centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gra
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import rotation_matrix, skew, transform_of
+from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.hypotheses import N_REFINED, OUTLIER_SHARE
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.path_noise import PathNoise
@@ -25,6 +26,7 @@ from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
+from magmatch.registration.weigh.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -127,12 +129,14 @@ class _Fits:
     information: Matrix  # (h, 6, 6)
     chi2: Scalars
     half_log_det: Scalars
+    known_before: Matrix  # (h, 6, 6): the prior's information, and its squared residual over its variance
+    off_before: Scalars
 
     def rows(self, chosen: Indices) -> "_Fits":
         return _Fits(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class _LeastSquares:
     """Gauss-Newton of many poses at once; bins outside the base map are kept but say nothing."""
 
@@ -171,47 +175,42 @@ class _LeastSquares:
         """
         n_poses, n = len(R), len(self.walk)
         y, b = self._bent(errors)
-        points = (p[:, None] + np.einsum("hij,hnj->hni", R, y)).reshape(-1, 3)
+        points = (p[:, None] + y @ np.swapaxes(R, 1, 2)).reshape(-1, 3)
         _, sd, _, is_known = self.base.raster.lookup(points)
         values = self.base.posterior.evaluate(points, order=1)
         known, sd = is_known.reshape(n_poses, n), sd.reshape(n_poses, n)
-        expected = values.field.reshape(n_poses, n, 3) @ R
-        G = np.swapaxes(R, 1, 2)[:, None] @ gradient_of(values).reshape(n_poses, n, 3, 3) @ R[:, None]
-        J = np.concatenate([G @ skew(y) - skew(b), -G], axis=3)
-        rows = np.concatenate([(b - expected)[..., None], J], axis=3) * known[..., None, None]
         # Where something moved since, residuals of a whole piece are larger by a common factor.
-        rows = rows / strain[..., None, None]
-        G = G * known[..., None, None]
-        moved = None if self.bending is None else np.concatenate([skew(b), G], axis=3) @ self.bending
+        rows, slopes = residual_rows(R, y, b, (values.field, gradient_of(values)), known, strain)
+        moved = None if self.bending is None else slopes @ self.bending
         if moved is not None and errors.any():
             # What the residuals would be if the walk were not bent, by their slopes where it is.
-            rows[..., 0] += np.einsum("hnim,hm->hni", moved, errors) * (known / strain)[..., None]
-        C = (self._full_covariance if is_full else self._alike_covariance)(G, moved, sd, known)
-        white, half_log_det, variance, L = _whiten(C, rows)
+            bent = moved.reshape(n_poses, 3 * n, -1) @ errors[:, :, None]
+            rows[..., 0] += bent.reshape(n_poses, n, 3) * (known / strain)[..., None]
+        C = (self._full_covariance if is_full else self._alike_covariance)(slopes[..., 3:], moved, sd, known)
+        isolate(C, known)
+        normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / _expected_squares(C, n)
+        white, half_log_det, L = _whiten(C, rows)
         half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
-        normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / variance
-        z, JW = white[:, :, 0], white[:, :, 1:]
+        products = np.swapaxes(white, 1, 2) @ white
+        chi2, v = products[:, 0, 0], products[:, 1:, 0]
         free = FREE_SDS * np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
-        information = np.swapaxes(JW, 1, 2) @ JW + np.diag(free**-2)
-        v = np.einsum("hki,hk->hi", JW, z)
-        if not self.prior.is_flat:
-            known_before, slope, _ = self.prior.rows_of_many(R, p, self.center)
-            information += known_before
-            v += slope
+        information = products[:, 1:, 1:] + np.diag(free**-2)
+        known_before, slope, off_before = self.prior.rows_of_many(R, p, self.center)
+        information, v = information + known_before, v + slope
 
         def errors_after(xi: Matrix) -> Matrix:
             assert moved is not None
-            left = z + np.einsum("hki,hi->hk", JW, xi)
-            fitted = np.linalg.solve(np.swapaxes(L, 1, 2), left[:, :, None])
-            return np.asarray((np.swapaxes(moved.reshape(n_poses, 3 * n, -1), 1, 2) @ fitted)[:, :, 0])
+            left = white[..., 0] + np.einsum("hki,hi->hk", white[..., 1:], xi)
+            whiten_again(L, left)
+            return np.asarray(np.einsum("hkm,hk->hm", moved.reshape(n_poses, 3 * n, -1), left))
 
-        fits = _Fits(R, p, known, strain, normalised, information, (z**2).sum(axis=1), half_log_det)
+        fits = _Fits(R, p, known, strain, normalised, information, chi2, half_log_det, known_before, off_before)
         return fits, v, errors_after
 
     def _bent(self, errors: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Bins about the centre, and their field, of a walk whose shape has some errors: (h, n, 3) each."""
         h = len(errors)
-        y, b = np.tile(self.walk.positions - self.center, (h, 1, 1)), np.tile(self.walk.field, (h, 1, 1))
+        y, b = (np.repeat(x[None], h, axis=0) for x in (self.walk.positions - self.center, self.walk.field))
         if self.bending is None or not errors.any():
             return y, b
         off = np.einsum("nim,hm->hni", self.bending, errors)
@@ -224,24 +223,29 @@ class _LeastSquares:
 
     def _alike_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components taken alike, (h, n, n): one small factor serves all; the frame's moves count on average."""
-        C = self.noise.isotropic(self.distance, sd)
         if moved is not None:
             moved = moved.reshape(*known.shape, -1)
-            return _isolate(C + moved @ np.swapaxes(moved, 1, 2) / 3, known)
-        moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
-        moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
-        return _isolate(C + moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length), known)
+            C = np.asarray(moved @ np.swapaxes(moved, 1, 2) / 3)
+        else:
+            moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
+            moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
+            C = moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
+        add_alike(C, *self._alike, self.noise.map_factor * sd, self.noise.nugget_sd**2)
+        return C
 
     def _full_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
         if moved is None:
             field = np.broadcast_to(self.walk.field, (*known.shape, 3))
-            C = self.noise.full(self.distance, sd, G, field)
-        else:
-            moved = moved.reshape(len(moved), -1, moved.shape[-1])
-            alike = self.noise.isotropic(self.distance, sd)
-            C = moved @ np.swapaxes(moved, 1, 2) + np.kron(alike, np.eye(3))
-        return _isolate(C, np.repeat(known, 3, axis=1))
+            return self.noise.full(self.distance, sd, G, field)
+        moved = moved.reshape(len(moved), -1, moved.shape[-1])
+        C = moved @ np.swapaxes(moved, 1, 2)
+        add_alike(C, *self._alike, self.noise.map_factor * sd, self.noise.nugget_sd**2)
+        return C
+
+    @cached_property
+    def _alike(self) -> tuple[Matrix, Matrix]:
+        return self.noise.alike(self.distance)
 
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
@@ -253,19 +257,16 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     inflation, log_likelihood = squares.noise.factor(fits.chi2, n_free)
     # A walk that fits better than a guess expects may still share its frame's errors.
     least = 0.0 if squares.noise.is_learned else 1.0
-    known_before = squares.prior.rows_of_many(fits.rotations, fits.centers, squares.center)[0]
     # The factor is on what residuals tell.
-    told = (fits.information - known_before) / np.maximum(inflation, least)[:, None, None]
-    covariance = np.linalg.inv(told + known_before)
+    told = (fits.information - fits.known_before) / np.maximum(inflation, least)[:, None, None]
+    covariance = np.linalg.inv(told + fits.known_before)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
-    # Most poses know the same bins.
-    unrelated = {known.tobytes(): null.log_likelihood(known) for known in np.unique(fits.known, axis=0)}
     log_evidence = (
         log_likelihood
         - fits.half_log_det
-        - np.array([unrelated[known.tobytes()] for known in fits.known])
+        - np.array([null.log_likelihood(known) for known in fits.known])
         + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
-        + squares.prior.log_densities(fits.rotations, fits.centers, squares.center)
+        + squares.prior.log_densities(fits.known_before, fits.off_before)
         + config.log_weight(path, fits.known.mean(axis=1))
         - config.price * path * (fits.strain > 1).mean(axis=1)
     )
@@ -286,28 +287,23 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     ]
 
 
-def _isolate(C: Matrix, known: Matrix) -> Matrix:
-    """Cut unknown bins off: unit variance, no covariance, so that they add nothing to any sum or determinant."""
-    C = C * (known[:, :, None] & known[:, None, :])
-    n = C.shape[-1]
-    C[:, np.arange(n), np.arange(n)] += ~known
-    return C
-
-
-def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix, Matrix]:
+def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
     """Whiten rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
 
-    Returns the whitened rows (h, 3 n, k), half the log-determinants (h,), the expected square of each bin (h, n), and
+    Returns the whitened rows (h, 3 n, k), which take the place of those given, half the log-determinants (h,), and
     the factors of the covariances.
     """
     h, n, _, k = rows.shape
-    n_alike = 3 * n // C.shape[1]
-    flat = rows.reshape(h, C.shape[1], n_alike * k)
     L = np.linalg.cholesky(C)
-    white = np.linalg.solve(L, flat)
-    half_log_det = n_alike * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-    variance = n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2)
-    return white.reshape(h, 3 * n, k), half_log_det, variance, np.asarray(L)
+    whiten(L, rows.reshape(h, C.shape[1], -1))
+    half_log_det = 3 * n // C.shape[1] * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    return rows.reshape(h, 3 * n, k), half_log_det, L
+
+
+def _expected_squares(C: Matrix, n: int) -> Matrix:
+    """Of each of n bins' residual vectors, by their covariances as `_whiten` takes them: (h, n)."""
+    h, n_alike = len(C), 3 * n // C.shape[1]
+    return np.asarray(n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2))
 
 
 def _strained(fits: _Fits) -> Matrix:

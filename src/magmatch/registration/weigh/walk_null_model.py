@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The null model of a walk: its field is unrelated to the base's."""
 
+import dataclasses
 from dataclasses import dataclass
 from itertools import product
 
@@ -29,6 +30,7 @@ class UnrelatedWalk:
     covariance: Matrix  # (n, n), T^2: of each component
     noise: PathNoise
     favour: float  # nats: gain in likelihood because its parameters are chosen on the walk itself
+    _found: dict[bytes, float] = dataclasses.field(default_factory=dict, init=False)  # of bins that were asked for
 
     @classmethod
     def most_likely(
@@ -64,7 +66,11 @@ class UnrelatedWalk:
 
     def log_likelihood(self, rows: Mask) -> float:
         """Log density of some bins' field (the factor of 2 pi left out)."""
-        return _log_likelihood(self.field[rows], self.covariance[np.ix_(rows, rows)], self.noise) - self.favour
+        asked = rows.tobytes()
+        if asked not in self._found:
+            covariance = self.covariance[np.ix_(rows, rows)]
+            self._found[asked] = _log_likelihood(self.field[rows], covariance, self.noise) - self.favour
+        return self._found[asked]
 
 
 def _covariance(d2: Matrix, length: float, variance: float, constant: float) -> Matrix:
