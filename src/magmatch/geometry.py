@@ -179,7 +179,8 @@ def log_se3(T: RigidTransform) -> np.ndarray:
 
 def turn_and_shift(T: RigidTransform) -> np.ndarray:
     """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, `log_se3`."""
-    return np.concatenate([T.rotation.as_rotvec(), T.translation], axis=-1)
+    turn = Rotation.from_matrix(T.as_matrix()[..., :3, :3], assume_valid=True).as_rotvec()
+    return np.concatenate([turn, T.translation], axis=-1)
 
 
 def adjoint(T: RigidTransform) -> Matrix:
@@ -219,16 +220,22 @@ def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: 
     rotation_error : float, rad
         Angle of ``R_estimate^T R_true``.
     """
-    translation_error = float(np.linalg.norm(T_estimate.apply(center) - T_true.apply(center)))
-    between = rotation_matrix(T_estimate).T @ rotation_matrix(T_true)
-    rotation_error = float(Rotation.from_matrix(between, assume_valid=True).magnitude())
-    return translation_error, rotation_error
+    return _shift_between(T_estimate, T_true, center), _turn_between(T_estimate, T_true)
 
 
 def is_one_pose(T: RigidTransform, T_other: RigidTransform, center: Vector3, tolerance: tuple[float, float]) -> bool:
     """Whether two transforms of the same frames differ by no more than a tolerance (m, rad), as `transform_error`."""
-    shift, turn = transform_error(T, T_other, center)
-    return shift <= tolerance[0] and turn <= tolerance[1]
+    return _shift_between(T, T_other, center) <= tolerance[0] and _turn_between(T, T_other) <= tolerance[1]
+
+
+def _shift_between(T: RigidTransform, T_other: RigidTransform, center: Vector3) -> float:
+    off = (rotation_matrix(T) - rotation_matrix(T_other)) @ center + T.translation - T_other.translation
+    return float(np.linalg.norm(off))
+
+
+def _turn_between(T: RigidTransform, T_other: RigidTransform) -> float:
+    between = rotation_matrix(T).T @ rotation_matrix(T_other)
+    return float(Rotation.from_matrix(between, assume_valid=True).magnitude())
 
 
 def path_walked(positions: Points) -> Scalars:

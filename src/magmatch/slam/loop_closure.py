@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import adjoint, product, turn_and_shift
+from magmatch.geometry import adjoint, product, rotation_matrix, turn_and_shift
 from magmatch.registration.decide.posterior import distinct, log_odds
 from magmatch.registration.prepared.hypotheses import pose_inaccuracy
 from magmatch.registration.prepared.path_noise import PathNoise, Stretch
@@ -170,7 +170,7 @@ def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
     """Whether a pose between model frames is one that a search would have kept."""
     center = window.walk.positions.mean(axis=0)
     inaccuracy = pose_inaccuracy(window.length)
-    return bool(prior.admits(T.rotation.as_matrix()[None], T.apply(center)[None], center, inaccuracy)[0])
+    return bool(prior.admits(rotation_matrix(T)[None], T.apply(center)[None], center, inaccuracy)[0])
 
 
 def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:
