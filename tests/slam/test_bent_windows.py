@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.loop_closure import SAME_SHIFT, Rough, matches
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
+from magmatch.slam.search.loop_closure import SAME_SHIFT, Rough, matches
 
 
 def test_logs_that_odometry_may_bend_at_will_stay_as_they_came_and_are_told_why():

@@ -9,11 +9,11 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.atlas.retrieval import shortlist
 from magmatch.slam import places as places_module
-from magmatch.slam.bases import TOGETHER
+from magmatch.slam.decide.tie import tie
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.places import MOST_PASSES
-from magmatch.slam.tie import tie
+from magmatch.slam.search.bases import TOGETHER
 
 # Log densities of a prior that knows a place to some hundred metres.
 NOWHERE = -14.0

@@ -13,12 +13,12 @@ from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
-from magmatch.slam.candidates import Candidate
 from magmatch.slam.graph.normal_equations import counted
-from magmatch.slam.loop_closure import Match
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
+from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.loop_closure import Match
 
 KEYS = [
     "schema",

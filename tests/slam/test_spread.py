@@ -10,11 +10,11 @@ import pytest
 
 from magmatch.geometry import product, random_transform
 from magmatch.slam import bases, steps
-from magmatch.slam.bases import TOGETHER, base_of
-from magmatch.slam.candidates import N_NUMBERS
-from magmatch.slam.comparison import Comparison
-from magmatch.slam.predicted import nearby
 from magmatch.slam.run import slam
+from magmatch.slam.search.bases import TOGETHER, base_of
+from magmatch.slam.search.candidates import N_NUMBERS
+from magmatch.slam.search.comparison import Comparison
+from magmatch.slam.search.predicted import nearby
 from magmatch.workers import DaskRunner, bit_for_bit
 
 

@@ -12,13 +12,13 @@ from magmatch.data.survey import Survey
 from magmatch.progress import tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
-from magmatch.slam.bases import BaseMaker, Run
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.odometry import lie_level, odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.places import Places
-from magmatch.slam.predicted import SURE
+from magmatch.slam.search.bases import BaseMaker, Run
+from magmatch.slam.search.predicted import SURE
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
 from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps

@@ -12,10 +12,10 @@ from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
-from magmatch.slam.candidates import Candidate
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import begin, settled
 from magmatch.slam.places import Places
+from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.shared_numbers import N_PARTS
 from magmatch.slam.windows import Path, Window, mean_field, walked_along

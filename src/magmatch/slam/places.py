@@ -15,10 +15,9 @@ from magmatch.progress import counted
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.registration.search.pair_search import PairTable
-from magmatch.slam.bases import TOGETHER, Base, BaseMaker, stretch_of
-from magmatch.slam.candidates import Candidate, numbers_of, of_numbers
-from magmatch.slam.comparison import Comparison, Found, Search, Searched, candidate, compare
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.decide.shared_frame_odds import log_odds_shared
+from magmatch.slam.decide.tie import tie
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.doubt import surprise_before
 from magmatch.slam.graph.factors import Closure
@@ -27,12 +26,13 @@ from magmatch.slam.graph.odometry import follow, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import moved
-from magmatch.slam.loop_closure import residuals
-from magmatch.slam.predicted import SURE, earlier_passes, is_known, nearby
+from magmatch.slam.search.bases import TOGETHER, Base, BaseMaker, stretch_of
+from magmatch.slam.search.candidates import Candidate, numbers_of, of_numbers
+from magmatch.slam.search.comparison import Comparison, Found, Search, Searched, candidate, compare
+from magmatch.slam.search.loop_closure import residuals
+from magmatch.slam.search.predicted import SURE, earlier_passes, is_known, nearby
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
-from magmatch.slam.shared_frame_odds import log_odds_shared
 from magmatch.slam.steps import Steps
-from magmatch.slam.tie import tie
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.typing import Indices, Mask, Matrix, Points, Vector3
 

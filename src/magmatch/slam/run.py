@@ -8,9 +8,9 @@ from magmatch.arguments import expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.progress import Progress
-from magmatch.slam.bases import Run
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
+from magmatch.slam.search.bases import Run
 from magmatch.slam.session import Session
 
 

@@ -22,7 +22,6 @@ from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.settings import Settings
-from magmatch.slam.bases import Run
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
@@ -32,6 +31,7 @@ from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.places import Places
 from magmatch.slam.result import AnchorResult, LogResult, Odometry, SlamResult, SlamStatus
+from magmatch.slam.search.bases import Run
 from magmatch.slam.statement import explain, state_closure, state_odometry
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window

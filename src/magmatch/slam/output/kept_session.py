@@ -15,12 +15,12 @@ from magmatch.errors import DataFormatError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import transform_from_matrix
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.slam.bases import BaseMaker
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
+from magmatch.slam.search.bases import BaseMaker
 from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
-from magmatch.slam.candidates import Candidate
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.loop_closure import NODE_COVARIANCE
+from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.loop_closure import NODE_COVARIANCE
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Scalars
 

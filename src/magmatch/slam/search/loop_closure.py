@@ -18,9 +18,9 @@ from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
 from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
-from magmatch.slam.bases import Base
 from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
+from magmatch.slam.search.bases import Base
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6, Indices, Scalars
 

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.slam.candidates import Candidate
 from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.windows import Window
 from magmatch.typing import Points
 

@@ -6,7 +6,7 @@ import numpy as np
 from magmatch.geometry import transform_of
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.loop_closure import REACH, SAME_SHIFT, Rough
+from magmatch.slam.search.loop_closure import REACH, SAME_SHIFT, Rough
 from magmatch.slam.windows import Window
 from magmatch.typing import Indices
 

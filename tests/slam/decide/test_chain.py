@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.decide.chain import Placed, smooth
 
 REVISIT, KEEPS_ON = 0.4, 0.8
 

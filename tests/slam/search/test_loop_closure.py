@@ -10,10 +10,10 @@ from scipy.stats import multivariate_normal
 
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam import loop_closure
-from magmatch.slam.comparison import Comparison, Searched, compare
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
-from magmatch.slam.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
+from magmatch.slam.search.comparison import Comparison, Searched, compare
+from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
 
 
 def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_begin_from(lone, monkeypatch):

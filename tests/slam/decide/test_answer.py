@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.slam.answer import Weighted, by_pass, closure_beside, same_answer
-from magmatch.slam.candidates import Candidate
-from magmatch.slam.loop_closure import Match
+from magmatch.slam.decide.answer import Weighted, by_pass, closure_beside, same_answer
+from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.loop_closure import Match
 
 HERE = RigidTransform.identity()
 

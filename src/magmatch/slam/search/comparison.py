@@ -9,10 +9,10 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.slam.bases import Base, BaseTask, base_of
-from magmatch.slam.candidates import Candidate
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.loop_closure import (
+from magmatch.slam.search.bases import Base, BaseTask, base_of
+from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.loop_closure import (
     NODE_COVARIANCE,
     REACH,
     SAME_SHIFT,
@@ -22,7 +22,7 @@ from magmatch.slam.loop_closure import (
     Rough,
     matches,
 )
-from magmatch.slam.predicted import expected_beside
+from magmatch.slam.search.predicted import expected_beside
 from magmatch.slam.windows import Window
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Scalars

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.slam.candidates import Candidate
+from magmatch.slam.decide.shared_frame_odds import log_odds_shared
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.loop_closure import Match
-from magmatch.slam.shared_frame_odds import log_odds_shared
+from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.loop_closure import Match
 
 HERE = RigidTransform.identity()
 AT_ONCE, NOWHERE = -2.0, -7.0  # log densities of the prior: given the tie, and from nowhere

@@ -7,13 +7,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import product
-from magmatch.slam.answer import by_pass, closure_beside, same_answer
-from magmatch.slam.candidates import Candidate
-from magmatch.slam.chain import Placed, smooth
+from magmatch.slam.decide.answer import by_pass, closure_beside, same_answer
+from magmatch.slam.decide.chain import Placed, smooth
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
-from magmatch.slam.loop_closure import log_density
-from magmatch.slam.predicted import SURE, is_known
+from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.loop_closure import log_density
+from magmatch.slam.search.predicted import SURE, is_known
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Matrix
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_from_matrix
-from magmatch.slam.loop_closure import Match
+from magmatch.slam.search.loop_closure import Match
 from magmatch.typing import Matrix
 
 # Of a candidate as it is kept.
