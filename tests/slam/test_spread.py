@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from magmatch.geometry import product, random_transform
-from magmatch.slam import bases, steps
+from magmatch.slam import steps
 from magmatch.slam.run import slam
+from magmatch.slam.search import bases
 from magmatch.slam.search.bases import TOGETHER, base_of
 from magmatch.slam.search.candidates import N_NUMBERS
 from magmatch.slam.search.comparison import Comparison
