@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from magmatch.features.wahba import best_rotations
+from magmatch.features.wahba import best_rotations, to_rotation
 
 LAW = settings(deadline=None, max_examples=25)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -48,3 +48,19 @@ def test_vectors_without_length_say_nothing():
     np.testing.assert_allclose(
         nothing @ np.swapaxes(nothing, 1, 2), np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-12
     )
+
+
+@LAW
+@given(seed=SEEDS, n=st.integers(1, 9), spread=st.floats(0, 2))
+def test_the_mean_of_rotations_is_the_nearest_one(seed, n, spread):
+    """The oracle: singular vectors, without a reflection."""
+    rng = np.random.default_rng(seed)
+    mean = (Rotation.random(rng=rng) * Rotation.from_rotvec(rng.normal(0, spread, (n, 3)))).as_matrix().mean(axis=0)
+    found = mean.copy()
+    to_rotation(found, np.empty((4, 4)), np.empty((4, 4)))
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(found) == pytest.approx(1)
+    U, _, Vt = np.linalg.svd(mean)
+    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
+    # As near as that; where two are as near, either.
+    assert np.trace(found.T @ mean) == pytest.approx(np.trace((U @ Vt).T @ mean), abs=1e-12)

@@ -32,30 +32,36 @@ def best_rotations(base: tuple[Vectors, ...], target: tuple[Vectors, ...], weigh
                 for i in range(3):
                     for j in range(3):
                         H[i, j] += weights[m][n] / lengths * a[i] * b[j]
-        trace = H[0, 0] + H[1, 1] + H[2, 2]
-        for i in range(3):
-            for j in range(3):
-                K[i, j] = H[i, j] + H[j, i]
-            K[i, i] -= trace
-            j, k = (i + 1) % 3, (i + 2) % 3
-            K[i, 3] = K[3, i] = H[k, j] - H[j, k]
-        K[3, 3] = trace
-        _diagonalise(K, V)
-        k = 0
-        for i in range(1, 4):
-            if K[i, i] > K[k, k]:
-                k = i
-        w = V[3, k]
-        for i in range(3):
-            for j in range(3):
-                H[i, j] = 2 * V[i, k] * V[j, k]
-            H[i, i] += 2 * w * w - 1
-        for i in range(3):
-            j = (i + 1) % 3
-            turn = 2 * w * V[(i + 2) % 3, k]
-            H[j, i] += turn
-            H[i, j] -= turn
+        to_rotation(H, K, V)
     return found
+
+
+@compiled
+def to_rotation(H: Matrix, K: Matrix, V: Matrix) -> None:
+    """Overwrite H (3, 3) by the rotation R nearest to it: with most trace of ``R^T H``. K, V (4, 4) are used up."""
+    trace = H[0, 0] + H[1, 1] + H[2, 2]
+    for i in range(3):
+        for j in range(3):
+            K[i, j] = H[i, j] + H[j, i]
+        K[i, i] -= trace
+        j, k = (i + 1) % 3, (i + 2) % 3
+        K[i, 3] = K[3, i] = H[k, j] - H[j, k]
+    K[3, 3] = trace
+    _diagonalise(K, V)
+    k = 0
+    for i in range(1, 4):
+        if K[i, i] > K[k, k]:
+            k = i
+    w = V[3, k]
+    for i in range(3):
+        for j in range(3):
+            H[i, j] = 2 * V[i, k] * V[j, k]
+        H[i, i] += 2 * w * w - 1
+    for i in range(3):
+        j = (i + 1) % 3
+        turn = 2 * w * V[(i + 2) % 3, k]
+        H[j, i] += turn
+        H[i, j] -= turn
 
 
 @compiled

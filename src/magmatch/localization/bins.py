@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.compiled import compiled
+from magmatch.features.wahba import to_rotation
 from magmatch.typing import Matrix, Vector3
 
 # Sums over a bin's samples: number, times, poses, fields in the odometry's axes; and where its first lies.
@@ -36,14 +37,8 @@ class Binning:
         return self._close() if _add(self._sums, sample, self.side) else None
 
     def _close(self) -> Bin:
-        done = self._sums[1]
-        n, T = done["n"], done["T"]
-        R_mean, p = T[:3, :3] / n, T[:3, 3] / n
-        U, _, Vt = np.linalg.svd(R_mean)
-        if np.linalg.det(U @ Vt) < 0:
-            U[:, 2] *= -1
-        R = U @ Vt
-        return Bin(float(done["t"] / n), R, p, R.T @ done["b"] / n, R.T @ R_mean)
+        R, p, z, M = np.empty((3, 3)), np.empty(3), np.zeros(3), np.zeros((3, 3))
+        return Bin(_average(self._sums, R, p, z, M, np.empty((2, 4, 4))), R, p, z, M)
 
 
 @compiled
@@ -68,3 +63,20 @@ def _add(sums, sample, side):  # type: ignore[no-untyped-def]
         for e in range(4):
             now.T[a, e] += T[a, e]
     return is_done
+
+
+@compiled
+def _average(sums, R, p, z, M, room):  # type: ignore[no-untyped-def]
+    """Fill in what a `Bin` holds, from the sums of the complete one; gives its time."""
+    done = sums[1]
+    for a in range(3):
+        p[a] = done.T[a, 3] / done.n
+        for e in range(3):
+            R[a, e] = done.T[a, e] / done.n
+    to_rotation(R, room[0], room[1])
+    for a in range(3):
+        for e in range(3):
+            z[a] += R[e, a] * done.b[e] / done.n
+            for k in range(3):
+                M[a, e] += R[k, a] * done.T[k, e] / done.n
+    return done.t / done.n
