@@ -160,10 +160,10 @@ def pose_graph(n: int) -> None:
     A = sum_of_blocks(np.array(rows), np.array(columns), np.array(blocks), n)
     whole = csc_array(tril(A) + tril(A, -1).T)
     factor, theirs, unit = BlockCholesky.of(A), splu(whole, **SYMMETRIC), np.eye(6 * n)[:, :6]
-    factor.inverse_blocks()
+    factor.inverse()
     print(f"Pose graph, {n} nodes, {len(pairs)} ties: ours {seconds(lambda: BlockCholesky.of(A)):.3f} s, "
           f"SuperLU {seconds(lambda: splu(whole, **SYMMETRIC)):.3f} s; all covariances: ours "
-          f"{seconds(factor.inverse_blocks):.3f} s (selected inverse), "
+          f"{seconds(factor.inverse):.3f} s (selected inverse), "
           f"SuperLU {n * seconds(lambda: theirs.solve(unit)):.0f} s ({n} solves)")  # fmt: skip
 
 

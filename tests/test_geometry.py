@@ -7,7 +7,9 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import (
     exp_se3,
+    is_one_pose,
     log_se3,
+    perturbation,
     random_transform,
     rotate_tensors,
     rotate_third_order,
@@ -79,3 +81,23 @@ def test_transform_error_is_measured_at_the_centre():
     distance, angle = transform_error(T, RigidTransform.identity(), np.array([2.0, 0.0, 0.0]))
     np.testing.assert_allclose(angle, 0.1)
     np.testing.assert_allclose(distance, 2 * 2 * np.sin(0.05))
+
+
+@given(seed=SEEDS, near=st.floats(0, 2))
+@LAW
+def test_two_poses_are_one_where_neither_shift_nor_turn_is_too_large(seed, near):
+    T, _, rng = two_transforms(seed)
+    center = rng.normal(size=3)
+    other = T * perturbation(near * rng.normal(size=6), center)
+    shift, turn = transform_error(other, T, center)
+    for a, b in ((1.01, 1.01), (0.99, 1.01), (1.01, 0.99)):
+        assert is_one_pose(other, T, center, (a * shift + 1e-9, b * turn + 1e-9)) == (
+            (a > 1 or shift < 1e-7) and (b > 1 or turn < 1e-7)
+        )
+    np.testing.assert_allclose([shift, turn], np.linalg.norm([*_apart(other, T, center)], axis=1), atol=1e-7)
+
+
+def _apart(T, other, center):
+    """Shift of the centre and turn, by SciPy's products."""
+    yield T.apply(center) - other.apply(center)
+    yield (other.inv() * T).rotation.as_rotvec()

@@ -17,8 +17,8 @@ ORTHONORMAL_TO_ROUNDING = 1e-12
 
 
 def rotation_matrix(T_base_target: RigidTransform) -> Matrix:
-    """``R`` of a transform: (3, 3). Its quaternion, by which `T.rotation` goes, takes a hundred times longer."""
-    R: Matrix = T_base_target.as_matrix()[:3, :3]
+    """``R`` of a transform, (3, 3), or of many. `T.rotation` goes by quaternions: a hundred times as long."""
+    R: Matrix = T_base_target.as_matrix()[..., :3, :3]
     return R
 
 
@@ -179,7 +179,7 @@ def log_se3(T: RigidTransform) -> np.ndarray:
 
 def turn_and_shift(T: RigidTransform) -> np.ndarray:
     """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, `log_se3`."""
-    turn = Rotation.from_matrix(T.as_matrix()[..., :3, :3], assume_valid=True).as_rotvec()
+    turn = Rotation.from_matrix(rotation_matrix(T), assume_valid=True).as_rotvec()
     return np.concatenate([turn, T.translation], axis=-1)
 
 

@@ -62,9 +62,7 @@ def test_rows_are_those_of_dense_algebra(seed):
             turn, R0.T @ (moved[k] - prior.T_base_target.apply(CENTER)),
         ])  # fmt: skip
         J = np.zeros((10, 6))
-        J[:3, :3], J[3, 3:], J[4:] = skew(seen), seen, of_pose
-        # A turn xi of the target moves what it sees of the vertical by s x xi.
-        J[:3, :3] *= -1
+        J[:3, :3], J[3, 3:], J[4:] = -skew(seen), seen, of_pose
         P = np.zeros((10, 10))
         P[:3, :3], P[3, 3] = np.eye(3) / prior.gravity_sd**2, prior.height_sd**-2
         P[4:, 4:] = np.linalg.inv(prior.covariance)

@@ -291,3 +291,12 @@ def test_a_rough_walk_is_no_evidence_for_a_place_where_nothing_varies(times):
         null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
         # That both fields agree in the mean is evidence, of some nats a component.
         assert posed - null < 25
+
+
+def test_a_null_model_that_was_asked_before_says_the_same(walk):
+    d = cdist(walk.positions, walk.positions)
+    asked = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH)
+    masks = [np.arange(len(walk)) < n for n in (len(walk), 9, 14)]
+    fresh = [UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(rows) for rows in masks]
+    assert [asked.log_likelihood(rows) for rows in [*masks, *masks]] == [*fresh, *fresh]
+    assert len(set(fresh)) == len(masks)

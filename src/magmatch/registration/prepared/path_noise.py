@@ -91,7 +91,7 @@ class PathNoise:
         return np.asarray(C)
 
     def alike(self, distance: Matrix) -> tuple[Matrix, Matrix]:
-        """What distance tells, (n, n): covariance of a component's misfit, T^2; correlation of the map's error."""
+        """By distance, (n, n): a component's covariance of misfit and constant, T^2; correlation of map errors."""
         x = (np.sqrt(3) if self.is_smooth else 1.0) * distance / self.misfit_length
         along = self.misfit_sd**2 * ((1 + x) * np.exp(-x) if self.is_smooth else np.exp(-x)) + self.constant_sd**2
         return along, np.exp(-0.5 * (distance / self.map_length) ** 2)

@@ -162,7 +162,7 @@ class PosePrior:
                 add_height(R, moved, up, height, self.height_sd, A, v, chi2)
         if self.T_base_target is not None and self.covariance is not None:
             information = np.linalg.inv(self.covariance)
-            add_pose(R, moved, *self._rough(center), information, A, v, chi2, np.empty((16, 6)))
+            add_pose(R, moved, *self._rough(center), information, A, v, chi2, *np.empty((2, 6, 6)), *_room())
         return A, v, chi2
 
     def _rough(self, center: Vector3) -> tuple[Matrix, Vector3]:
@@ -187,7 +187,7 @@ class PosePrior:
             own = np.square(slack)[:, None, None] * np.eye(3)
             wide = np.linalg.inv(np.stack([self.covariance[:3, :3], self.covariance[3:, 3:]]) + own)
             R, moved = np.ascontiguousarray(R), np.ascontiguousarray(moved)
-            rule_out_far(R, moved, *self._rough(center), wide, self.far2, is_admitted, np.empty((4, 6)))
+            rule_out_far(R, moved, *self._rough(center), wide, self.far2, is_admitted, *_room())
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:
@@ -231,6 +231,11 @@ class PosePrior:
             np.concatenate([kept.anchor_rows, rows]),
             poses.anchors_target,
         )
+
+
+def _room() -> tuple[np.ndarray, Matrix]:
+    """For how a pose is off another: turn and shift, and the turn as a matrix."""
+    return np.empty(6), np.empty((3, 3))
 
 
 def pose_prior(

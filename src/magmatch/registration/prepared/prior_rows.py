@@ -41,9 +41,8 @@ def add_height(R, moved, up_base, height, sd, A, v, chi2):  # type: ignore[no-un
 
 
 @compiled
-def add_pose(R, moved, R0, p0, information, A, v, chi2, room):  # type: ignore[no-untyped-def]
+def add_pose(R, moved, R0, p0, information, A, v, chi2, J, PJ, r, D):  # type: ignore[no-untyped-def]
     """Add a rough pose, that turns by R0 and puts the target's middle at p0, with its information (6, 6)."""
-    J, PJ, r, D = room[:6], room[6:12], room[12], room[13:16]
     for p in range(len(R)):
         _apart(R[p], moved[p], R0, p0, D, r)
         _fill_slopes(D, r, J)
@@ -64,9 +63,8 @@ def add_pose(R, moved, R0, p0, information, A, v, chi2, room):  # type: ignore[n
 
 
 @compiled
-def rule_out_far(R, moved, R0, p0, wide, far2, is_admitted, room):  # type: ignore[no-untyped-def]
+def rule_out_far(R, moved, R0, p0, wide, far2, is_admitted, r, D):  # type: ignore[no-untyped-def]
     """Rule out poses whose turn or shift is too far from a rough one's, by their information (2, 3, 3)."""
-    r, D = room[0], room[1:4]
     for p in range(len(R)):
         if is_admitted[p]:
             _apart(R[p], moved[p], R0, p0, D, r)
@@ -127,7 +125,7 @@ def _rotation_vector(R, r):  # type: ignore[no-untyped-def]
         w = R[j, i] - R[i, j]
         r[k], r[i], r[j] = 1 + 2 * R[k, k] - t, R[i, k] + R[k, i], R[j, k] + R[k, j]
     length = np.sqrt(r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
-    # The shorter way round; of a small turn the angle over its sine is 1.
+    # The shorter way round; no turn has no axis.
     if w < 0:
         w, r[0], r[1], r[2] = -w, -r[0], -r[1], -r[2]
     scale = 2 * np.arctan2(length, w) / length if length > 0 else 0.0

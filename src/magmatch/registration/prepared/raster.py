@@ -65,7 +65,7 @@ class Raster(NamedTuple):
         """Field and spread (T), gradient (T/m) and whether known, by trilinear interpolation; 0 where unknown."""
         out = np.zeros((len(points), 13))
         is_known = np.zeros(len(points), dtype=np.bool_)
-        _lookup_many(self, points, out, is_known)
+        _lookup_many(self, np.ascontiguousarray(points), out, is_known)
         return out[:, :3], out[:, 3], out[:, 4:].reshape(-1, 3, 3), is_known
 
 

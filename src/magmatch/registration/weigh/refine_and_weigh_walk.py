@@ -129,8 +129,8 @@ class _Fits:
     information: Matrix  # (h, 6, 6)
     chi2: Scalars
     half_log_det: Scalars
-    known_before: Matrix  # (h, 6, 6): the prior's information, and its squared residual over its variance
-    off_before: Scalars
+    prior_information: Matrix  # (h, 6, 6)
+    prior_chi2: Scalars
 
     def rows(self, chosen: Indices) -> "_Fits":
         return _Fits(*(getattr(self, f.name)[chosen] for f in fields(self)))
@@ -195,8 +195,8 @@ class _LeastSquares:
         chi2, v = products[:, 0, 0], products[:, 1:, 0]
         free = FREE_SDS * np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
         information = products[:, 1:, 1:] + np.diag(free**-2)
-        known_before, slope, off_before = self.prior.rows_of_many(R, p, self.center)
-        information, v = information + known_before, v + slope
+        prior_information, slope, prior_chi2 = self.prior.rows_of_many(R, p, self.center)
+        information, v = information + prior_information, v + slope
 
         def errors_after(xi: Matrix) -> Matrix:
             assert moved is not None
@@ -204,7 +204,7 @@ class _LeastSquares:
             whiten_again(L, left)
             return np.asarray(np.einsum("hkm,hk->hm", moved.reshape(n_poses, 3 * n, -1), left))
 
-        fits = _Fits(R, p, known, strain, normalised, information, chi2, half_log_det, known_before, off_before)
+        fits = _Fits(R, p, known, strain, normalised, information, chi2, half_log_det, prior_information, prior_chi2)
         return fits, v, errors_after
 
     def _bent(self, errors: Matrix) -> tuple[np.ndarray, np.ndarray]:
@@ -258,15 +258,15 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     # A walk that fits better than a guess expects may still share its frame's errors.
     least = 0.0 if squares.noise.is_learned else 1.0
     # The factor is on what residuals tell.
-    told = (fits.information - fits.known_before) / np.maximum(inflation, least)[:, None, None]
-    covariance = np.linalg.inv(told + fits.known_before)
+    told = (fits.information - fits.prior_information) / np.maximum(inflation, least)[:, None, None]
+    covariance = np.linalg.inv(told + fits.prior_information)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_evidence = (
         log_likelihood
         - fits.half_log_det
         - np.array([null.log_likelihood(known) for known in fits.known])
         + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
-        + squares.prior.log_densities(fits.known_before, fits.off_before)
+        + squares.prior.log_densities(fits.prior_information, fits.prior_chi2)
         + config.log_weight(path, fits.known.mean(axis=1))
         - config.price * path * (fits.strain > 1).mean(axis=1)
     )
@@ -288,7 +288,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
 
 
 def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
-    """Whiten rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
+    """Whiten contiguous rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
 
     Returns the whitened rows (h, 3 n, k), which take the place of those given, half the log-determinants (h,), and
     the factors of the covariances.

@@ -30,7 +30,8 @@ class UnrelatedWalk:
     covariance: Matrix  # (n, n), T^2: of each component
     noise: PathNoise
     favour: float  # nats: gain in likelihood because its parameters are chosen on the walk itself
-    _found: dict[bytes, float] = dataclasses.field(default_factory=dict, init=False)  # of bins that were asked for
+    # Log likelihoods of the bins that were asked for
+    _found: dict[bytes, float] = dataclasses.field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def most_likely(

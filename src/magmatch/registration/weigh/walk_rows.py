@@ -37,13 +37,12 @@ def residual_rows(
     """
     rows, slopes = np.empty((*known.shape, 3, N_COLUMNS)), np.empty((*known.shape, 3, 6))
     field, gradient = (np.ascontiguousarray(x) for x in values)
-    _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, np.zeros((2, 3, 3)))
+    _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, *np.zeros((2, 3, 3)))
     return rows, slopes
 
 
 @compiled
-def _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, room):  # type: ignore[no-untyped-def]
-    bx, yx = room
+def _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, bx, yx):  # type: ignore[no-untyped-def]
     h, n = known.shape
     for p in range(h):
         for i in range(n):

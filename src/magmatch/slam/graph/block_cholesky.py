@@ -17,6 +17,8 @@ from magmatch.typing import Indices, Mask
 SIDE = 6
 # Of each node of the network to the ground, over that of a tie: small, so that currents reach far.
 GROUNDED = 1e-6
+# Where a block stands that is turned. A 0 that is written out would be a type of its own to the compiler.
+ONLY = np.int64(0)
 
 
 def sum_of_blocks(rows: Indices, columns: Indices, blocks: np.ndarray, n: int) -> bsr_array:
@@ -65,7 +67,7 @@ class BlockCholesky:
         return 2 * float(np.log(np.diagonal(self.L[self.starts[:-1]], axis1=1, axis2=2)).sum())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """``A^-1 rhs`` for as many right-hand sides as a block has columns, or fewer: (k, n, 6)."""
+        """``A^-1 rhs`` for up to six right-hand sides: (k, n, 6)."""
         y, is_asked = np.zeros((len(self.position), SIDE, SIDE)), np.ones(len(self.position), np.bool_)
         y[self.position, :, : len(rhs)] = np.moveaxis(rhs, 0, 2)
         _solve(self.starts, self.rows, self.L, y, is_asked, np.empty((1, SIDE, SIDE)))
@@ -150,7 +152,7 @@ def _factor(starts: Indices, rows: Indices, L: np.ndarray, turned: np.ndarray) -
             for r in range(q, end):
                 while rows[at] < rows[r]:
                     at += 1
-                _subtract(L, at, L, r, turned, 0)
+                _subtract(L, at, L, r, turned, ONLY)
     return True
 
 
@@ -237,7 +239,7 @@ def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j:
     """Solve for block j with row j of L^T, where the blocks below are known."""
     for q in range(d + 1, end):
         _transpose(L, q, turned)
-        _subtract(y, j, turned, 0, y, rows[q])
+        _subtract(y, j, turned, ONLY, y, rows[q])
     for a in range(SIDE - 1, -1, -1):
         for c in range(a + 1, SIDE):
             for k in range(SIDE):
@@ -248,9 +250,9 @@ def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j:
 
 @compiled
 def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, is_asked: Mask, turned: np.ndarray) -> None:
-    """Overwrite blocks y (n, 6, 6), of six right-hand sides, by ``L^-T L^-1 y`` where it is asked for.
+    """Overwrite blocks y (n, 6, 6), six right-hand sides, by ``L^-T L^-1 y`` where it is asked for.
 
-    Of what is asked for, ancestors are too; elsewhere y must be zero.
+    That must include all ancestors of what it includes; elsewhere y must be zero.
     """
     for j in range(len(starts) - 1):
         if is_asked[j]:
@@ -277,10 +279,10 @@ def _invert(starts: Indices, rows: Indices, N: np.ndarray, Z: np.ndarray, turned
                 _subtract(Z, r, Z, at, N, q)
                 if r > q:
                     _transpose(Z, at, turned)
-                    _subtract(Z, q, turned, 0, N, r)
+                    _subtract(Z, q, turned, ONLY, N, r)
         for q in range(d + 1, end):
             _transpose(N, q, turned)
-            _subtract(Z, d, turned, 0, Z, q)
+            _subtract(Z, d, turned, ONLY, Z, q)
         _transpose(N, d, turned)
         for a in range(SIDE):
             for c in range(a, SIDE):
