@@ -38,7 +38,7 @@ class Binning:
 
     def _close(self) -> Bin:
         R, p, z, M = np.empty((3, 3)), np.empty(3), np.zeros(3), np.zeros((3, 3))
-        return Bin(_average(self._sums, R, p, z, M, np.empty((2, 4, 4))), R, p, z, M)
+        return Bin(_average(self._sums, R, p, z, M, *np.empty((2, 4, 4))), R, p, z, M)
 
 
 @compiled
@@ -66,14 +66,14 @@ def _add(sums, sample, side):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _average(sums, R, p, z, M, room):  # type: ignore[no-untyped-def]
+def _average(sums, R, p, z, M, K, V):  # type: ignore[no-untyped-def]
     """Fill in what a `Bin` holds, from the sums of the complete one; gives its time."""
     done = sums[1]
     for a in range(3):
         p[a] = done.T[a, 3] / done.n
         for e in range(3):
             R[a, e] = done.T[a, e] / done.n
-    to_rotation(R, room[0], room[1])
+    to_rotation(R, K, V)
     for a in range(3):
         for e in range(3):
             z[a] += R[e, a] * done.b[e] / done.n

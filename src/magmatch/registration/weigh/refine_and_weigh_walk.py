@@ -230,8 +230,7 @@ class _LeastSquares:
             moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
             moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
             C = moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
-        add_alike(C, *self._alike, self.noise.map_factor * sd, self.noise.nugget_sd**2)
-        return C
+        return self._with_alike(C, sd)
 
     def _full_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
@@ -240,6 +239,10 @@ class _LeastSquares:
             return self.noise.full(self.distance, sd, G, field)
         moved = moved.reshape(len(moved), -1, moved.shape[-1])
         C = moved @ np.swapaxes(moved, 1, 2)
+        return self._with_alike(C, sd)
+
+    def _with_alike(self, C: Matrix, sd: Matrix) -> Matrix:
+        """Covariances, to which is added what all components have alike."""
         add_alike(C, *self._alike, self.noise.map_factor * sd, self.noise.nugget_sd**2)
         return C
 

@@ -86,12 +86,14 @@ def matches(
     index, walk, config = base.index, window.walk, window.config
     prior = _prior(window, base, expected)
     T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
-    T_walk_node = product(T_walk.inv(), window.T_log_node)
+    T_model_base, T_walk_log = T_base.inv(), T_walk.inv()
+    T_walk_node = product(T_walk_log, window.T_log_node)
+    T_node_walk = T_walk_node.inv()
     if known is None:
         proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
         starts = list(proposed.poses)
     else:
-        starts = [T for T in (product(T_base.inv(), T, T_walk) for T in known) if _is_expected(T, window, prior)]
+        starts = [T for T in (product(T_model_base, T, T_walk) for T in known) if _is_expected(T, window, prior)]
     starts += [] if prior.T_base_target is None else [prior.T_base_target]
     if nodes is not None and starts:
         at = np.array([T.apply(T_walk_node.translation) for T in starts])
@@ -108,13 +110,13 @@ def matches(
     same = SAME_SHIFT * index.length, SAME_TURN
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
-        T = product(T_base, e.T_base_target, T_walk.inv())
+        T = product(T_base, e.T_base_target, T_walk_log)
         odds = log_odds(e.log_evidence, e.misfit, "window")
         densest, less = _prior_at(window, T, prior, expected)
         # What the prior costs counts by the same law as the field, so that giving it back adds no more than it took.
         gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
-        T_node_alone = product(T_walk_node.inv(), e.T_base_target.inv(), T_alone, T_walk_node)
+        T_node_alone = product(T_node_walk, e.T_base_target.inv(), T_alone, T_walk_node)
         found.append(
             Match(
                 T,
