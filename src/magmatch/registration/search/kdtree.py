@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled, compiled_ahead
 from magmatch.typing import Indices, Matrix
 
 # Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
@@ -30,22 +30,16 @@ class NeighbourTree:
     @classmethod
     def of(cls, points: np.ndarray) -> "NeighbourTree":
         """Divide points at their medians until leaves are small."""
-        points = np.asarray(points, dtype=np.float32)
+        points = np.array(points, dtype=np.float32, order="C")
         n, depth = len(points), 0
         while n >> depth > LEAF:
             depth += 1
-        order = np.arange(n, dtype=np.int32)
+        rows = np.arange(n, dtype=np.int32)
         axes, values = np.zeros((1 << depth) - 1, dtype=np.int32), np.zeros((1 << depth) - 1, dtype=np.float32)
-        bounds = [(0, n)]
-        for node in range(len(axes)):
-            low, high = bounds[node]
-            middle = (low + high) // 2
-            part = points[order[low:high]]
-            axis = int(np.argmax(np.ptp(part, axis=0)))
-            order[low:high] = order[low:high][np.argpartition(part[:, axis], middle - low)]
-            axes[node], values[node] = axis, points[order[middle], axis]
-            bounds += [(low, middle), (middle, high)]
-        return cls(points[order], order, axes, values)
+        bounds = np.zeros((2 * len(axes) + 1, 2), dtype=np.int64)
+        bounds[0, 1] = n
+        _divide(points, rows, axes, values, bounds)
+        return cls(points, rows, axes, values)
 
     def query(self, targets: np.ndarray, k: int, n_leaves: int = EVERY_LEAF) -> tuple[Indices, Matrix]:
         """Rows (t, k) of the k nearest points of each target, nearest first, and their squared distances.
@@ -60,6 +54,44 @@ class NeighbourTree:
         distance2 = np.full((len(targets), k), np.inf)
         _query(self.points, self.axes, self.values, targets, n_leaves, found, distance2)
         return np.asarray(self.rows[found], dtype=np.int64), distance2
+
+
+@compiled
+def _halve(points, rows, axis, first, middle, last):  # type: ignore[no-untyped-def]
+    """Quickselect: what precedes the middle is less along an axis; of equal coordinates the first row is the less."""
+    while first < last:
+        i, j = first, last
+        x, row = points[(first + last) // 2, axis], rows[(first + last) // 2]
+        while i <= j:
+            while points[i, axis] < x or (points[i, axis] == x and rows[i] < row):
+                i += 1
+            while points[j, axis] > x or (points[j, axis] == x and rows[j] > row):
+                j -= 1
+            if i <= j:
+                for c in range(points.shape[1]):
+                    points[i, c], points[j, c] = points[j, c], points[i, c]
+                rows[i], rows[j] = rows[j], rows[i]
+                i, j = i + 1, j - 1
+        # What lies between i and j, if anything, is the middle itself.
+        first, last = first if middle <= j else i, last if middle >= i else j
+
+
+@compiled_ahead("f4[:,::1], i4[::1], i4[::1], f4[::1], i8[:,::1]")
+def _divide(points, rows, axes, values, bounds):  # type: ignore[no-untyped-def]
+    """Bring points and rows into the order of leaves; ``bounds`` has a row for each node, that of the root set."""
+    for node in range(len(axes)):
+        low, high = bounds[node, 0], bounds[node, 1]
+        middle, axis, widest = (low + high) // 2, 0, np.float32(-1.0)
+        for c in range(points.shape[1]):
+            least = most = points[low, c]
+            for p in range(low + 1, high):
+                least, most = min(least, points[p, c]), max(most, points[p, c])
+            if most - least > widest:
+                axis, widest = c, most - least
+        _halve(points, rows, axis, low, middle, high - 1)
+        axes[node], values[node] = axis, points[middle, axis]
+        bounds[2 * node + 1, 0], bounds[2 * node + 1, 1] = low, middle
+        bounds[2 * node + 2, 0], bounds[2 * node + 2, 1] = middle, high
 
 
 @compiled
