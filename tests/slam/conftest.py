@@ -17,6 +17,13 @@ def lone():
 
 
 @pytest.fixture(scope="session")
+def many_laps():
+    """One log, five times round: its last windows have several earlier passes beside them."""
+    log, truth = drifting_walk(Place(2), 4, laps=5.0, scale=0.0)
+    return SimpleNamespace(log=log, truth=truth, session=slam(log))
+
+
+@pytest.fixture(scope="session")
 def three():
     """Two logs of one place, each in a frame of its own, and one of another place."""
     a, p_a = drifting_walk(Place(1), 1, name="a.csv")

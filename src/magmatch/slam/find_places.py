@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The method on one page: hyperparameters that logs share, windows, and rounds of search for loop closures."""
+"""The method on one page: hyperparameters that logs share, windows, rounds of search for closures, a last look."""
 
 import logging
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.odometry import lie_level, odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.places import Places
+from magmatch.slam.refine.refine import refine
 from magmatch.slam.search.bases import BaseMaker, Run
 from magmatch.slam.search.predicted import SURE
 from magmatch.slam.sensor_bias import sensor_bias, without_bias
@@ -78,6 +79,8 @@ def find(
                 forget_closures(places.graph)
             with clock("closures"):
                 places.close(places.paths)
+            with clock("refinement"):
+                refine(places, places.paths)
     return places
 
 
@@ -94,10 +97,13 @@ def go_on(
     places.steps, places.anchors = steps, [*places.anchors, *anchors]
     assert places.maker is not None
     places.maker.run = run
-    with one_blas_thread(), clock("closures"):
-        places.solve()
-        for survey in logs:
-            if places.graph.config.is_planar and not lie_level([survey]):
-                log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
-            places.close([places.add(survey)])
+    with one_blas_thread():
+        with clock("closures"):
+            places.solve()
+            for survey in logs:
+                if places.graph.config.is_planar and not lie_level([survey]):
+                    log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
+                places.close([places.add(survey)])
+        with clock("refinement"):
+            refine(places, places.paths[-len(logs) :])
     return places

@@ -209,7 +209,7 @@ class Places:
                 compared[k][a] = some
             return [search.candidates(some, self.graph) for search, some in zip(searches, compared, strict=True)]
 
-        found = self._steps(len(windows), look)
+        found = self.found_in_steps(len(windows), look)
         for search, some in zip(searches, found, strict=True):
             self.searched[search.window.node].update(search.done(some))
         return found
@@ -279,9 +279,9 @@ class Places:
                 found[k] += [candidate(windows[k], node, match, self.graph.pose(node)) for node, match in some]
             return found
 
-        return self._steps(len(windows), look)
+        return self.found_in_steps(len(windows), look)
 
-    def _steps(self, n: int, look: Callable[[], list[list[Candidate]]]) -> list[list[Candidate]]:
+    def found_in_steps(self, n: int, look: Callable[[], list[list[Candidate]]]) -> list[list[Candidate]]:
         """What a search finds for each of n windows, a step each, or found before an interruption."""
         found = cache(look)
 

@@ -55,6 +55,12 @@ class PairTable:
     field_norm: float
     gradient_rms: float
 
+    @classmethod
+    def empty(cls, length: float) -> "PairTable":
+        """That of a base in which nothing is searched."""
+        none, points = np.zeros(0, np.int64), np.zeros((0, 3))
+        return cls(points, points, none, none, NeighbourTree.of(points), length, 0.0, 0.0, 0.0, 0.0)
+
     def nearest(self, invariants: Matrix, k: int, n_leaves: int = EVERY_LEAF) -> tuple[Indices, Matrix]:
         """Rows (n, k) of the pairs with the most similar invariants, and their squared distances, in sd^2."""
         whitened = whiten_pairs(invariants, self.sd_position, self.sd_field, self.field_norm)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -65,11 +66,16 @@ def closure_beside(
     above the floor, where the graph has a node upright and level.
     """
     c, config = passed[0].candidate, graph.config
-    off_level = np.diag(np.diag(NODE_COVARIANCE))
-    off_level[config.drifts, config.drifts] = 0.0
     T, covariance = _mean(passed, graph)
     beside = covariance_beside(paths[graph.log[c.node]], c.node, c.T_node_window, config)
-    return Closure(c.node, node, T, covariance + beside + 2 * off_level, log_odds, common=COMMON)
+    return Closure(c.node, node, T, covariance + beside + off_level(config), log_odds, common=COMMON)
+
+
+def off_level(config: SlamConfig) -> Covariance6:
+    """Of one node against another: what gravity and one floor leave open of the components that they hold."""
+    held = np.diag(NODE_COVARIANCE).copy()
+    held[config.drifts] = 0.0
+    return 2 * np.diag(held)
 
 
 def _mean(passed: Sequence[Weighted], graph: PoseGraph) -> tuple[RigidTransform, Covariance6]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Normal equations of all poses from odometry, closures, fixed points, gravity and the floor.
+"""Normal equations of all poses from odometry, closures, maps, fixed points, gravity and the floor.
 
 A node's perturbation has separate rotation and translation: R Exp(phi), p + R rho. Unknowns come in blocks of six:
 one for each node, then one for each log, of which the first two are its lasting errors and the others are not used.
@@ -24,7 +24,7 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
     """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2."""
     n = len(graph.p) + len(graph.lasting)
-    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph)]
+    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph), *_maps(graph)]
     rows, columns, values, v, chi2 = [], [], [], np.zeros((n, SIDE)), 0.0
     for blocks, J, P, r in parts:
         e, k = blocks.shape
@@ -69,6 +69,29 @@ def _closures(graph: PoseGraph) -> list[Part]:
     return [(np.column_stack([ties.first, ties.second]), np.concatenate([Ji, Jj], axis=2), P, r)]
 
 
+def _maps(graph: PoseGraph) -> list[Part]:
+    """A node against the mean of where passes of a map have it, by their shares; those of as many passes at once."""
+    found: list[Part] = []
+    for k in sorted({len(factor.firsts) for factor in graph.map_factors}):
+        some = [factor for factor in graph.map_factors if len(factor.firsts) == k]
+        node, firsts = np.array([f.node for f in some]), np.array([f.firsts for f in some])
+        Z = np.array([f.R for f in some]), np.array([f.t for f in some])
+        r, J = np.zeros((len(some), SIDE)), np.zeros((len(some), SIDE, SIDE * (k + 1)))
+        for i, share in enumerate(np.array([f.shares for f in some]).T):
+            ri, Ji, Jj = residual_between(graph, firsts[:, i], node, Z[0][:, i], Z[1][:, i])
+            # A residual's shift is in the axes of the first node: here all of a factor's are in the second's.
+            back = np.swapaxes(graph.R[node], 1, 2) @ graph.R[firsts[:, i]]
+            for part in (ri[:, :, None], Ji, Jj):
+                part[:, 3:] = back @ part[:, 3:]
+            r += share[:, None] * ri
+            J[:, :, SIDE * i : SIDE * (i + 1)] = share[:, None, None] * Ji
+            J[:, :, SIDE * k :] += share[:, None, None] * Jj
+        P = np.linalg.inv(np.array([f.covariance for f in some]))
+        P *= np.array([f.probability for f in some])[:, None, None]
+        found.append((np.column_stack([firsts, node]), J, P, r))
+    return found
+
+
 def _scale_held(graph: PoseGraph) -> list[Part]:
     """The mean scale of each component is held, unless fixed points tell it.
 
@@ -85,8 +108,11 @@ def _scale_held(graph: PoseGraph) -> list[Part]:
 
 
 def counted(graph: PoseGraph) -> Scalars:
-    """How much of each closure's information counts: its weight, less what closures of its windows have in common."""
-    return np.asarray(graph.ties.weight / shared(graph))
+    """How much of each closure's information counts: its weight, less what closures of its windows have in common.
+
+    Nothing, where a map stands for it.
+    """
+    return np.asarray(graph.ties.weight / shared(graph) * ~graph.are_on_maps())
 
 
 def shared(graph: PoseGraph) -> Scalars:

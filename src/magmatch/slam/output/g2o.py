@@ -10,15 +10,16 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.atomic import atomic_write
 from magmatch.registration.to_other_programs import g2o_edge, g2o_vertex
 from magmatch.slam.graph.factors import FixedPoints
-from magmatch.slam.graph.normal_equations import counted
+from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
 
 
 def write_graph(graph: PoseGraph, path: str | Path) -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
-    The information of a closure is multiplied by how much of it counts. Unconnected logs share no frame, but their
-    vertices are in the same file. Fixed points are vertices after the nodes.
+    The information of a closure is multiplied by how much of it would count without map factors, which have no form
+    in g2o. Unconnected logs share no frame, but their vertices are in the same file. Fixed points are vertices after
+    the nodes.
     """
     lines = ["# magmatch: information of (translation, quaternion's vector part) of Z^-1 T_true"]
     lines += [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]
@@ -27,7 +28,7 @@ def write_graph(graph: PoseGraph, path: str | Path) -> None:
         lines.append(g2o_edge(k, k + 1, *graph.odometry(k)))
     lines += [
         g2o_edge(c.first, c.second, c.T_first_second, c.covariance / weight)
-        for c, weight in zip(graph.closures, counted(graph).tolist(), strict=True)
+        for c, weight in zip(graph.closures, (graph.ties.weight / shared(graph)).tolist(), strict=True)
         if weight > np.finfo(float).eps
     ]
     if graph.fixed is not None:

@@ -78,7 +78,7 @@ class BaseTask:
     numbers: Hyperparameters
     noise: PathNoise  # as known when the stretch was first asked for: it tells which pairs of points are listed
     length: float  # m: over which the field changes
-    search: PairSearchConfig
+    search: PairSearchConfig | None  # None: only poses that are given are weighed in it
 
     @property
     def name(self) -> str:
@@ -99,7 +99,7 @@ class BaseTask:
 
 @single_threaded
 def make_base(task: BaseTask) -> Base:
-    """Map a stretch and list its pairs of points."""
+    """Map a stretch, and list its pairs of points if it is searched."""
     survey, length, noise = task.survey, task.length, task.noise
     T, settings = survey.principal_frame(), FieldConfig(leave_out_outliers=False)
     samples = survey.transformed(T.inv())
@@ -110,7 +110,10 @@ def make_base(task: BaseTask) -> Base:
     prepared = replace(
         prepared, field_map=replace(field_map, posterior=mean), posterior=mean, correlation_length=length, draws=list
     )
-    table = tabulate_pairs(prepared, length, noise.total_sd, task.search)
+    if task.search is None:
+        table = PairTable.empty(length)
+    else:
+        table = tabulate_pairs(prepared, length, noise.total_sd, task.search)
     return Base(survey, task.node, WalkIndex(prepared, length, noise, noise, table))
 
 
@@ -142,6 +145,9 @@ def with_noise(base: Base, noise: PathNoise) -> Base:
 def _made_of(given: Base | BaseTask) -> Base:
     if isinstance(given, Base):
         return given
+    if given.search is None:
+        # It is asked for once.
+        return make_base(given)
     key = given.key
     with _keeping:
         base = _kept.pop(key, None)
@@ -222,6 +228,11 @@ class BaseMaker:
             self._whole[path.first_node] = n, one, volume
         found = [self._whole[path.first_node] for path in paths]
         return [one for _, one, _ in found], float(sum(volume for *_, volume in found))
+
+    def joint(self, survey: Survey, node: Indices, n_averaged: float) -> BaseTask:
+        """What makes one map of samples of several passes, each a mean of so many, for poses that are given."""
+        numbers = replace(self.numbers, noise_sd=self.numbers.noise_sd / float(np.sqrt(n_averaged)))
+        return BaseTask(survey, node, numbers, self.noise, self.length, None)
 
     def learn(self, noise: PathNoise) -> None:
         """Take other noise of walks, for bases that were made too."""
