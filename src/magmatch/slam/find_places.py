@@ -105,5 +105,5 @@ def go_on(
                     log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
                 places.close([places.add(survey)])
         with clock("refinement"):
-            refine(places, places.paths[-len(logs) :])
+            refine(places, places.paths[len(earlier.paths) :])
     return places

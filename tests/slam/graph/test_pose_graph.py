@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import lasting_errors
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.graph.factors import Closure, Edges, MapFactor
+from magmatch.slam.graph.factors import Closure, Edges, SubmapFactor
 from magmatch.slam.graph.normal_equations import counted, normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.graph.solve import solve
@@ -76,7 +76,7 @@ def test_the_gradient_of_half_chi2_is_that_of_finite_differences():
     def graph(xi=None, lasting=None):
         one = wandered(graph_of(ring(6), LEVEL, logs=[0, 0, 0, 1, 1, 1]), np.random.default_rng(2), size=0.02)
         one.closures = [between(ring(6), 0, 4), between(ring(6), 1, 2, error=(0.1, 0.0, 0.0))]
-        one.map_factors = (on_map(ring(6), 5, [0, 3], [0.3, 0.7], error=(0.0, 0.1, 0.05)),)
+        one.submap_factors = (on_map(ring(6), 5, [0, 3], [0.3, 0.7], error=(0.0, 0.1, 0.05)),)
         one.lasting = np.array([[0.1, 0.01], [-0.2, -0.01]])
         if xi is not None:
             one.R = one.R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
@@ -96,7 +96,7 @@ def test_the_gradient_of_half_chi2_is_that_of_finite_differences():
 def on_map(true, node, firsts, shares, error=(0.0, 0.0, 0.0), probability=1.0):
     shifts = np.array([true[node] - true[first] + error for first in firsts])
     R = np.tile(np.eye(3), (len(firsts), 1, 1))
-    return MapFactor(node, np.array(firsts), np.array(shares), R, shifts, TIGHT, probability)
+    return SubmapFactor(node, np.array(firsts), np.array(shares), R, shifts, TIGHT, probability)
 
 
 def test_a_map_of_one_pass_pulls_as_a_closure_with_it_does():
@@ -105,7 +105,7 @@ def test_a_map_of_one_pass_pulls_as_a_closure_with_it_does():
     graph.closures = [replace(between(ring(6), 0, 4, error=(0.1, 0.0, 0.0)), weight=0.9)]
     H, v, chi2 = normal_equations(graph)
     graph.closures = []
-    graph.map_factors = (on_map(ring(6), 4, [0], [1.0], error=(0.1, 0.0, 0.0), probability=0.9),)
+    graph.submap_factors = (on_map(ring(6), 4, [0], [1.0], error=(0.1, 0.0, 0.0), probability=0.9),)
     H_map, v_map, chi2_map = normal_equations(graph)
     np.testing.assert_allclose(H_map.toarray(), H.toarray(), rtol=1e-9, atol=1e-6)
     np.testing.assert_allclose(v_map, v, rtol=1e-9, atol=1e-6)
@@ -118,9 +118,9 @@ def test_a_node_on_a_map_moves_with_its_passes_by_their_shares():
     graph.p[3] += moved
 
     def of_map():
-        graph.map_factors = (on_map(true, 7, [0, 3], [0.25, 0.75]),)
+        graph.submap_factors = (on_map(true, 7, [0, 3], [0.25, 0.75]),)
         chi2 = normal_equations(graph)[2]
-        graph.map_factors = ()
+        graph.submap_factors = ()
         return chi2 - normal_equations(graph)[2]
 
     assert of_map() > 1
@@ -132,7 +132,7 @@ def test_a_map_stands_for_the_closures_of_its_node_with_its_own_log_alone():
     true, logs = np.concatenate([ring(8), ring(8)]), np.repeat([0, 1], 8)
     graph = graph_of(true, LEVEL, logs=logs)
     graph.closures = [between(true, 2, 15), between(true, 9, 15), between(true, 9, 14)]
-    graph.map_factors = (on_map(true, 15, [8, 10], [0.5, 0.5]),)
+    graph.submap_factors = (on_map(true, 15, [8, 10], [0.5, 0.5]),)
     np.testing.assert_array_equal(counted(graph) > 0, [True, False, True])
     solve(graph)
     assert all(closure.is_kept for closure in graph.closures)

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk, trajectory_error
 from magmatch.slam import steps
+from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.output.folder import write_folder
 from magmatch.slam.output.kept_session import read_session
-from magmatch.slam.refine.known_path import KnownPath
+from magmatch.slam.refine.submap import KnownPath
 from magmatch.slam.run import slam
 
 MOST = 4
@@ -22,31 +23,31 @@ MOST = 4
 def assert_same(session, other):
     for name in ("p", "R", "lasting"):
         np.testing.assert_array_equal(getattr(session.graph, name), getattr(other.graph, name))
-    assert len(session.graph.map_factors) == len(other.graph.map_factors)
+    assert len(session.graph.submap_factors) == len(other.graph.submap_factors)
 
 
 def test_later_laps_are_placed_on_a_map_of_the_earlier_ones(many_laps):
     session = many_laps.session
     graph, last = session.graph, session.paths[0].nodes[-1]
-    assert graph.map_factors
-    for factor in graph.map_factors:
+    assert graph.submap_factors
+    for factor in graph.submap_factors:
         assert factor.shares.sum() == pytest.approx(1.0)
         assert len(factor.firsts) >= 2
         assert not graph.is_one_pass(factor.firsts, factor.node).any()
         assert (factor.firsts < factor.node).all()
-    assert graph.map_factors[-1].node >= last - 2
+    assert graph.submap_factors[-1].node >= last - 2
 
 
 def test_poses_on_maps_are_nearer_to_the_truth_than_closures_alone_bring_them(many_laps):
     places = many_laps.session.places.copied()
     after = trajectory_error(many_laps.truth, many_laps.session.trajectories[0].positions)
-    places.graph.map_factors = ()
+    places.graph.submap_factors = ()
     solve(places.graph)
     alone = replace(many_laps.session, places=places)
     assert after < 0.9 * trajectory_error(many_laps.truth, alone.trajectories[0].positions)
 
 
-def test_map_factors_are_as_far_off_as_they_state(many_laps):
+def test_submap_factors_are_as_far_off_as_they_state(many_laps):
     """Where a node is relative to each pass, by shares, in the axes that odometry had there."""
     path, graph, squares = many_laps.session.paths[0], many_laps.session.graph, []
     truth = many_laps.truth[path.middles]
@@ -54,7 +55,7 @@ def test_map_factors_are_as_far_off_as_they_state(many_laps):
     # Odometry's axes, against true ones: the body looks ahead.
     true = Rotation.from_rotvec(np.arctan2(ahead[:, 1], ahead[:, 0])[:, None] * [0, 0, 1])
     turned = true * many_laps.log.orientations[path.middles].inv()
-    for f in graph.map_factors:
+    for f in graph.submap_factors:
         seen = sum(share * turned[first].apply(t) for first, share, t in zip(f.firsts, f.shares, f.t, strict=True))
         off = (seen - truth[f.node] + f.shares @ truth[f.firsts])[:2]
         C = turned[f.node].as_matrix() @ f.covariance[3:, 3:] @ turned[f.node].as_matrix().T
@@ -66,15 +67,17 @@ def test_what_lies_beside_a_window_is_earlier_near_and_known(many_laps):
     places, path = many_laps.session.places, many_laps.session.paths[0]
     graph, known = places.graph, KnownPath.of(path, places.graph)
     window = path.windows[-1]
-    beside = known.beside(window, graph, MOST)
+    beside = known.submap(window, graph)
     assert beside is not None
     assert (beside.node < window.node - 1).all()
     own = known.positions[known.node == window.node]
-    apart = np.linalg.norm(beside.survey.positions[:, None] - own, axis=2).min(axis=1)
+    best = beside.best_known
+    seen = (graph.pose(best) * graph.center(best).inv()).apply(beside.survey.positions)
+    apart = np.linalg.norm(seen[:, None] - own, axis=2).min(axis=1)
     assert apart.max() < 2 * window.length
     assert beside.passes.size >= 2
     assert beside.shares.sum() == pytest.approx(1.0)
-    assert known.beside(path.windows[1], graph, MOST) is None
+    assert known.submap(path.windows[1], graph) is None
 
 
 def test_means_along_the_path_are_near_it_and_fewer(many_laps):
@@ -102,10 +105,37 @@ def test_a_kept_session_has_its_maps_and_one_more_log_leaves_them_as_they_are(ma
     write_folder(many_laps.session, tmp_path / "out")
     other, _ = drifting_walk(Place(2), 2, laps=1.2, start=2.0, name="b.csv")
     session, new = read_session(tmp_path / "out", [many_laps.log, other])
-    ours, theirs = session.graph.map_factors, many_laps.session.graph.map_factors
+    ours, theirs = session.graph.submap_factors, many_laps.session.graph.submap_factors
     assert [f.node for f in ours] == [f.node for f in theirs]
     np.testing.assert_allclose(session.graph.p, many_laps.session.graph.p, atol=1e-5)
     session.add_logs(new)
     assert session.components == [[0, 1]]
-    for f, g in zip(session.graph.map_factors, theirs, strict=False):
+    for f, g in zip(session.graph.submap_factors, theirs, strict=False):
         np.testing.assert_array_equal(f.t, g.t)
+
+
+def test_adding_no_log_adds_no_factor(many_laps, tmp_path):
+    """As a finished command that is run again does."""
+    write_folder(many_laps.session, tmp_path / "out")
+    session, _ = read_session(tmp_path / "out", [many_laps.log])
+    session.add_logs([])
+    assert len(session.graph.submap_factors) == len(many_laps.session.graph.submap_factors)
+
+
+def test_a_short_log_that_passes_nothing_twice_has_no_submap(many_laps):
+    session = slam(many_laps.log.subset(np.arange(60)))
+    assert not session.graph.submap_factors
+
+
+def test_fixed_points_at_another_height_leave_factors_as_they_are(many_laps):
+    log, path = many_laps.log, many_laps.session.paths[0]
+    rows = path.middles[[0, 3, 6, 9]]
+    up = np.array([0.0, 0.0, 3.0])
+    anchors = [Anchor("walk", float(log.times[k]), many_laps.truth[k] + up, 0.02) for k in rows.tolist()]
+    session = slam(log, anchors=anchors)
+    assert session.graph.is_fixed(0)
+    n = len(many_laps.session.graph.submap_factors)
+    assert abs(len(session.graph.submap_factors) - n) <= 2
+    off = session.trajectories[0].positions - many_laps.truth
+    assert np.abs(off[:, 2] - 3.0).max() < 0.05
+    assert np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()) < 0.1

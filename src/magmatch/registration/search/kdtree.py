@@ -72,7 +72,7 @@ def _halve(points, rows, axis, first, middle, last):  # type: ignore[no-untyped-
                     points[i, c], points[j, c] = points[j, c], points[i, c]
                 rows[i], rows[j] = rows[j], rows[i]
                 i, j = i + 1, j - 1
-        # What lies between i and j, if anything, is the middle itself.
+        # If the middle lies between j and i, it is in its place.
         first, last = first if middle <= j else i, last if middle >= i else j
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Factors between nodes: odometry between neighbours, closures, maps of a log's own passes, fixed points."""
+"""Factors between nodes: odometry between neighbours, closures, submaps of several passes, fixed points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -79,15 +79,15 @@ class Closure:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class MapFactor:
+class SubmapFactor:
     """A node on a map that several earlier passes of its log made: it moves with all of them, by their shares.
 
-    It stands for the node's closures with its log, each of which was found on a map of one pass.
+    It stands for the node's closures with these passes, each of which was found on a map of one of them.
     """
 
     node: int
     firsts: Indices  # (k,): a node of each pass
-    shares: Scalars  # (k,): of the map; they sum to one
+    shares: Scalars  # (k,): of each in the map; they sum to one
     R: Tensors  # (k, 3, 3), and t (k, 3), m: the node in the axes of each of those, where the graph had them then
     t: Points
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node, rotation first (rad, m)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Normal equations of all poses from odometry, closures, maps, fixed points, gravity and the floor.
+"""Normal equations of all poses from odometry, closures, submaps, fixed points, gravity and the floor.
 
 A node's perturbation has separate rotation and translation: R Exp(phi), p + R rho. Unknowns come in blocks of six:
 one for each node, then one for each log, of which the first two are its lasting errors and the others are not used.
@@ -24,7 +24,7 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
     """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2."""
     n = len(graph.p) + len(graph.lasting)
-    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph), *_maps(graph)]
+    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph), *_submaps(graph)]
     rows, columns, values, v, chi2 = [], [], [], np.zeros((n, SIDE)), 0.0
     for blocks, J, P, r in parts:
         e, k = blocks.shape
@@ -69,11 +69,11 @@ def _closures(graph: PoseGraph) -> list[Part]:
     return [(np.column_stack([ties.first, ties.second]), np.concatenate([Ji, Jj], axis=2), P, r)]
 
 
-def _maps(graph: PoseGraph) -> list[Part]:
-    """A node against the mean of where passes of a map have it, by their shares; those of as many passes at once."""
+def _submaps(graph: PoseGraph) -> list[Part]:
+    """A node against the mean of where passes of a submap have it, by their shares; those of as many at once."""
     found: list[Part] = []
-    for k in sorted({len(factor.firsts) for factor in graph.map_factors}):
-        some = [factor for factor in graph.map_factors if len(factor.firsts) == k]
+    for k in sorted({len(factor.firsts) for factor in graph.submap_factors}):
+        some = [factor for factor in graph.submap_factors if len(factor.firsts) == k]
         node, firsts = np.array([f.node for f in some]), np.array([f.firsts for f in some])
         Z = np.array([f.R for f in some]), np.array([f.t for f in some])
         r, J = np.zeros((len(some), SIDE)), np.zeros((len(some), SIDE, SIDE * (k + 1)))
@@ -110,9 +110,9 @@ def _scale_held(graph: PoseGraph) -> list[Part]:
 def counted(graph: PoseGraph) -> Scalars:
     """How much of each closure's information counts: its weight, less what closures of its windows have in common.
 
-    Nothing, where a map stands for it.
+    Nothing, where a submap stands for it.
     """
-    return np.asarray(graph.ties.weight / shared(graph) * ~graph.are_on_maps())
+    return np.asarray(graph.ties.weight / shared(graph) * ~graph.are_on_submaps())
 
 
 def shared(graph: PoseGraph) -> Scalars:

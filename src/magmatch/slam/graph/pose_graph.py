@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The pose graph: nodes, their factors (odometry, closures, maps, fixed points), and their covariances.
+"""The pose graph: nodes, their factors (odometry, closures, submaps, fixed points), and their covariances.
 
 Odometry predicts the next node, up to a random walk and two constant errors per log, scale and turn rate.
 """
@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.block_cholesky import BlockCholesky, SelectedInverse
-from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints, MapFactor, Ties
+from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints, SubmapFactor, Ties
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
@@ -46,7 +46,7 @@ class PoseGraph:
     # (logs, 2): estimated log of the scale of each log's odometry, and its turn rate (rad/m)
     lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
-    map_factors: tuple[MapFactor, ...] = ()  # instead of the closures of their nodes with their own logs
+    submap_factors: tuple[SubmapFactor, ...] = ()  # instead of the closures with the passes of their submaps
     _closures: tuple[Closure, ...] = ()
     _ties: Ties | None = None
     _tied: Indices | None = None
@@ -130,10 +130,13 @@ class PoseGraph:
         self._tied = np.asarray(np.unique(group, return_index=True)[1][group])
         return self._tied.copy()
 
-    def are_on_maps(self) -> Mask:
-        """Whether a map factor stands for each closure: it is of a node that has one, with its own log."""
-        ties, mapped = self.ties, [factor.node for factor in self.map_factors]
-        return np.asarray(np.isin(ties.second, mapped) & (self.log[ties.first] == self.log[ties.second]))
+    def are_on_submaps(self) -> Mask:
+        """Whether a submap factor stands for each closure: it is of the factor's node, with a pass of its submap."""
+        ties, n = self.ties, len(self.p)
+        off = np.arange(1 - APART, APART)
+        pairs = [n * f.node + np.add.outer(f.firsts, off).ravel() for f in self.submap_factors]
+        is_known = np.isin(n * ties.second + ties.first, np.concatenate([*pairs, np.zeros(0, np.int64)]))
+        return np.asarray(is_known & (self.log[ties.first] == self.log[ties.second]))
 
     def fixed_by(self, root: Indices) -> dict[int, Indices]:
         """Fixed points of each group of logs that has any."""

@@ -46,7 +46,7 @@ def solve(graph: PoseGraph) -> None:
 
 def forget_closures(graph: PoseGraph) -> None:
     """Back to odometry alone."""
-    graph.closures = graph.map_factors = ()
+    graph.closures = graph.submap_factors = ()
     graph.level = graph.start[:, 2].copy()
     graph.p, graph.R = graph.start.copy(), np.tile(np.eye(3), (len(graph.p), 1, 1))
     graph.lasting = np.zeros_like(graph.lasting)

@@ -17,7 +17,7 @@ from magmatch.geometry import transform_from_matrix
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
-from magmatch.slam.graph.factors import Closure, MapFactor
+from magmatch.slam.graph.factors import Closure, SubmapFactor
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
 from magmatch.slam.search.bases import BaseMaker
@@ -42,7 +42,7 @@ def write_session(session: Session, path: Path) -> None:
         "seconds": session.seconds, "numbers": asdict(maker.numbers), "noise": asdict(maker.noise),
         "length": maker.length, "biases": [[b, sd] for b, sd in places.biases],
         "anchors": [[a.log, a.t, a.position, a.sd, log] for a, log in places.anchors],
-        "closures": graph.closures, "map_factors": graph.map_factors,
+        "closures": graph.closures, "submap_factors": graph.submap_factors,
         "R": graph.R, "p": graph.p, "level": graph.level, "lasting": graph.lasting,
     }  # fmt: skip
     write_document(path, {key: plain(value, key) for key, value in content.items()})
@@ -83,7 +83,7 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph = odometry_graph(paths, config)
     graph.R, graph.p, graph.level, graph.lasting = (np.array(content[k]) for k in ("R", "p", "level", "lasting"))
     graph.closures = [_closure(c) for c in content["closures"]]
-    graph.map_factors = tuple(_map_factor(f) for f in content["map_factors"])
+    graph.submap_factors = tuple(_submap_factor(f) for f in content["submap_factors"])
     numbers, noise = Hyperparameters(**content["numbers"]), PathNoise(**content["noise"])
     maker = BaseMaker(numbers, noise, content["length"], config)
     anchors = [(Anchor(name, t, np.array(x), sd), log) for name, t, x, sd, log in content["anchors"]]
@@ -97,5 +97,5 @@ def _closure(c: dict[str, Any]) -> Closure:
     return Closure(**c | arrays)
 
 
-def _map_factor(f: dict[str, Any]) -> MapFactor:
-    return MapFactor(**f | {name: np.array(f[name]) for name in ("firsts", "shares", "R", "t", "covariance")})
+def _submap_factor(f: dict[str, Any]) -> SubmapFactor:
+    return SubmapFactor(**f | {name: np.array(f[name]) for name in ("firsts", "shares", "R", "t", "covariance")})

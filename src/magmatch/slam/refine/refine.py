@@ -10,61 +10,58 @@ import logging
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import product
 from magmatch.progress import counted
-from magmatch.slam.graph.factors import MapFactor
+from magmatch.slam.graph.factors import SubmapFactor
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.places import MOST_PASSES, Places
-from magmatch.slam.refine.known_path import Beside, KnownPath
-from magmatch.slam.refine.map_factor import map_factor
+from magmatch.slam.places import Places
+from magmatch.slam.refine.submap import KnownPath, Submap
+from magmatch.slam.refine.submap_factor import submap_factor
 from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.search.comparison import Comparison, candidate, compare
-from magmatch.slam.search.loop_closure import Rough
+from magmatch.slam.search.predicted import expected_beside
 from magmatch.slam.windows import Path, Window
 
 log = logging.getLogger(__name__)
 
-# Windows compared at once: an interrupted run repeats no more.
+# Windows compared at once: an interrupted run repeats no more, and as many workers have work.
 AT_ONCE = 32
 
 
 def refine(places: Places, paths: Sequence[Path]) -> None:
-    """Find the map factors of some logs' windows, and solve with them."""
-    factors: list[MapFactor] = []
+    """Find the submap factors of some logs' windows, and solve with them."""
+    factors: list[SubmapFactor] = []
     for path in paths:
         known = KnownPath.of(path, places.graph)
         windows = [window for window in path.windows if window.keeps_shape]
         runs = [windows[k : k + AT_ONCE] for k in range(0, len(windows), AT_ONCE)]
         for some in counted(f"placing {path.survey.name} on the map of its own passes", runs):
-            beside = [known.beside(window, places.graph, MOST_PASSES) for window in some]
-            around = [(window, one) for window, one in zip(some, beside, strict=True) if one is not None]
-            for (window, one), found in zip(around, _look(places, around, known), strict=True):
-                factor = map_factor(window, found[0].match, one, places.graph, path) if found else None
-                factors += [factor] if factor is not None else []
+            submaps = [known.submap(window, places.graph) for window in some]
+            asked = [(window, submap) for window, submap in zip(some, submaps, strict=True) if submap is not None]
+            for (window, submap), found in zip(asked, _look(places, asked, known), strict=True):
+                one = submap_factor(found[0], window.node, submap, places.graph, path) if found else None
+                factors += [] if one is None else [one]
     if factors:
-        places.graph.map_factors = (*places.graph.map_factors, *factors)
+        places.graph.submap_factors = (*places.graph.submap_factors, *factors)
         solve(places.graph)
     log.info("%d windows placed on maps of several passes", len(factors))
 
 
-def _look(places: Places, around: Sequence[tuple[Window, Beside]], known: KnownPath) -> list[list[Candidate]]:
-    """Poses of each window on the map of what is beside it, near where the graph has it."""
+def _look(places: Places, asked: Sequence[tuple[Window, Submap]], known: KnownPath) -> list[list[Candidate]]:
+    """The pose of each window on its submap, near where the graph has it, if there is one."""
     graph, maker = places.graph, places.maker
     assert maker is not None
 
-    def comparison(window: Window, beside: Beside) -> Comparison:
-        T = product(graph.pose(window.node), RigidTransform.from_translation(-window.center))
-        C = graph.relative_covariances(np.array([beside.nearest]), window.node)[0]
-        task = maker.joint(beside.survey, beside.node, known.n_averaged)
-        return Comparison(window, task, Rough(T, C), maker.noise, [], np.unique(beside.node))
+    def comparison(window: Window, submap: Submap) -> Comparison:
+        expected = expected_beside(window, np.array([submap.best_known]), graph)[submap.best_known]
+        task = maker.joint(submap.survey, submap.node, known.n_averaged)
+        return Comparison(window, task, expected, maker.noise, [])
 
     def look() -> list[list[Candidate]]:
-        compared = maker.apply(compare, [comparison(*pair) for pair in around])
+        compared = maker.apply(compare, [comparison(*pair) for pair in asked])
         return [
-            [candidate(window, node, match, graph.pose(node)) for node, match in found]
-            for (window, _), found in zip(around, compared, strict=True)
+            [candidate(window, s.best_known, match, graph.center(s.best_known)) for _, match in found]
+            for (window, s), found in zip(asked, compared, strict=True)
         ]
 
-    return places.found_in_steps(len(around), look)
+    return places.found_in_steps(len(asked), look)

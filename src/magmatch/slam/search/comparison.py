@@ -61,11 +61,10 @@ def compare(one: Comparison) -> Found:
     """Poses of a window in a base, most likely first, each with the node of the base in whose window it lies."""
     window, base, known, nodes = one.window, base_of(one.base, one.noise), one.known, one.nodes
     if isinstance(one.expected, Rough):
-        assert nodes is not None
         # What is known well is not searched for.
         known = [] if known is None and one.expected.is_narrow(window.length) else known
         here = one.expected.T_base_log.apply(window.center)[None]
-        if known is not None and not known and not base.are_near(here, nodes)[0]:
+        if known is not None and not known and nodes is not None and not base.are_near(here, nodes)[0]:
             return []
     found = matches(window, base, one.expected, known, nodes)
     if not found:

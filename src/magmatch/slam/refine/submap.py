@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""All that was walked in a log, where the graph has it, and the earlier passes of it beside a window."""
+"""A window's submap: the earlier passes of its log beside it, where the graph has them."""
 
 from dataclasses import dataclass
 
@@ -7,29 +7,31 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
+from magmatch.geometry import product
 from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.places import MOST_PASSES
 from magmatch.slam.search.loop_closure import SAME_SHIFT
 from magmatch.slam.search.predicted import earlier_passes
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Field lengths from a window's path beyond which the field there tells it nothing.
-MAP_REACH = 2.0
-# Of them, over which a sample's say in the map fades.
+SUBMAP_REACH = 2.0
+# Standard deviation, in field lengths, of a sample's weight by its distance from the window's path.
 FADES = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Beside:
+class Submap:
     """Earlier passes beside a window whose places relative to it the graph knows."""
 
-    survey: Survey  # their samples, where the graph has them
+    survey: Survey  # their samples, in odometry's frame as it was at the best known node
     node: Indices  # (n,): of each sample
-    passes: Indices  # (k,): a node of each pass, and how large a share it has in the map where the window lies
+    passes: Indices  # (k,): a node of each pass, and its share in the map where the window lies; the largest first
     shares: Scalars
-    nearest: int  # the node that the window's place is known best from
+    best_known: int  # the node relative to which the window's place is known best
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,36 +52,42 @@ class KnownPath:
         n = float(np.median(np.bincount(rows)))
         return cls(bin_means(survey.positions, rows), bin_means(survey.field, rows), node, n)
 
-    def beside(self, window: Window, graph: PoseGraph, most: int) -> Beside | None:
-        """Earlier passes beside a window, those with the largest say; none if there are fewer than two.
+    def submap(self, window: Window, graph: PoseGraph) -> Submap | None:
+        """Submap of a window; none if there are fewer than two passes.
 
         A map of one pass is what the window's closure with it was found on.
         """
-        reach, b = MAP_REACH * window.length, window.node
-        nodes = earlier_passes(window, np.unique(self.node), graph)
+        reach, b = SUBMAP_REACH * window.length, window.node
+        nodes = earlier_passes(window, np.arange(self.node[0], b), graph)
         nodes = nodes[np.linalg.norm(graph.p[nodes] - graph.p[b], axis=1) < window.path_length + reach]
         rows = np.flatnonzero(np.isin(self.node, nodes))
-        apart = np.asarray(cKDTree(self.positions[self.node == b]).query(self.positions[rows], 1, 0, 2, reach)[0])
+        own = self.positions[self.node == b]
+        apart = np.asarray(cKDTree(own).query(self.positions[rows], 1, 0, 2, reach)[0])
         rows, apart = rows[np.isfinite(apart)], apart[np.isfinite(apart)]
         near = np.unique(self.node[rows])
         if not len(near):
             return None
         sds = graph.sds_of_place(near, b)
         is_known = np.isin(self.node[rows], near[sds < SAME_SHIFT * window.length])
-        rows, say = rows[is_known], np.exp(-0.5 * (apart[is_known] / (FADES * window.length)) ** 2)
-        passes, shares = _passes(self.node[rows], say, graph, most)
+        rows, weight = rows[is_known], np.exp(-0.5 * (apart[is_known] / (FADES * window.length)) ** 2)
+        passes, shares = _passes(self.node[rows], weight, graph)
         if len(passes) < 2:
             return None
-        survey = Survey(self.positions[rows], self.field[rows])
-        return Beside(survey, self.node[rows], passes, shares, int(near[np.argmin(sds)]))
+        best = int(near[np.argmin(sds)])
+        T_odometry_map = product(graph.center(best), graph.pose(best).inv())
+        survey = Survey(self.positions[rows], self.field[rows]).transformed(T_odometry_map)
+        return Submap(survey, self.node[rows], passes, shares, best)
 
 
-def _passes(node: Indices, say: Scalars, graph: PoseGraph, most: int) -> tuple[Indices, Scalars]:
-    """A node of each pass, and its share, from the node and the say of each sample; most say first."""
-    says = np.bincount(node, say)
+def _passes(node: Indices, weight: Scalars, graph: PoseGraph) -> tuple[Indices, Scalars]:
+    """A node of each pass, and the pass's share, from the node and the weight of each sample; most weight first."""
+    weights, left = np.bincount(node, weight), np.ones(len(node), bool)
     passes: list[int] = []
-    for one in np.argsort(-says, kind="stable")[: np.count_nonzero(says)].tolist():
-        if len(passes) < most and not any(graph.is_one_pass(one, other) for other in passes):
+    shares: list[float] = []
+    for one in np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)].tolist():
+        if len(passes) < MOST_PASSES and not any(graph.is_one_pass(one, other) for other in passes):
+            mine = left & graph.is_one_pass(node, one)
             passes.append(one)
-    shares = np.array([say[graph.is_one_pass(node, one)].sum() for one in passes])
-    return np.array(passes, np.int64), shares / shares.sum()
+            shares.append(float(weight[mine].sum()))
+            left &= ~mine
+    return np.array(passes, np.int64), np.array(shares) / sum(shares)
