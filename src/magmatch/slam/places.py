@@ -112,7 +112,7 @@ class Places:
         found, few = 0, self.graph.config.run_length
         for path in paths:
             candidates: list[list[Candidate]] = []
-            for some in counted(f"looking for closures of {path.survey.name}", _runs(path.windows, few)):
+            for some in counted(f"looking for closures of {path.survey.name}", in_runs(path.windows, few)):
                 candidates += self.near(some)
                 if at_once and len(candidates) < len(path.windows):
                     continue
@@ -128,7 +128,7 @@ class Places:
         for path in paths:
             # Whoever came first is the base; a log that was tied since is corrected as the graph has it.
             if self.others(path):
-                runs = _runs(path.windows, self.graph.config.run_length)
+                runs = in_runs(path.windows, self.graph.config.run_length)
                 what = f"looking for {path.survey.name} in other logs"
                 found += self.connect(path, [c for some in counted(what, runs) for c in self.anywhere(some, path)])
         return found
@@ -158,7 +158,7 @@ class Places:
         before, self.graph = self.graph, self.graph.copied()
         self.graph.closures = [*self.graph.closures, *closures]
         solve(self.graph)
-        runs = _runs(windows, self.graph.config.run_length)
+        runs = in_runs(windows, self.graph.config.run_length)
         near = [found for some in runs for found in self.at(some, [nodes] * len(some))]
         known = np.concatenate([self._moved(path, np.isin(path.nodes, nodes)[path.number]) for path in self.paths])
         odds = log_odds_shared(windows, known, near, log_prior, self.graph)
@@ -393,5 +393,6 @@ def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Cl
     return {c.second: next(k.match.log_prior for k in found[c.second] if k.node == c.first) for c in closures}
 
 
-def _runs(windows: Sequence[Window], n: int) -> list[Sequence[Window]]:
+def in_runs(windows: Sequence[Window], n: int) -> list[Sequence[Window]]:
+    """Windows in runs of so many."""
     return [windows[k : k + n] for k in range(0, len(windows), n)]

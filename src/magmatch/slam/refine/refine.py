@@ -14,7 +14,7 @@ import numpy as np
 from magmatch.progress import counted
 from magmatch.slam.graph.factors import SubmapFactor
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.places import Places
+from magmatch.slam.places import Places, in_runs
 from magmatch.slam.refine.submap import KnownPath, Submap
 from magmatch.slam.refine.submap_factor import submap_factor
 from magmatch.slam.search.candidates import Candidate
@@ -34,8 +34,7 @@ def refine(places: Places, paths: Sequence[Path]) -> None:
     for path in paths:
         known = KnownPath.of(path, places.graph)
         windows = [window for window in path.windows if window.keeps_shape]
-        runs = [windows[k : k + AT_ONCE] for k in range(0, len(windows), AT_ONCE)]
-        for some in counted(f"placing {path.survey.name} on the map of its own passes", runs):
+        for some in counted(f"placing {path.survey.name} on the map of its own passes", in_runs(windows, AT_ONCE)):
             submaps = [known.submap(window, places.graph) for window in some]
             asked = [(window, submap) for window, submap in zip(some, submaps, strict=True) if submap is not None]
             for (window, submap), found in zip(asked, _look(places, asked, known), strict=True):
