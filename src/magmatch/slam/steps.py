@@ -22,7 +22,7 @@ from magmatch.typing import Matrix
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.slam.steps/6"
+SCHEMA = "magmatch.slam.steps/7"
 MAX_BYTES = 256 * 1024**2
 # Seconds of work that a power cut may cost.
 KEEP_EVERY_S = 5.0

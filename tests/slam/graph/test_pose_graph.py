@@ -93,10 +93,10 @@ def test_the_gradient_of_half_chi2_is_that_of_finite_differences():
         assert 0.5 * (normal_equations(moved)[2] - chi2) == pytest.approx(expected, rel=0.02, abs=1e-4 * small * 1e3)
 
 
-def on_map(true, node, firsts, shares, error=(0.0, 0.0, 0.0), probability=1.0):
-    shifts = np.array([true[node] - true[first] + error for first in firsts])
-    R = np.tile(np.eye(3), (len(firsts), 1, 1))
-    return SubmapFactor(node, np.array(firsts), np.array(shares), R, shifts, TIGHT, probability)
+def on_map(true, node, passes, shares, error=(0.0, 0.0, 0.0), probability=1.0, part=1.0):
+    shifts = np.array([true[node] - true[one] + error for one in passes])
+    R = np.tile(np.eye(3), (len(passes), 1, 1))
+    return SubmapFactor(node, np.array(passes), np.array(shares), R, shifts, TIGHT, probability, part)
 
 
 def test_a_map_of_one_pass_pulls_as_a_closure_with_it_does():
@@ -133,10 +133,36 @@ def test_a_map_stands_for_the_closures_of_its_node_with_its_own_log_alone():
     graph = graph_of(true, LEVEL, logs=logs)
     graph.closures = [between(true, 2, 15), between(true, 9, 15), between(true, 9, 14)]
     graph.submap_factors = (on_map(true, 15, [8, 10], [0.5, 0.5]),)
+    np.testing.assert_array_equal(graph.on_submaps(), [0, 1, 0])
     np.testing.assert_array_equal(counted(graph) > 0, [True, False, True])
     solve(graph)
     assert all(closure.is_kept for closure in graph.closures)
     assert (graph.frames() == 0).all()
+
+
+def test_maps_in_either_order_of_time_stand_for_half_a_closure_each():
+    true = ring(16)
+    graph = graph_of(true, LEVEL)
+    graph.closures = [between(true, 2, 15), between(true, 2, 12), between(true, 5, 15), between(true, 5, 9)]
+    before = on_map(true, 15, [1, 3, 11], [0.3, 0.3, 0.4], part=0.5)  # two of them beside node 2
+    after = on_map(true, 2, [12, 14], [0.5, 0.5], part=0.5)
+    graph.submap_factors = (before,)
+    np.testing.assert_array_equal(graph.on_submaps(), [0.5, 0, 0, 0])
+    graph.submap_factors = (before, after)
+    np.testing.assert_array_equal(graph.on_submaps(), [1, 0.5, 0, 0])
+    np.testing.assert_allclose(counted(graph), [0, 0.5, 1, 1])
+
+
+def test_a_factor_pulls_by_its_part_of_the_likelihood():
+    graph = graph_of(ring(6), LEVEL)
+
+    def pull(part):
+        graph.submap_factors = (on_map(ring(6), 4, [0], [1.0], error=(0.1, 0.0, 0.0), part=part),)
+        chi2 = normal_equations(graph)[2]
+        graph.submap_factors = ()
+        return chi2 - normal_equations(graph)[2]
+
+    assert pull(0.5) == pytest.approx(0.5 * pull(1.0))
 
 
 def test_two_logs_of_a_loop_at_different_scales_meet_half_way():

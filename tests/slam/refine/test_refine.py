@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The last look: windows on one map of their log's earlier passes."""
+"""The last look: windows on one map of their log's earlier passes, and on one of its later passes."""
 
 import shutil
 from dataclasses import replace
@@ -26,29 +26,44 @@ def assert_same(session, other):
     assert len(session.graph.submap_factors) == len(other.graph.submap_factors)
 
 
-def test_later_laps_are_placed_on_a_map_of_the_earlier_ones(many_laps):
-    session = many_laps.session
-    graph, last = session.graph, session.paths[0].nodes[-1]
-    assert graph.submap_factors
+def test_laps_are_placed_on_a_map_of_the_earlier_ones_and_on_one_of_the_later_ones(many_laps):
+    graph, last = many_laps.session.graph, many_laps.session.paths[0].nodes[-1]
+    forward = [f for f in graph.submap_factors if f.passes[0] < f.node]
+    backward = [f for f in graph.submap_factors if f.passes[0] > f.node]
     for factor in graph.submap_factors:
+        assert factor.part == 0.5
         assert factor.shares.sum() == pytest.approx(1.0)
-        assert len(factor.firsts) >= 2
-        assert not graph.is_one_pass(factor.firsts, factor.node).any()
-        assert (factor.firsts < factor.node).all()
-    assert graph.submap_factors[-1].node >= last - 2
+        assert len(factor.passes) >= 2
+        assert not graph.is_one_pass(factor.passes, factor.node).any()
+    assert all((f.passes < f.node).all() for f in forward)
+    assert all((f.passes > f.node).all() for f in backward)
+    assert max(f.node for f in forward) >= last - 2
+    assert min(f.node for f in backward) <= 2
+    assert abs(len(forward) - len(backward)) <= 2
 
 
-def test_poses_on_maps_are_nearer_to_the_truth_than_closures_alone_bring_them(many_laps):
-    places = many_laps.session.places.copied()
-    after = trajectory_error(many_laps.truth, many_laps.session.trajectories[0].positions)
-    places.graph.submap_factors = ()
-    solve(places.graph)
-    alone = replace(many_laps.session, places=places)
-    assert after < 0.9 * trajectory_error(many_laps.truth, alone.trajectories[0].positions)
+def test_poses_on_maps_are_nearer_to_the_truth_than_closures_and_in_both_orders_nearer_than_in_one(many_laps):
+    every = many_laps.session.graph.submap_factors
+
+    def error(*factors):
+        places = many_laps.session.places.copied()
+        places.graph.submap_factors = factors
+        solve(places.graph)
+        return trajectory_error(many_laps.truth, replace(many_laps.session, places=places).trajectories[0].positions)
+
+    forward, backward = (
+        [replace(f, part=1.0) for f in every if (f.passes > f.node).all() == k] for k in (False, True)
+    )
+    both = error(*every)
+    assert both < 0.9 * min(error(*forward), error(*backward))
+    assert both < 0.7 * error()
 
 
 def test_submap_factors_are_as_far_off_as_they_state(many_laps):
-    """Where a node is relative to each pass, by shares, in the axes that odometry had there."""
+    """Where a node is relative to each pass, by shares, in the axes that odometry had there.
+
+    One that counts as half the likelihood counts as one of twice the covariance.
+    """
     path, graph, squares = many_laps.session.paths[0], many_laps.session.graph, []
     truth = many_laps.truth[path.middles]
     ahead = np.gradient(many_laps.truth, axis=0)[path.middles]
@@ -56,20 +71,21 @@ def test_submap_factors_are_as_far_off_as_they_state(many_laps):
     true = Rotation.from_rotvec(np.arctan2(ahead[:, 1], ahead[:, 0])[:, None] * [0, 0, 1])
     turned = true * many_laps.log.orientations[path.middles].inv()
     for f in graph.submap_factors:
-        seen = sum(share * turned[first].apply(t) for first, share, t in zip(f.firsts, f.shares, f.t, strict=True))
-        off = (seen - truth[f.node] + f.shares @ truth[f.firsts])[:2]
+        seen = sum(share * turned[first].apply(t) for first, share, t in zip(f.passes, f.shares, f.t, strict=True))
+        off = (seen - truth[f.node] + f.shares @ truth[f.passes])[:2]
         C = turned[f.node].as_matrix() @ f.covariance[3:, 3:] @ turned[f.node].as_matrix().T
-        squares.append(off @ np.linalg.solve(C[:2, :2], off) / 2)
+        squares.append(f.part * off @ np.linalg.solve(C[:2, :2], off) / 2)
     assert 0.2 < np.mean(squares) < 2.5
 
 
-def test_what_lies_beside_a_window_is_earlier_near_and_known(many_laps):
+@pytest.mark.parametrize("later", [False, True])
+def test_what_lies_beside_a_window_is_earlier_or_later_near_and_known(many_laps, later):
     places, path = many_laps.session.places, many_laps.session.paths[0]
     graph, known = places.graph, KnownPath.of(path, places.graph)
-    window = path.windows[-1]
-    beside = known.submap(window, graph)
+    window, other_end = path.windows[0 if later else -1], path.windows[-2 if later else 1]
+    beside = known.submap(window, graph, later=later)
     assert beside is not None
-    assert (beside.node < window.node - 1).all()
+    assert (beside.node > window.node + 1 if later else beside.node < window.node - 1).all()
     own = known.positions[known.node == window.node]
     best = beside.best_known
     seen = (graph.pose(best) * graph.center(best).inv()).apply(beside.survey.positions)
@@ -77,7 +93,7 @@ def test_what_lies_beside_a_window_is_earlier_near_and_known(many_laps):
     assert apart.max() < 2 * window.length
     assert beside.passes.size >= 2
     assert beside.shares.sum() == pytest.approx(1.0)
-    assert known.submap(path.windows[1], graph) is None
+    assert known.submap(other_end, graph, later=later) is None
 
 
 def test_means_along_the_path_are_near_it_and_fewer(many_laps):

@@ -80,18 +80,19 @@ class Closure:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SubmapFactor:
-    """A node on a map that several earlier passes of its log made: it moves with all of them, by their shares.
+    """A node on a map that several passes of its log made, all before it or all after: it moves with all of them.
 
-    It stands for the node's closures with these passes, each of which was found on a map of one of them.
+    It stands for the node's closures with these passes, each of which was found on a map of one of two passes.
     """
 
     node: int
-    firsts: Indices  # (k,): a node of each pass
+    passes: Indices  # (k,): a node of each
     shares: Scalars  # (k,): of each in the map; they sum to one
     R: Tensors  # (k, 3, 3), and t (k, 3), m: the node in the axes of each of those, where the graph had them then
     t: Points
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node, rotation first (rad, m)
     probability: float
+    part: float = 1.0  # of the log's likelihood: a half, where it is told in both orders
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -72,23 +72,23 @@ def _closures(graph: PoseGraph) -> list[Part]:
 def _submaps(graph: PoseGraph) -> list[Part]:
     """A node against the mean of where passes of a submap have it, by their shares; those of as many at once."""
     found: list[Part] = []
-    for k in sorted({len(factor.firsts) for factor in graph.submap_factors}):
-        some = [factor for factor in graph.submap_factors if len(factor.firsts) == k]
-        node, firsts = np.array([f.node for f in some]), np.array([f.firsts for f in some])
+    for k in sorted({len(factor.passes) for factor in graph.submap_factors}):
+        some = [factor for factor in graph.submap_factors if len(factor.passes) == k]
+        node, passes = np.array([f.node for f in some]), np.array([f.passes for f in some])
         Z = np.array([f.R for f in some]), np.array([f.t for f in some])
         r, J = np.zeros((len(some), SIDE)), np.zeros((len(some), SIDE, SIDE * (k + 1)))
         for i, share in enumerate(np.array([f.shares for f in some]).T):
-            ri, Ji, Jj = residual_between(graph, firsts[:, i], node, Z[0][:, i], Z[1][:, i])
+            ri, Ji, Jj = residual_between(graph, passes[:, i], node, Z[0][:, i], Z[1][:, i])
             # A residual's shift is in the axes of the first node: here all of a factor's are in the second's.
-            back = np.swapaxes(graph.R[node], 1, 2) @ graph.R[firsts[:, i]]
+            back = np.swapaxes(graph.R[node], 1, 2) @ graph.R[passes[:, i]]
             for part in (ri[:, :, None], Ji, Jj):
                 part[:, 3:] = back @ part[:, 3:]
             r += share[:, None] * ri
             J[:, :, SIDE * i : SIDE * (i + 1)] = share[:, None, None] * Ji
             J[:, :, SIDE * k :] += share[:, None, None] * Jj
         P = np.linalg.inv(np.array([f.covariance for f in some]))
-        P *= np.array([f.probability for f in some])[:, None, None]
-        found.append((np.column_stack([firsts, node]), J, P, r))
+        P *= np.array([f.probability * f.part for f in some])[:, None, None]
+        found.append((np.column_stack([passes, node]), J, P, r))
     return found
 
 
@@ -110,9 +110,9 @@ def _scale_held(graph: PoseGraph) -> list[Part]:
 def counted(graph: PoseGraph) -> Scalars:
     """How much of each closure's information counts: its weight, less what closures of its windows have in common.
 
-    Nothing, where a submap stands for it.
+    Nothing of it, as far as submaps stand for it.
     """
-    return np.asarray(graph.ties.weight / shared(graph) * ~graph.are_on_submaps())
+    return np.asarray(graph.ties.weight / shared(graph) * (1 - graph.on_submaps()))
 
 
 def shared(graph: PoseGraph) -> Scalars:

@@ -130,13 +130,18 @@ class PoseGraph:
         self._tied = np.asarray(np.unique(group, return_index=True)[1][group])
         return self._tied.copy()
 
-    def are_on_submaps(self) -> Mask:
-        """Whether a submap factor stands for each closure: it is of the factor's node, with a pass of its submap."""
-        ties, n = self.ties, len(self.p)
-        off = np.arange(1 - APART, APART)
-        pairs = [n * f.node + np.add.outer(f.firsts, off).ravel() for f in self.submap_factors]
-        is_known = np.isin(n * ties.second + ties.first, np.concatenate([*pairs, np.zeros(0, np.int64)]))
-        return np.asarray(is_known & (self.log[ties.first] == self.log[ties.second]))
+    def on_submaps(self) -> Scalars:
+        """Part of each closure that submap factors stand for: those of either node with the other's pass, (c,)."""
+        ties, n, pairs, parts = self.ties, len(self.p), [np.zeros(0, np.int64)], [np.zeros(0)]
+        for f in self.submap_factors:
+            others = np.unique(np.add.outer(f.passes, np.arange(1 - APART, APART)))
+            pairs.append(n * np.maximum(f.node, others) + np.minimum(f.node, others))
+            parts.append(np.full(len(others), f.part))
+        known = np.concatenate(pairs)
+        order, asked = np.argsort(known), n * ties.second + ties.first
+        before = np.append(0.0, np.cumsum(np.concatenate(parts)[order]))
+        first, end = (before[np.searchsorted(known[order], asked, side)] for side in ("left", "right"))
+        return np.asarray((end - first) * (self.log[ties.first] == self.log[ties.second]))
 
     def fixed_by(self, root: Indices) -> dict[int, Indices]:
         """Fixed points of each group of logs that has any."""

@@ -25,7 +25,7 @@ from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 
-SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/3", "session of slam"
+SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/4", "session of slam"
 MAX_BYTES = 256 * 1024**2
 
 
@@ -98,4 +98,4 @@ def _closure(c: dict[str, Any]) -> Closure:
 
 
 def _submap_factor(f: dict[str, Any]) -> SubmapFactor:
-    return SubmapFactor(**f | {name: np.array(f[name]) for name in ("firsts", "shares", "R", "t", "covariance")})
+    return SubmapFactor(**f | {name: np.array(f[name]) for name in ("passes", "shares", "R", "t", "covariance")})

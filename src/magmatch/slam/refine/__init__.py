@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The last look: each window on one map of its log's earlier passes beside it, now that their places are known."""
+"""The last look: each window on one map of its log's passes beside it, now that their places are known."""

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Each window is compared once more, with one map of all earlier passes beside it, instead of with each by itself.
+"""Each window is compared once more, with one map of all passes beside it, instead of with each by itself.
 
 A map beside a single line is a guess across it; beside several it is measured. The likelihood of a log is the
-product, window by window, of that of a window given all before it: so each has one such factor. Passes of one log
-only: where several sensors contradict each other, a map of all shows a field that nobody measured.
+product, window by window, of that of a window given all before it, or given all after it: the mean of both is taken.
+Passes of one log only: where several sensors contradict each other, a map of all shows a field that nobody measured.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,21 +30,30 @@ AT_ONCE = 32
 
 
 def refine(places: Places, paths: Sequence[Path]) -> None:
-    """Find the submap factors of some logs' windows, and solve with them."""
-    factors: list[SubmapFactor] = []
-    for path in paths:
-        known = KnownPath.of(path, places.graph)
-        windows = [window for window in path.windows if window.keeps_shape]
-        for some in counted(f"placing {path.survey.name} on the map of its own passes", in_runs(windows, AT_ONCE)):
-            submaps = [known.submap(window, places.graph) for window in some]
-            asked = [(window, submap) for window, submap in zip(some, submaps, strict=True) if submap is not None]
-            for (window, submap), found in zip(asked, _look(places, asked, known), strict=True):
-                one = submap_factor(found[0], window.node, submap, places.graph, path) if found else None
-                factors += [] if one is None else [one]
-    if factors:
-        places.graph.submap_factors = (*places.graph.submap_factors, *factors)
-        solve(places.graph)
-    log.info("%d windows placed on maps of several passes", len(factors))
+    """Find the submap factors of some logs' windows in the order of time, then backward, and solve with them."""
+    graph, found = places.graph, list[SubmapFactor]()
+    of_others = graph.submap_factors
+    for n_orders, later in enumerate((False, True), 1):
+        for path in paths:
+            found += _factors(places, path, later=later)
+        if found:
+            graph.submap_factors = (*of_others, *(replace(factor, part=1 / n_orders) for factor in found))
+            solve(graph)
+    log.info("windows placed on maps of several passes: %d", len(found))
+
+
+def _factors(places: Places, path: Path, *, later: bool) -> Iterator[SubmapFactor]:
+    """Factors of a log's windows with its earlier passes, or with its later ones."""
+    known = KnownPath.of(path, places.graph)
+    windows = [window for window in path.windows if window.keeps_shape]
+    what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
+    for some in counted(what, in_runs(windows, AT_ONCE)):
+        submaps = [known.submap(window, places.graph, later=later) for window in some]
+        asked = [(window, submap) for window, submap in zip(some, submaps, strict=True) if submap is not None]
+        for (window, submap), found in zip(asked, _look(places, asked, known), strict=True):
+            factor = submap_factor(found[0], window.node, submap, places.graph, path) if found else None
+            if factor is not None:
+                yield factor
 
 
 def _look(places: Places, asked: Sequence[tuple[Window, Submap]], known: KnownPath) -> list[list[Candidate]]:

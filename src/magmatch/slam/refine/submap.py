@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A window's submap: the earlier passes of its log beside it, where the graph has them."""
+"""A window's submap: the earlier or the later passes of its log beside it, where the graph has them."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,6 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.places import MOST_PASSES
 from magmatch.slam.search.loop_closure import SAME_SHIFT
-from magmatch.slam.search.predicted import earlier_passes
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
@@ -25,7 +24,7 @@ FADES = 0.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Submap:
-    """Earlier passes beside a window whose places relative to it the graph knows."""
+    """Passes beside a window whose places relative to it the graph knows."""
 
     survey: Survey  # their samples, in odometry's frame as it was at the best known node
     node: Indices  # (n,): of each sample
@@ -52,13 +51,14 @@ class KnownPath:
         n = float(np.median(np.bincount(rows)))
         return cls(bin_means(survey.positions, rows), bin_means(survey.field, rows), node, n)
 
-    def submap(self, window: Window, graph: PoseGraph) -> Submap | None:
-        """Submap of a window; none if there are fewer than two passes.
+    def submap(self, window: Window, graph: PoseGraph, *, later: bool) -> Submap | None:
+        """Submap of a window, of earlier or of later passes; none if there are fewer than two.
 
         A map of one pass is what the window's closure with it was found on.
         """
         reach, b = SUBMAP_REACH * window.length, window.node
-        nodes = earlier_passes(window, np.arange(self.node[0], b), graph)
+        nodes = np.arange(b + 1, self.node[-1] + 1) if later else np.arange(self.node[0], b)
+        nodes = nodes[~graph.is_one_pass(nodes, b)]
         nodes = nodes[np.linalg.norm(graph.p[nodes] - graph.p[b], axis=1) < window.path_length + reach]
         rows = np.flatnonzero(np.isin(self.node, nodes))
         own = self.positions[self.node == b]
