@@ -36,7 +36,7 @@ def slam(
     run : callable, optional
         Lets other processes map and compare stretches, such as `magmatch.workers.DaskRunner`: called with a function
         and tasks, which can be pickled, it gives the results in the tasks' order. By default this process does all
-        of it, on the cores that are free. The result is the same bit for bit.
+        of it; it maps stretches on the cores that are free. The result is the same bit for bit.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
     keep : path, optional

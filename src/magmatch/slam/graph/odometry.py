@@ -73,7 +73,7 @@ def covariance_beside(path: Path, node: int, T_node_other: RigidTransform, confi
     The node is the one of the path in whose window the pose lies. Gives (6, 6), of xi in ``T_node_other Exp(xi)``.
     """
     k = node - path.first_node
-    rows = np.flatnonzero(path.number == k)
+    rows = np.arange(*np.searchsorted(path.number, [k, k + 1]))
     apart = path.survey.positions[rows] - path.windows[k].center - T_node_other.translation
     beside = int(rows[np.argmin(np.linalg.norm(apart, axis=1))])
     shift, loads, _ = _between(path, int(path.middles[k]), beside, config)

@@ -194,8 +194,11 @@ class BaseMaker:
         return [found[stretch_of(node, path.first_node)] for path, node in asked]
 
     def apply(self, function: Callable[[A], R], tasks: Sequence[A]) -> Iterable[R]:
-        """Apply a function to each of some tasks, wherever the work is done."""
-        return (self.run or side_by_side)(function, tasks) if tasks else ()
+        """Apply a function to each of some tasks, wherever the work is done.
+
+        Not by threads: comparisons hold the interpreter so often that two at once take longer than in turn.
+        """
+        return (self.run or map)(function, tasks) if tasks else ()
 
     def given(self, asked: Sequence[tuple[Path, int]]) -> Sequence[Base | BaseTask]:
         """Stretches of some nodes, as a comparison takes them: made, or for workers to make."""
