@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
+from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.selection import spline_evidence
 from magmatch.field.selection.spline_evidence import EvidenceSearch, integrated_autocorrelation_time
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
@@ -131,6 +133,20 @@ def test_what_is_left_out_in_single_precision_is_predicted_as_by_a_fit_of_the_re
     assert posterior.evaluate(x[rows]).field == pytest.approx(expected.evaluate(x[rows]).field, abs=1e-5 * scale)
     # Variances in single precision: differences of large numbers.
     assert posterior.covariance(x[rows]) == pytest.approx(expected.covariance(x[rows]), abs=0.01 * H.noise_sd**2)
+
+
+def test_samples_are_left_out_in_double_precision_where_single_precision_has_no_factor(monkeypatch):
+    def of_doubles_alone(elimination, matrix, precision=np.float64):
+        if precision == np.float32:
+            msg = "matrix is not positive definite"
+            raise np.linalg.LinAlgError(msg)
+        return factorise(elimination, matrix, precision)
+
+    x, b = draw(60, seed=7)
+    rows = np.arange(60) % 5 == 0
+    monkeypatch.setattr(spline_evidence, "factorise", of_doubles_alone)
+    single, double = (EvidenceSearch(x, b, np.arange(60), p).fit_without(rows, H) for p in (np.float32, np.float64))
+    np.testing.assert_array_equal(single.evaluate(x[rows]).field, double.evaluate(x[rows]).field)
 
 
 def test_a_path_that_never_returns_says_nothing_and_is_fitted_all_the_same():

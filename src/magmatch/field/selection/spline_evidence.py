@@ -106,7 +106,7 @@ class EvidenceSearch:
         """How evidence and noise level change with the noise, at numbers of finite evidence."""
         shape, cells = self._shape(h), self._model(h).cells
         if self._last is None or self._last[0] != h:
-            self._last = h, self._factor(h, self._observed(h))[1]
+            self._last = h, self._factor(h, self._observed(h), self.precision)[1]
 
         def times_prior(x: Scalars) -> Scalars:
             product = relative_prior_precision(h) * shape.times(x, cells)
@@ -132,7 +132,11 @@ class EvidenceSearch:
         """Posterior without some samples."""
         model, data = self._model(h), self._observed(h)
         rest = data - model.observe(self.points[rows], self.field[rows])
-        A, factor = self._factor(h, rest)
+        try:
+            A, factor = self._factor(h, rest, self.precision)
+        except np.linalg.LinAlgError:
+            # The numbers were chosen with all samples; without some, noise as small may be too much for fewer digits.
+            A, factor = self._factor(h, rest, np.float64)
         w, _, change = _solve(A, factor, rest.eta, model.cells)
         return SplinePosterior(h, model.cells, Factors.of(factor), w + change)
 
@@ -154,7 +158,7 @@ class EvidenceSearch:
     def _fit(self, h: Hyperparameters) -> TrialFit:
         if h not in self._fits:
             data = self._observed(h)
-            A, factor = self._factor(h, data)
+            A, factor = self._factor(h, data, self.precision)
             self._last = h, factor
             w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
             # As the first solution has it, which is off by the square of its error; and that.
@@ -164,7 +168,9 @@ class EvidenceSearch:
             self._fits[h] = TrialFit(square, factor.log_determinant, w + change)
         return self._fits[h]
 
-    def _factor(self, h: Hyperparameters, data: SplineInformation) -> tuple[StencilMatrix, CholeskyFactor]:
+    def _factor(
+        self, h: Hyperparameters, data: SplineInformation, precision: type[np.floating]
+    ) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
         model = self._model(h)
         stencil = BUFFER_POOL.take(HALF_STENCIL, model.cells.n_nodes).T
@@ -172,8 +178,8 @@ class EvidenceSearch:
         np.add(stencil, data.gram.stencil, out=stencil)
         corner = data.gram.corner + np.eye(3) * constant_precision(h)
         A = StencilMatrix(stencil, data.gram.border, corner)
-        is_risky = self.precision == np.float32 and model.information_ratio(data) > HIGHEST_INFORMATION_RATIO
-        return A, factorise(model.elimination, A, np.float64 if is_risky else self.precision)
+        is_risky = precision == np.float32 and model.information_ratio(data) > HIGHEST_INFORMATION_RATIO
+        return A, factorise(model.elimination, A, np.float64 if is_risky else precision)
 
     def _shape(self, h: Hyperparameters) -> StencilMatrix:
         """Prior precision where signal and noise are the same, of which theirs is a multiple."""
