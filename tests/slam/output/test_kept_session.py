@@ -28,7 +28,7 @@ def test_a_session_read_again_is_what_it_was(lone, folder):
     assert new == [OTHER]
     assert session.given == [lone.log]
     ours, theirs = session.graph, lone.session.graph
-    np.testing.assert_allclose(ours.p, theirs.p, atol=1e-5)
+    np.testing.assert_allclose(ours.p, theirs.p, atol=1e-6)
     assert [(c.first, c.second, c.log_odds) for c in ours.closures] == [
         (c.first, c.second, c.log_odds) for c in theirs.closures
     ]

@@ -17,8 +17,6 @@ from magmatch.slam.output.kept_session import read_session
 from magmatch.slam.refine.submap import KnownPath
 from magmatch.slam.run import slam
 
-MOST = 4
-
 
 def assert_same(session, other):
     for name in ("p", "R", "lasting"):

@@ -16,8 +16,9 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import transform_from_matrix
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor
+from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.factors import Closure, SubmapFactor
+from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
 from magmatch.slam.search.bases import BaseMaker
@@ -87,9 +88,11 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     numbers, noise = Hyperparameters(**content["numbers"]), PathNoise(**content["noise"])
     maker = BaseMaker(numbers, noise, content["length"], config)
     anchors = [(Anchor(name, t, np.array(x), sd), log) for name, t, x, sd, log in content["anchors"]]
-    places = Places(paths, graph, stated, maker, biases, anchors)
-    places.solve()
-    return places
+    if anchors:
+        graph.fixed = fixed_points(anchors, paths)
+    # Poses stay as they were; covariances follow from this.
+    graph.factor(normal_equations(graph)[0])
+    return Places(paths, graph, stated, maker, biases, anchors)
 
 
 def _closure(c: dict[str, Any]) -> Closure:
