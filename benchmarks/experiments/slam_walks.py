@@ -48,12 +48,13 @@ def error(found: list[tuple[np.ndarray, np.ndarray]], truths: list[np.ndarray]) 
     return aligned_rms(*(np.concatenate(parts) for parts in (a, b)))
 
 
-def aligned_rms(x: np.ndarray, y: np.ndarray) -> float:
-    """Rms distance of points (n, 2) from true ones after one rigid alignment in the plane, m."""
+def aligned_rms(x: np.ndarray, y: np.ndarray, *, is_scaled: bool = False) -> float:
+    """Rms distance of points (n, 2) from true ones after one rigid alignment in the plane, or with a scale too, m."""
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-    U, _, Vt = np.linalg.svd(x.T @ y)
-    turn = U @ np.diag([1, np.linalg.det(U @ Vt)]) @ Vt
-    return float(np.sqrt(((x @ turn - y) ** 2).sum(axis=1).mean()))
+    U, S, Vt = np.linalg.svd(x.T @ y)
+    signs = np.array([1, np.linalg.det(U @ Vt)])
+    scale = S @ signs / (x**2).sum() if is_scaled else 1.0
+    return float(np.sqrt(((scale * x @ (U * signs) @ Vt - y) ** 2).sum(axis=1).mean()))
 
 
 def work(name: str, data: Path) -> dict[str, object]:

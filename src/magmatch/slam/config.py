@@ -48,8 +48,6 @@ class SlamConfig(Settings):
     is_planar: bool = False
     # Length of a window, in field lengths: long against the field's changes, short against the odometry's drift.
     window_length: float = Field(default=6.0, gt=0)
-    # Least probability with which a closure enters the graph, which weights it accordingly and may reject it.
-    min_probability: float = Field(default=0.8, gt=0.5, lt=1)
     # Probability that a window revisits a place, and that its neighbour then does too.
     revisit_share: float = Field(default=0.5, gt=0, lt=1)
     keeps_on: float = Field(default=0.8, gt=0, lt=1)

@@ -20,7 +20,7 @@ from magmatch.slam.decide.shared_frame_odds import log_odds_shared
 from magmatch.slam.decide.tie import tie
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.doubt import surprise_before
-from magmatch.slam.graph.factors import Closure
+from magmatch.slam.graph.factors import LEAST_KEPT, Closure
 from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.odometry import follow, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -99,11 +99,11 @@ class Places:
             self.learn_drift()
 
     def close_near(
-        self, paths: Sequence[Path], enough: float = np.inf, least: float | None = None, *, at_once: bool = False
+        self, paths: Sequence[Path], enough: float = np.inf, least: float = LEAST_KEPT, *, at_once: bool = False
     ) -> int:
         """Search for closures where the graph predicts them, until there are enough; returns how many were found.
 
-        With ``least``, such a probability or more counts instead of `SlamConfig.min_probability`.
+        They must be more probable than ``least``.
 
         A few windows at a time: what they close is known when the graph predicts those that follow. Windows long past
         were weighed by what the graph knew then, so they have no more say. Or all of a log ``at_once``: where it was
@@ -291,7 +291,7 @@ class Places:
         return [of_numbers(self.steps(partial(step, k))) for k in range(n)]
 
     def tie(
-        self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float | None = None
+        self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float = LEAST_KEPT
     ) -> int:
         """Add certain closures, one a pass, except those of some windows, and solve; returns how many were found."""
         closures = [

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import product
 from magmatch.slam.decide.answer import by_pass, closure_beside, same_answer
 from magmatch.slam.decide.chain import Placed, smooth
-from magmatch.slam.graph.factors import Closure
+from magmatch.slam.graph.factors import LEAST_KEPT, Closure
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
 from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.search.loop_closure import log_density
@@ -26,11 +26,13 @@ def tie(
     candidates: list[list[Candidate]],
     graph: PoseGraph,
     paths: Sequence[Path],
-    least: float | None = None,
+    least: float = LEAST_KEPT,
 ) -> list[Closure]:
-    """Closures of a log's windows, in their order, with nodes of any log: those of some probability or more."""
+    """Closures of a log's windows, in their order, with nodes of any log: those more probable than ``least``.
+
+    By default, whatever the graph would keep: it weights closures by their probability, and may reject them.
+    """
     config = graph.config
-    least = config.min_probability if least is None else least
     candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
     placed = [[_placed(c, graph) for c in found] for found in candidates]
     steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
@@ -44,7 +46,7 @@ def tie(
     for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
         same = same_answer([one.T for one in at], p, window)
         probability = float(p[same].sum())
-        if probability >= least:
+        if probability > least:
             odds = float(np.log(probability / max(1 - probability, 1e-12)))
             for passed in by_pass([found[k] for k in same], p[same], graph):
                 closures.append(closure_beside(passed, window.node, paths, odds, graph))

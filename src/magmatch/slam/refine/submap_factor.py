@@ -6,7 +6,7 @@ from scipy.special import expit, logit
 
 from magmatch.geometry import product, rotation_matrix
 from magmatch.slam.decide.answer import off_level
-from magmatch.slam.graph.factors import SubmapFactor
+from magmatch.slam.graph.factors import LEAST_KEPT, SubmapFactor
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.refine.submap import Submap
@@ -16,12 +16,12 @@ from magmatch.slam.windows import Path
 
 
 def submap_factor(found: Candidate, node: int, submap: Submap, graph: PoseGraph, path: Path) -> SubmapFactor | None:
-    """The factor of a pose that was found for a node's window; none if it is less probable than a closure must be.
+    """The factor of a pose that was found for a node's window; none if it is no more probable than not.
 
     The graph knows that the window lies there, as it does for closures near a place that is known.
     """
     probability = float(expit(found.match.log_odds + logit(SURE)))
-    if probability < graph.config.min_probability:
+    if probability <= LEAST_KEPT:
         return None
     T_map_node = product(graph.pose(submap.best_known), found.T_node_window, found.match.T_node_alone)
     T_passes_node = [product(graph.pose(one).inv(), T_map_node) for one in submap.passes.tolist()]
