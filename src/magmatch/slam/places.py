@@ -134,7 +134,7 @@ class Places:
         return found
 
     def connect(self, path: Path, candidates: list[list[Candidate]], whole: Path | None = None) -> int:
-        """Add the certain closures with other components, if all of the log's windows say that the frame is shared.
+        """Add the probable closures with other components, if all of the log's windows say that the frame is shared.
 
         The candidates are of a whole log's windows, or of its last ones. Returns how many closures were found.
         """
@@ -293,7 +293,7 @@ class Places:
     def tie(
         self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float = LEAST_KEPT
     ) -> int:
-        """Add certain closures, one a pass, except those of some windows, and solve; returns how many were found."""
+        """Add probable closures, one a pass, except those of some windows, and solve; returns how many were found."""
         closures = [
             c
             for c in tie(path, candidates, self.graph, self.paths, least)

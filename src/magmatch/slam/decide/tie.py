@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Closures of one log: candidates of all windows are weighed together along the path; certain ones are kept."""
+"""Closures of one log: candidates of all windows are weighed together along the path; probable ones are kept."""
 
 from collections.abc import Sequence
 

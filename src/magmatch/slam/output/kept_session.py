@@ -26,7 +26,7 @@ from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 
-SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/4", "session of slam"
+SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/5", "session of slam"
 MAX_BYTES = 256 * 1024**2
 
 
