@@ -23,7 +23,5 @@ def test_an_unrelated_place_shows_earths_field_as_well(lone):
     distance = np.linalg.norm(window.walk.positions[:, None] - window.walk.positions[None], axis=2)
     every = np.ones(len(window.walk), dtype=bool)
     args = window.walk, distance, noise, window.length
-    knowing, unknowing = (
-        UnrelatedWalk.most_likely(*args, around).log_likelihood(every) for around in (window.around, None)
-    )
+    knowing, unknowing = (UnrelatedWalk(*args, around).log_likelihood(every) for around in (window.around, None))
     assert knowing > unknowing + 2

@@ -68,7 +68,7 @@ def test_evidence_is_that_of_dense_normal_densities_and_laplaces_approximation(b
     r = (walk.field - seen.field).ravel()
     chi2 = r @ np.linalg.solve(C, r)
     factor, log_likelihood = NOISE.factor(chi2, 3 * n - 6)
-    null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
+    null = UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
     price = 0.5 * np.linalg.slogdet(2 * np.pi * found.covariance)[1] - np.log(20.0 * 8 * np.pi**2)
     expected = log_likelihood - 0.5 * np.linalg.slogdet(C)[1] - null + price
     # The last steps see the map's gradient through its raster's cells no more; its field they see exactly.
@@ -217,7 +217,7 @@ def test_a_piece_ten_times_as_disturbed_is_at_most_a_tenth_as_likely_for_each_co
         field = walk.field.copy()
         field[8:11] += size * np.array([4e-6, -3e-6, 3e-6])
         disturbed = replace(walk, field=field)
-        null = UnrelatedWalk.most_likely(disturbed, cdist(walk.positions, walk.positions), NOISE, LENGTH)
+        null = UnrelatedWalk(disturbed, cdist(walk.positions, walk.positions), NOISE, LENGTH)
         found = weighed(base, disturbed, prior=held, config=LineConfig(price=0.0))
         likelihoods.append(found.log_evidence + null.log_likelihood(found.is_covered))
     assert likelihoods[0] - likelihoods[1] > 3 * refine_and_weigh_walk.PIECE_BINS * np.log(10)
@@ -248,7 +248,7 @@ def test_best_comes_first_and_poses_with_too_little_inside_are_left_out(base, wa
 @pytest.mark.parametrize("around", [None, (np.array([18e-6, 3e-6, -45e-6]), 1e-11)])
 def test_an_unrelated_walk_is_a_smooth_field_averaged_over_its_numbers(walk, around):
     d = cdist(walk.positions, walk.positions)
-    null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH, around)
+    null = UnrelatedWalk(walk, d, NOISE, LENGTH, around)
     spread2 = walk.field.var(axis=0).mean() + NOISE.nugget_sd**2
     mean, constant = around or (np.zeros(3), (walk.field**2).mean())
     square = (walk.field**2).mean()
@@ -288,15 +288,27 @@ def test_a_rough_walk_is_no_evidence_for_a_place_where_nothing_varies(times):
         z = times * np.random.default_rng(seed).standard_normal((len(x), 3))
         walk = Walk(HERE, x, earth + L @ z)
         posed = NOISE.factor((z**2).sum(), 3 * len(x))[1] - 3 * np.log(np.diag(L)).sum()
-        null = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
+        null = UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
         # That both fields agree in the mean is evidence, of some nats a component.
         assert posed - null < 25
 
 
+@pytest.mark.parametrize("around", [None, (np.array([18e-6, 3e-6, -45e-6]), 1e-11)])
+def test_bins_that_a_pose_leaves_out_say_nothing_of_the_others(walk, around):
+    """A calm part that lies beside a rough one is weighed as a walk that is calm."""
+    calm = np.arange(len(walk)) < 12
+    field = walk.field + 2e-5 * np.random.default_rng(0).standard_normal(walk.field.shape) * ~calm[:, None]
+    d = cdist(walk.positions, walk.positions)
+    part = walk.part(np.flatnonzero(calm))
+    alone = UnrelatedWalk(part, d[:12, :12], NOISE, LENGTH, around).log_likelihood(np.ones(12, dtype=bool))
+    found = UnrelatedWalk(replace(walk, field=field), d, NOISE, LENGTH, around).log_likelihood(calm)
+    assert found == pytest.approx(alone, rel=1e-12)
+
+
 def test_a_null_model_that_was_asked_before_says_the_same(walk):
     d = cdist(walk.positions, walk.positions)
-    asked = UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH)
+    asked = UnrelatedWalk(walk, d, NOISE, LENGTH)
     masks = [np.arange(len(walk)) < n for n in (len(walk), 9, 14)]
-    fresh = [UnrelatedWalk.most_likely(walk, d, NOISE, LENGTH).log_likelihood(rows) for rows in masks]
+    fresh = [UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(rows) for rows in masks]
     assert [asked.log_likelihood(rows) for rows in [*masks, *masks]] == [*fresh, *fresh]
     assert len(set(fresh)) == len(masks)

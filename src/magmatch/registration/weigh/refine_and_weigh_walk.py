@@ -90,7 +90,7 @@ def weigh_walk(
         return []
     distance = cdist(walk.positions, walk.positions)
     squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
-    null = null or UnrelatedWalk.most_likely(walk, distance, noise, length)
+    null = null or UnrelatedWalk(walk, distance, noise, length)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))

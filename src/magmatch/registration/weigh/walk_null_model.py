@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.walk import Walk
-from magmatch.typing import Mask, Matrix, Vector3, Vectors
+from magmatch.registration.weigh.walk_rows import whiten
+from magmatch.typing import Indices, Mask, Matrix, Scalars, Vector3, Vectors
 
-# Tried lengthscales (in correlation lengths) and strengths (in the walk's own standard deviation).
+# Tried lengthscales (in correlation lengths) and strengths (in the standard deviation of the bins asked for).
 LENGTHSCALES = (0.55, 0.8, 1.2, 1.7, 2.6)
 STRENGTHS = (0.0, *np.exp2(range(-1, 3)))
 
@@ -26,62 +26,61 @@ class UnrelatedWalk:
     match any calm region.
     """
 
-    field: Vectors  # (n, 3), T: minus the mean that it has at any place
-    covariance: Matrix  # (n, n), T^2: of each component
+    walk: Walk
+    distance: Matrix  # (n, n), m: between its bins
     noise: PathNoise
-    favour: float  # nats: gain in likelihood because its parameters are chosen on the walk itself
+    length: float  # m: correlation length
+    # (vector, float): mean of the field wherever the walk may be (T), walk's axes, and variance of a component about
+    # it (T^2): where the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
+    around: tuple[Vector3, float] | None = None
     # Log likelihoods of the bins that were asked for
     _found: dict[bytes, float] = dataclasses.field(default_factory=dict, init=False, repr=False)
 
-    @classmethod
-    def most_likely(
-        cls,
-        walk: Walk,
-        distance: Matrix,
-        noise: PathNoise,
-        length: float,
-        around: tuple[Vector3, float] | None = None,
-    ) -> "UnrelatedWalk":
-        """Try lengthscales and strengths: the most likely ones make its covariance, all of them its likelihood.
-
-        ``around``: mean of the field wherever the walk may be (T), walk's axes, and variance of a component about it
-        (T^2): where the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
-        """
-        some = even_choice(len(walk), FEW_POINTS)
-        d2 = distance[np.ix_(some, some)] ** 2
-        spread2 = float(walk.field.var(axis=0).mean()) + noise.nugget_sd**2
-        square = float((walk.field**2).sum(axis=1).mean()) / 3
-        mean, constant = around or (np.zeros(3), square)
-        field = walk.field - mean
-        errors = noise.isotropic(distance, np.zeros(len(walk)))
-        errors = errors + 2 * square * noise.attitude_sd**2 * np.exp(-distance / noise.drift_length)
-        tried = [(f * length, s**2 * spread2) for f, s in product(LENGTHSCALES, STRENGTHS)]
-        few, errors_of_few = field[some], errors[np.ix_(some, some)]
-        found = np.array([
-            _log_likelihood(few, _covariance(d2, *numbers, constant) + errors_of_few, noise) for numbers in tried
-        ])  # fmt: skip
-        chosen = tried[int(found.argmax())]
-        # Its parameters are unknown: the evidence is averaged over them, including those of calm places.
-        favour = float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
-        return cls(field, _covariance(distance**2, *chosen, constant) + errors, noise, favour)
-
     def log_likelihood(self, rows: Mask) -> float:
-        """Log density of some bins' field (the factor of 2 pi left out)."""
+        """Log density of some bins' field (the factor of 2 pi left out), as of a walk that has no others.
+
+        Bins that a pose leaves out say nothing of those that it explains: a calm part is as calm beside a rough one.
+        """
         asked = rows.tobytes()
         if asked not in self._found:
-            covariance = self.covariance[np.ix_(rows, rows)]
-            self._found[asked] = _log_likelihood(self.field[rows], covariance, self.noise) - self.favour
+            self._found[asked] = self._averaged(np.flatnonzero(rows))
         return self._found[asked]
 
+    def _averaged(self, rows: Indices) -> float:
+        """The same, averaged over lengthscales and strengths, those of calm places too; few bins tell which."""
+        some = even_choice(len(rows), FEW_POINTS)
+        field = self.walk.field[rows]
+        spread2 = float(field.var(axis=0).mean()) + self.noise.nugget_sd**2
+        square = float((field**2).sum(axis=1).mean()) / 3
+        mean, constant = self.around or (np.zeros(3), square)
+        distance = self.distance[np.ix_(rows, rows)]
+        errors = self.noise.isotropic(distance, np.zeros(len(rows))) + constant
+        errors += 2 * square * self.noise.attitude_sd**2 * np.exp(-distance / self.noise.drift_length)
+        tried = np.array([(f * self.length, s**2 * spread2) for f, s in product(LENGTHSCALES, STRENGTHS)])
 
-def _covariance(d2: Matrix, length: float, variance: float, constant: float) -> Matrix:
+        def log_likelihoods(at: Indices, tried: Matrix) -> Scalars:
+            square_of = np.ix_(at, at)
+            K = _covariances(distance[square_of] ** 2, tried) + errors[square_of]
+            return _log_likelihoods(field[at] - mean, K, self.noise)
+
+        found = log_likelihoods(some, tried)
+        most_likely = tried[[int(found.argmax())]]
+        favour = float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
+        return float(log_likelihoods(np.arange(len(rows)), most_likely)[0]) - favour
+
+
+def _covariances(d2: Matrix, tried: Matrix) -> np.ndarray:
+    """Of each pair of numbers tried: (t, n, n)."""
     # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-    K: Matrix = variance / (1 + d2 / (2 * length**2)) + constant
-    return K
+    length, variance = tried.T[:, :, None, None]
+    return np.asarray(variance / (1 + d2 / (2 * length**2)))
 
 
-def _log_likelihood(values: Vectors, K: Matrix, noise: PathNoise) -> float:
-    L = cholesky(K, lower=True, check_finite=False, overwrite_a=True)
-    z = solve_triangular(L, values, lower=True, check_finite=False)
-    log_likelihood = noise.factor(np.array((z**2).sum()), np.array(3 * len(L)))[1]
-    return float(log_likelihood) - float(3 * np.log(np.diag(L)).sum())
+def _log_likelihoods(values: Vectors, K: np.ndarray, noise: PathNoise) -> Scalars:
+    """Of values (n, 3) by each of several covariances (t, n, n)."""
+    L = np.linalg.cholesky(K)
+    z = np.repeat(values[None], len(L), axis=0)
+    whiten(L, z)
+    half_log_det = 3 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    log_likelihood = noise.factor((z**2).sum(axis=(1, 2)), np.full(len(L), values.size))[1]
+    return np.asarray(log_likelihood - half_log_det)

@@ -165,7 +165,7 @@ def _prior_at(
 def _unrelated(window: Window, noise: PathNoise, *, is_predicted: bool) -> UnrelatedWalk:
     """The null model of a window: kept while one stretch after the other is compared with it."""
     x, around = window.walk.positions, window.around if is_predicted else None
-    return UnrelatedWalk.most_likely(window.walk, cdist(x, x), noise, window.length, around)
+    return UnrelatedWalk(window.walk, cdist(x, x), noise, window.length, around)
 
 
 def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
