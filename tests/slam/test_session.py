@@ -13,6 +13,8 @@ from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
+from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
+from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
@@ -90,6 +92,20 @@ def test_logs_that_hang_together_are_placed_and_a_stranger_is_not(three):
     np.testing.assert_allclose(b.T_map_log.apply(three.logs[1].positions[0]), first, atol=1e-9)
     assert b.sd[0] > 0.02
     assert b.n_closures > 0
+
+
+def test_a_drift_that_is_neither_stated_nor_learned_is_said_to_be_assumed(lone, many_laps):
+    """It decides what few closures are found, and a user may know better."""
+    assert "0.3 m and 4 degrees in 10 m: state yours with --odometry-sd" in lone.session.result().reason
+    assert len(many_laps.session.graph.closures) >= PRIOR_STRETCHES
+    assert "--odometry-sd" not in many_laps.session.result().reason
+    for stated in (
+        SlamConfig(odometry=OdometryConfig(sd=(0.2, 3.0))),
+        SlamConfig(sd_of_logs={lone.log.name: (0.3, 4.0)}),
+    ):
+        session = mm.slam(lone.log, stated)
+        assert 0 < len(session.graph.closures) < PRIOR_STRETCHES
+        assert "--odometry-sd" not in session.result().reason
 
 
 def test_moved_is_how_far_samples_moved_with_the_first_pose_held(lone):

@@ -22,9 +22,10 @@ from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.settings import Settings
-from magmatch.slam.config import SlamConfig
+from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
+from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
@@ -264,7 +265,9 @@ class Session:
         groups = [[names[k] for k in group] for group in self.components]
         return SlamResult(
             status,
-            explain(status, groups, len(ties), len(closures) - len(ties), len(anchors), self._bent()),
+            explain(
+                status, groups, len(ties), len(closures) - len(ties), len(anchors), self._bent(), self._guessed()
+            ),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             tuple(
@@ -283,6 +286,13 @@ class Session:
         """A window, where none keeps its shape."""
         windows = [] if self._now.maker is None else [w for p in self.paths for w in p.windows]
         return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
+
+    def _guessed(self) -> tuple[float, float] | None:
+        """The drift of some log that was neither stated nor learned, m and deg in 10 m."""
+        stated = self._now.stated
+        is_stated = stated.odometry.sd != OdometryConfig().sd or all(s.name in stated.sd_of_logs for s in self.logs)
+        is_guess = not (self.is_rigid or is_stated or teaches_drift(self.graph))
+        return stated.odometry.sd if is_guess else None
 
     def _state_log(self, log: int) -> LogResult:
         path, after = self.paths[log], self.trajectories[log]

@@ -71,8 +71,12 @@ def explain(
     n_rejected: int,
     n_fixed: int = 0,
     bent: Window | None = None,
+    guessed: tuple[float, float] | None = None,
 ) -> str:
-    """In words: how the logs are connected, or how they could be; or a window that does not keep its shape."""
+    """In words: how the logs are connected, or how they could be; or a window that does not keep its shape.
+
+    ``guessed``: the drift (m, deg) that was neither stated nor learned.
+    """
     n = sum(map(len, groups))
     ties = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
     ties += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""
@@ -85,13 +89,15 @@ def explain(
     if status is SlamStatus.UNCHANGED:
         what = "the field shows no revisited place" if n == 1 else "no closure connects the logs"
         return f"{what} ({ties}); pass some stretches twice, a few correlation lengths each"
+    guess = "" if guessed is None else (
+        "; odometry is assumed to drift by {:g} m and {:g} degrees in 10 m: state yours with --odometry-sd"
+    ).format(*guessed)  # fmt: skip
     if status is SlamStatus.CONNECTED:
-        return f"{ties}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}"
+        return f"{ties}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}{guess}"
     alone = [group[0] for group in groups if len(group) == 1]
     words = f"{ties}; {_count(n, 'log')} in {len(groups)} frames of their own"
-    return words + (
-        f"; connected to no other: {', '.join(alone[:5])}{', ...' if len(alone) > 5 else ''}" if alone else ""
-    )
+    words += f"; connected to no other: {', '.join(alone[:5])}{', ...' if len(alone) > 5 else ''}" if alone else ""
+    return words + guess
 
 
 def _count(n: int, noun: str) -> str:

@@ -21,15 +21,19 @@ STATED_SPREAD = 1.0
 SAME_FACTOR = 0.05
 
 
+def teaches_drift(graph: PoseGraph) -> bool:
+    """Whether closures are enough: as few as teach nothing about the noise teach nothing about drift."""
+    return len(graph.closures) >= PRIOR_STRETCHES
+
+
 def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
     """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
 
     The heading's factor is that of its lasting turn rate too: revisits early in a walk show little of the latter, and
     what they leave open would turn all that follows.
-    The closures' residuals are those of the graph as it stands; each counts by its weight. As few as teach nothing
-    about the noise teach nothing about drift.
+    The closures' residuals are those of the graph as it stands; each counts by its weight.
     """
-    if len(graph.closures) < PRIOR_STRETCHES:
+    if not teaches_drift(graph):
         return stated
     # Covariances are sums of a part of each.
     of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
