@@ -4,14 +4,13 @@
         hall table] [--passes 3 6] [--jobs 2] [--minutes N] [--save NAME]
 
 Places: a corridor walked in laps, an office walked to and fro, a hall in lanes and then in lanes across them, a
-robot in circles over a table of magnets; each passed three and six times, 0.4 uT of noise. A hall passed once has
-lanes beside each other and no revisit: whatever closes there is wrong. Odometry of 0.5, 1 and 3 % (`LEVELS`): an
-error of scale, random walks of heading, place and height, and an attitude that swings; slam is told nothing of it.
-Errors: rms of places after one rigid alignment in the plane; heading: rms about the mean. But for scale: corrected
-ones after an alignment with a scale, which no revisit shows, to the same error of odometry. Ceiling: true relative
-poses at every revisit. NEES is of nodes in the frame of the first, per degree of freedom. A closure is wrong that is
-off by more than half a field length and three of its standard deviations; it survives where the graph keeps it. Rows
-stay in DIR; a second run goes on where the first ended.
+robot in circles over a table of magnets; each passed three and six times, 0.4 uT of noise. Odometry of 0.5, 1 and
+3 % (`LEVELS`): an error of scale, random walks of heading, place and height, and an attitude that swings; slam is
+told nothing of it. Errors: rms of places after one rigid alignment in the plane; heading: rms about the mean. But for
+scale: corrected ones after an alignment with a scale, which no revisit shows, to the same error of odometry. Ceiling:
+true relative poses at every revisit. NEES is of nodes in the frame of the first, per degree of freedom. A closure is
+wrong that is off by more than half a field length and three of its standard deviations; it survives where the graph
+keeps it. Rows stay in DIR; a second run goes on where the first ended.
 """
 
 import os
