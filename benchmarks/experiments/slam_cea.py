@@ -25,7 +25,7 @@ from magmatch.geometry import path_walked
 from magmatch.simulation.paths import heading_along, upright
 from magmatch.slam.config import OdometryConfig
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import arguments, kept, timed
+from magmatch_evaluation.script import arguments, in_groups, kept, timed
 
 COLUMNS = (
     "floor", "drift, %", "n", "in one frame", "odometry, m", "corrected, m", "median ratio", "NEES", "closures",
@@ -101,10 +101,7 @@ def main() -> None:
     make = partial(work, data=asked.data)
     rows = kept(asked.out / "cea.jsonl", wanted, make, jobs=asked.jobs, minutes=asked.minutes)
     table = []
-    for group in groups:
-        some = [row for name, row in rows.items() if name.startswith(f"{group} ")]
-        if not some:
-            continue
+    for group, some in in_groups(groups, rows):
         before, after = (np.array([row[key] for row in some]) for key in ("before", "after"))
         counted = ("closures", "wrong", "survive", "far")
         sums = {key: sum(row[key] for row in some) for key in (*counted, "together", "seconds", "length")}

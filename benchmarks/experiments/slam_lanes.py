@@ -24,7 +24,7 @@ from magmatch.data.recordings import load_recordings
 from magmatch.geometry import path_walked
 from magmatch.simulation.paths import resample
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import arguments, kept, timed
+from magmatch_evaluation.script import arguments, in_groups, kept
 
 COLUMNS = (
     "place", "lanes apart, m", "drift, %", "n", "field lengths apart", "odometry, m", "closures", "wrong",
@@ -48,12 +48,15 @@ def floor_field(data: Path) -> RBFInterpolator:
     return RBFInterpolator(survey.positions[rows, :2], survey.field[rows], neighbors=40, kernel="thin_plate_spline")
 
 
+robot_runs = cache(partial(load_recordings, "aalto"))
+
+
 def lanes(name: str, apart: float, seed: int, data: Path, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """True path (n, 3) and its field, T."""
     if name == "hall":
         return place("hall", 1, rng)
     if name == "robot":
-        run = load_recordings("aalto", data / "aalto")[RUNS[seed % len(RUNS)]]
+        run = robot_runs(data / "aalto")[RUNS[seed % len(RUNS)]]
         rows = np.unique((path_walked(run.positions) / DRIVEN).astype(np.int64), return_index=True)[1]
         return run.positions[rows], run.field[rows]
     columns = np.arange(CORNER[0], CORNER[0] + SIZE[0] + apart / 2, apart)
@@ -70,13 +73,13 @@ def work(name: str, data: Path) -> dict[str, object]:
     rng = np.random.default_rng([PLACES.index("hall") if kind == "hall" else int(10 * float(apart)), int(seed)])
     path, field = lanes(kind, float(apart), int(seed), data, rng)
     log = drifted(path, field, float(percent), rng)
-    session, seconds, _ = timed(mm.slam, log)
+    session = mm.slam(log)
     p, turned = at_nodes(session, path)
     wrong, survive = survivors(session, off_truth(session, p, turned))
     before, after = (aligned_rms(s.positions[:, :2], path[:, :2]) for s in (log, session.trajectories[0]))
     return {
         "name": name, "before": before, "after": after, "field_length": session.paths[0].windows[0].length,
-        "closures": len(session.graph.closures), "wrong": wrong, "survive": survive, "seconds": seconds,
+        "closures": len(session.graph.closures), "wrong": wrong, "survive": survive,
     }  # fmt: skip
 
 
@@ -90,10 +93,7 @@ def main() -> None:
     make = partial(work, data=asked.data)
     rows = kept(asked.out / "lanes.jsonl", wanted, make, jobs=asked.jobs, minutes=asked.minutes)
     table = []
-    for group in groups:
-        some = [rows[f"{group} {seed}"] for seed in seeds if f"{group} {seed}" in rows]
-        if not some:
-            continue
+    for group, some in in_groups(groups, rows):
         before, after, length = (np.array([r[key] for r in some]) for key in ("before", "after", "field_length"))
         sums = [sum(r[key] for r in some) for key in ("closures", "wrong", "survive")]
         table.append([

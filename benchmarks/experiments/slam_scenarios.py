@@ -42,7 +42,7 @@ from magmatch.slam.graph.pose_graph import APART
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import arguments, kept, timed
+from magmatch_evaluation.script import arguments, in_groups, kept, timed
 
 PLACES, PASSES, DRIFTS = ("corridor", "office", "hall", "table"), (3, 6), (0.5, 1.0, 3.0)
 EARTH = np.array(SimulationConfig().earth_field)
@@ -204,10 +204,7 @@ def main() -> None:
     wanted = [f"{group} {seed}" for seed in seeds for group in order]
     rows = kept(asked.out / "scenarios.jsonl", wanted, work, jobs=asked.jobs, minutes=asked.minutes)
     table = []
-    for group in groups:
-        some = [rows[f"{group} {seed}"] for seed in seeds if f"{group} {seed}" in rows]
-        if not some:
-            continue
+    for group, some in in_groups(groups, rows):
         before, after = (np.array([r[key] for r in some]) for key in ("before", "after"))
         heading = np.array([r["heading"] for r in some])
         total = {key: sum(r[key] for r in some) for key in ("closures", "wrong", "survive", "seconds", "length")}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from magmatch_evaluation.script import alone, arguments, kept
+from magmatch_evaluation.script import alone, arguments, in_groups, kept
 
 
 def length_of(name):
@@ -26,6 +26,15 @@ def test_rows_that_are_there_are_not_made_again(tmp_path, monkeypatch):
 
 def test_no_row_is_begun_after_the_time(tmp_path):
     assert kept(tmp_path / "rows.jsonl", ["a"], length_of, minutes=0.0) == {}
+
+
+def test_rows_are_grouped_by_the_words_that_their_names_begin_with():
+    rows = {name: {"name": name} for name in ("hall 1 7", "hall 11 7", "hall 1 8")}
+    grouped = in_groups(["table 1", "hall 1", "hall 11"], rows)
+    assert [(group, [row["name"] for row in some]) for group, some in grouped] == [
+        ("hall 1", ["hall 1 7", "hall 1 8"]),
+        ("hall 11", ["hall 11 7"]),
+    ]
 
 
 def test_options_follow_from_their_defaults(monkeypatch):

@@ -9,7 +9,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
@@ -111,6 +111,12 @@ def kept(
             stream.write(json.dumps(known[name]) + "\n")
             stream.flush()
     return {name: known[name] for name in wanted if name in known}
+
+
+def in_groups(groups: Iterable[str], rows: Mapping[str, dict[str, Any]]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Each group that has rows, and those: of `kept` rows whose names begin with the group's words."""
+    found = ((group, [row for name, row in rows.items() if name.startswith(f"{group} ")]) for group in groups)
+    return [(group, some) for group, some in found if some]
 
 
 def alone(script: str, *words: object) -> Any:
